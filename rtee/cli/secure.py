@@ -88,7 +88,9 @@ def add_client(
     print(f"{made.name}: {role}, until {_date(made.until)}, in {path}")
     print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
     print("~/.config/rtee/identity.pem or where RTEE_IDENTITY says, and delete it here.")
-    print(f"A hand that runs admits it from its next start on: rtee run {hand}")
+    print(
+        "A hand that runs admits it within a second, the next 8 of each role without a new start."
+    )
 
 
 @app.command()
@@ -99,9 +101,7 @@ def revoke(hand: HandArgument, name: PersonArgument) -> None:
         print(f"{one.name} is refused")
     if not revoked:
         print(f"{name} was refused already")
-    print(
-        "A hand that runs takes no more requests of it; at its next start it sees nothing, either."
-    )
+    print("Within a second a hand that runs takes no request of it but stop, and sends it nothing.")
 
 
 @app.command(name="list")

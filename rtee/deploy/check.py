@@ -6,11 +6,12 @@ import os
 import shutil
 from pathlib import Path
 
-from rtee.deploy.files import STATE, drop_in, hand_files, link_of
-from rtee.deploy.install import USER, Installation, State
+from rtee.deploy.files import STATE, USER, certificates_made, drop_in, hand_files, link_of
+from rtee.deploy.install import Installation, State
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
 from rtee.errors import ConfigError
+from rtee.remote.credentials import HAND_KEY
 
 
 def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
@@ -30,6 +31,7 @@ def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
     return [
         _files(needs, installation, again),
         _user(installation, again),
+        *_certificates(needs, installation),
         *_ports(needs),
         _recordings(needs, installation.root),
         *_kernel(needs, installation.root),
@@ -57,6 +59,28 @@ def _user(installation: Installation, again: str) -> Check:
     if not installation.has_user():
         return wrong("service's user", f"there is no user {USER}", again)
     return ok("service's user", USER)
+
+
+def _certificates(needs: Needs, installation: Installation) -> list[Check]:
+    """Say whether the service can use the certificates for its network."""
+    if needs.certificates is None:
+        return []
+    what = "service's certificates"
+    key = installation.root / str(needs.certificates / HAND_KEY).lstrip("/")
+    remedy = "; ".join(certificates_made(needs))
+    try:
+        owner = key.stat().st_uid
+    except PermissionError:
+        return [
+            warning(what, f"{key.parent} is not yours to read", "sudo rtee doctor " + needs.hand)
+        ]
+    except OSError:
+        return [wrong(what, f"there are none in {key.parent}", remedy)]
+    if owner != installation.user_id():
+        return [
+            wrong(what, f"{key} is not the user {USER}'s", f"sudo chown -R {USER}: {key.parent}")
+        ]
+    return [ok(what, f"in {key.parent}")]
 
 
 def _ports(needs: Needs) -> list[Check]:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rtee.deploy.needs import Needs, Port, checked_path
+from rtee.deploy.needs import SECURE, Needs, Port, checked_path
 from rtee.errors import ConfigError
 from rtee.hand.files import make_folder, write_atomically
 
@@ -25,6 +25,9 @@ GOVERNOR = "/etc/tmpfiles.d/rtee-realtime.conf"
 KERNEL_LINE = "/etc/default/grub.d/rtee.cfg"
 
 _SHIPPED = {RULES: "99-rtee.rules", LIMITS: "limits.conf", UNIT: "rtee@.service"}
+
+USER = "rtee"
+"""The user that runs hands."""
 
 STATE = Path("/var/lib/rtee")
 """Working directory of the service."""
@@ -123,6 +126,8 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
     kinds = sorted({port.kind for port in needs.ports} - {"", *_ALLOWED_PORTS})
     lines += [f"DeviceAllow=char-{kind} rw" for kind in kinds]
     lines += [f"IPAddressAllow={address}" for address in needs.addresses]
+    if needs.certificates is not None and needs.certificates.is_relative_to(SECURE):
+        lines.append(f"Environment=RTEE_SECURE_DIR={SECURE}")
     if needs.ethercat:
         lines += [
             "RestrictAddressFamilies=AF_PACKET",
@@ -219,6 +224,14 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
             found.append(f"{port.path} needs a rule: --serial {port.device}=NUMBER makes it")
     if needs.addresses:
         found.append(f"its network is open to: {', '.join(needs.addresses)}")
+    if needs.unknown:
+        found.append(
+            f"the drivers of {', '.join(needs.unknown)} are not rtee's: what they need beyond their"
+            " options in hand.yaml belongs into a drop-in of your own (systemctl edit"
+            f" rtee@{needs.hand})"
+        )
+    if needs.certificates is not None:
+        found += [f"certificates: {words}" for words in certificates_made(needs, program)]
     found.append(
         f"recordings: {STATE / needs.log}, at most {needs.log_size / 1e9:g} GB"
         " (log: max_total_size in hand.yaml)"
@@ -235,6 +248,17 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
         found.append(f"start it: sudo systemctl start rtee@{needs.hand}")
         found.append("people who command hands: sudo usermod -aG rtee USER, and log in again")
     return found
+
+
+def certificates_made(needs: Needs, program: str | None = None) -> list[str]:
+    """Return what makes a hand's certificates where its service finds them: commands."""
+    if needs.certificates is None:
+        return []
+    folder = needs.certificates
+    if folder.is_relative_to(SECURE):
+        make = f"env RTEE_SECURE_DIR={SECURE} {program or own_program()} secure init {needs.hand}"
+        return [f"sudo install -d -o {USER} -g {USER} -m 750 {STATE}", f"sudo -u {USER} {make}"]
+    return [f"sudo chown -R {USER}: {folder}"]
 
 
 def words_of(files: Mapping[str, bytes]) -> list[str]:

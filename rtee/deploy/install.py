@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 
-from rtee.deploy.files import ACCOUNTS, HANDS, UNIT
+from rtee.deploy.files import ACCOUNTS, HANDS, UNIT, USER
 from rtee.errors import ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.names import check_name
@@ -21,7 +21,6 @@ from rtee.hand.names import check_name
 MANIFEST = "/etc/rtee/deploy.json"
 """What was written, for which hands; only root may change it."""
 
-USER = "rtee"
 WANTS = "/etc/systemd/system/multi-user.target.wants"
 
 # Files elsewhere are not touched, whatever the manifest says.
@@ -163,6 +162,14 @@ class Installation:
     def has_user(self) -> bool:
         """Return whether there is the user that runs hands."""
         return self._listed("passwd")
+
+    def user_id(self) -> int | None:
+        """Return the number of the user that runs hands, if there is one."""
+        with contextlib.suppress(OSError, ValueError, IndexError):
+            for line in self._place("/etc/passwd").read_text("utf-8", "replace").splitlines():
+                if line.startswith(f"{USER}:"):
+                    return int(line.split(":")[2])
+        return None
 
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
         """Write the files of a hand and enable its service; what is there already stays.

@@ -10,12 +10,20 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from rtee.drivers.registry import find_driver
+from rtee.drivers.registry import DRIVERS, find_driver
 from rtee.errors import ConfigError
 from rtee.prepare import PreparedHand
+from rtee.remote.protection import credentials_of, exposed
+from rtee.types import DeviceSpec
 
 CAN_BITRATE = 1_000_000
 """Bits per second of a CAN bus whose driver has no setting for it."""
+
+SECURE = Path("/var/lib/rtee/secure")
+"""Where the service looks for the certificates of hands, unless hand.yaml says otherwise."""
+
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108
+"""Folders of which the service sees nothing: ``ProtectHome`` and ``PrivateTmp``."""
 
 # What may stand in a rule or a unit: nothing there ends a line, a value or a word.
 _WORD = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+@-]*\Z")
@@ -85,6 +93,8 @@ class Needs:
         ports: Serial ports.
         can: Bit rates of CAN interfaces by name.
         ethercat: Whether a device is on an EtherCAT bus, which needs raw frames.
+        unknown: Devices whose drivers are not rtee's: what these need by themselves is not known.
+        certificates: Folder of the certificates for its network; ``None``: it needs none.
         addresses: Networks beyond this computer that it talks to; ``any``: all of them.
         cpus: CPUs that its loop runs on; empty: all.
         log: Folder of the recordings.
@@ -96,6 +106,8 @@ class Needs:
     ports: tuple[Port, ...]
     can: Mapping[str, int]
     ethercat: bool
+    unknown: tuple[str, ...]
+    certificates: Path | None
     addresses: tuple[str, ...]
     cpus: tuple[int, ...]
     log: Path
@@ -110,7 +122,8 @@ class Needs:
             serials: Serial numbers of the adapters of devices, by the device's name.
 
         Raises:
-            ConfigError: if a serial number is of no port, or a value can't stand in a system file.
+            ConfigError: if a serial number is of no port, a value can't stand in a system file, or
+                the service could not run with it.
         """
         ports: list[Port] = []
         can: dict[str, int] = {}
@@ -118,7 +131,7 @@ class Needs:
         addresses: set[str] = set()
         for device in prepared.devices:
             spec = device.spec
-            options = _options(find_driver(spec.driver, source=spec.source), spec.options)
+            options = _options(spec)
             port, host = options.get("port"), options.get("host") or options.get("address")
             if isinstance(port, str) and port.startswith("/"):
                 path = checked_path(port, f"the port of '{spec.name}'")
@@ -134,13 +147,15 @@ class Needs:
                 name = checked_word(str(channel), f"the CAN channel of '{spec.name}'")
                 can[name] = int(options.get("bitrate") or CAN_BITRATE)
             ethercat |= bool(interface) and channel is None
-        unknown = set(serials) - {port.device for port in ports}
-        if unknown:
+        wrong = set(serials) - {port.device for port in ports}
+        if wrong:
             names = ", ".join(port.device for port in ports) or "none"
             raise ConfigError(
-                f"--serial {min(unknown)}: no device with a serial port; there are: {names}"
+                f"--serial {min(wrong)}: no device with a serial port; there are: {names}"
             )
-        for endpoint in (*prepared.config.remote.listen, *prepared.config.remote.connect):
+        remote = prepared.config.remote
+        exposed(remote)  # the service would refuse to start
+        for endpoint in (*remote.listen, *remote.connect):
             addresses |= _beyond(endpoint.partition("/")[2], listens=True)
         return cls(
             hand=prepared.hand.name,
@@ -148,6 +163,8 @@ class Needs:
             ports=tuple(ports),
             can=can,
             ethercat=ethercat,
+            unknown=tuple(d.spec.name for d in prepared.devices if d.spec.driver not in DRIVERS),
+            certificates=_certificates(prepared),
             addresses=("any",) if "any" in addresses else tuple(sorted(addresses)),
             cpus=tuple(prepared.config.realtime.cpus),
             log=prepared.config.log.directory,
@@ -155,11 +172,32 @@ class Needs:
         )
 
 
-def _options(driver: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a device's options with the defaults of its driver."""
-    model = driver.Options
+def _certificates(prepared: PreparedHand) -> Path | None:
+    """Return where the service finds the hand's certificates; ``None``: it needs none."""
+    remote = prepared.config.remote
+    if credentials_of(prepared.hand.name, remote) is None:
+        return None
+    folder = remote.security.folder or SECURE / prepared.hand.name
+    text = checked_path(folder, "remote: security: folder")
+    if any(folder.is_relative_to(hidden) for hidden in _HIDDEN):
+        raise ConfigError(
+            f"the service sees nothing of {text}; leave out 'folder', or use one such as"
+            f" {SECURE / prepared.hand.name}",
+            key="remote.security.folder",
+        )
+    return folder
+
+
+def _options(spec: DeviceSpec) -> dict[str, Any]:
+    """Return a device's options, with the defaults of its driver if that is one of rtee's.
+
+    Code of others is not imported: it would run as root.
+    """
+    if spec.driver not in DRIVERS:
+        return dict(spec.options)
+    model = find_driver(spec.driver, source=spec.source).Options
     fields = {} if model is None else model.model_fields
-    return {name: field.default for name, field in fields.items()} | dict(given)
+    return {name: field.default for name, field in fields.items()} | dict(spec.options)
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:

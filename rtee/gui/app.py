@@ -15,11 +15,11 @@ from rtee.errors import NoHand, RteeError
 from rtee.gui.access import Access, Role
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
-from rtee.gui.model import model_of
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
+from rtee.remote.model import model_of
 
 _POLL_PERIOD = 0.5
 """Time between two searches for running hands [s]: a person who starts one sees it at once."""

@@ -19,7 +19,7 @@ from rtee.messages.topics import PREFIX
 
 HELLO = "hello"
 """Group of the request with which a client introduces itself. Its name is how the client comes to
-the hand: `HERE`, `PLAIN`, or the name in its certificate."""
+the hand: `HERE`, `PLAIN`, or the common name in its certificate."""
 
 HERE = "here"
 """Clients on the hand's own computer, through its Unix socket."""
@@ -42,11 +42,23 @@ CLIENTS = "clients"
 ALIVE = "alive"
 """Last part of the key of a hand's liveliness token."""
 
+WATCH = "watch"
+"""Part of the keys on which one certificate's clients see what the hand publishes."""
+
 STATES = "states"
 """Part of the keys of streams of states."""
 
 ANSWERS = "answers"
 """Part of the keys on which clients get the answers to what they have put, not asked."""
+
+
+def topic_for(way: str, topic: str) -> str:
+    """Return the part of a topic's key behind the hand, for those who come in a way: see `HELLO`.
+
+    Each certificate has its own keys, so that nothing is published there once it is revoked.
+    """
+    return topic if way in (HERE, PLAIN) else f"{WATCH}/{way}/{topic}"
+
 
 PUT = ("do", "jog", "sample")
 """Requests that clients put: those that are in a hurry. A query costs Zenoh a tenth of a

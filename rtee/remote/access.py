@@ -2,7 +2,7 @@
 
 By default nothing may pass. Nobody but the hand can answer questions, publish states, results and
 events, or declare that the hand is alive; nobody sees the requests of others; and each client may
-send what its role allows.
+send what its role allows, and see what is published for its certificate.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from rtee.messages.requests import (
     REQUESTS,
     STATES,
     Role,
+    topic_for,
 )
 from rtee.messages.topics import PUBLISHED
 from rtee.remote.session import LOCAL
@@ -35,18 +36,21 @@ def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dic
 
     Args:
         hand: The hand's name.
-        people: Role by name in the certificates of those who are admitted.
+        people: Role by common name of the certificates that are admitted, or may be later.
         plain: Whether clients without certificates are admitted.
     """
     ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
     subjects = [_subject(way) for way in ways]
-    common = [*_announcements(hand), *_watching(hand)]
+    common = [*_announcements(hand), *_presence(hand)]
+    own = {way: [_requests(hand, role, way), *_topics(hand, way)] for way, role in ways.items()}
     policies = [{"rules": [rule["id"] for rule in common], "subjects": list(ways)}]
-    policies += [{"rules": [_name(role, way)], "subjects": [way]} for way, role in ways.items()]
+    policies += [
+        {"rules": [rule["id"] for rule in rules], "subjects": [way]} for way, rules in own.items()
+    ]
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": [*common, *(_requests(hand, role, way) for way, role in ways.items())],
+        "rules": [*common, *(rule for rules in own.values() for rule in rules)],
         "subjects": subjects,
         "policies": policies,
     }
@@ -75,8 +79,6 @@ def _rule(
 def _announcements(hand: str) -> Iterable[dict[str, Any]]:
     """Return what the hand may send to all who are admitted."""
     groups = sorted({request.group for request in REQUESTS.values()})
-    topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
-    yield _rule("publish", "egress", ["put"], hand, topics)
     yield _rule(
         "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
     )
@@ -84,16 +86,23 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
     yield _rule("alive", "egress", ["liveliness_token"], hand, [ALIVE])
 
 
-def _watching(hand: str) -> Iterable[dict[str, Any]]:
+def _presence(hand: str) -> Iterable[dict[str, Any]]:
     """Return what all who are admitted may do."""
-    topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
-    yield _rule("watch", "ingress", ["declare_subscriber"], hand, topics)
     yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
     found = _rule(
         "find", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], hand, [ALIVE]
     )
     found["key_exprs"].append(network_key("*", ALIVE))  # who does not know the hand's name
     yield found
+
+
+def _topics(hand: str, way: str) -> Iterable[dict[str, Any]]:
+    """Return what those who come in a way may see."""
+    topics = [topic_for(way, "**")]
+    if topics == ["**"]:  # without a certificate they share the hand's own keys
+        topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
+    yield _rule(f"publish {way}", "egress", ["put"], hand, topics)
+    yield _rule(f"watch {way}", "ingress", ["declare_subscriber"], hand, topics)
 
 
 def _requests(hand: str, role: Role, way: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,8 +45,11 @@ _AUTHORITY_DAYS = 3650
 _EARLIER = datetime.timedelta(hours=1)
 """Certificates hold from this long ago, since the clocks of computers differ."""
 
-_RANDOM = 4
-"""Random bytes in a name, so that each certificate can be told from others of the same person."""
+_RANDOM = 8
+"""Random bytes in a common name: no two certificates have the same."""
+
+_SPARE = 8
+"""Spare common names for each role: so many clients can be added while a hand runs."""
 
 _PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_\-]{0,30}\Z")
 
@@ -79,17 +82,18 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     certificate = made.sign(key, hashes.SHA256())
     write_private(folder / AUTHORITY_KEY, _key_text(key))
     write_atomically(folder / AUTHORITY, _text(certificate))
-    _write_people(folder, (), 0.0)
+    _write(Credentials(folder, spare=_spare({})))
     renew(folder, hand, days)
 
 
 def renew(folder: Path, hand: str, days: int = DAYS) -> None:
-    """Make a new certificate of the hand; errors are those of `add_client`."""
+    """Make a new certificate of the hand, and new spare names; errors are those of `add_client`."""
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
     write_private(folder / HAND_KEY, _key_text(key))
     write_atomically(folder / HAND, _text(certificate))
-    _write_people(folder, people(folder), certificate.not_valid_after_utc.timestamp())
+    until = certificate.not_valid_after_utc.timestamp()
+    _write(replace(_known(folder), until=until, spare=_spare({})))
 
 
 def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Person, str]:
@@ -111,11 +115,15 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
         raise ConfigError(
             f"{who[:50]!r} is no name of a client; use up to 31 letters, digits, '_' and '-'"
         )
-    name = f"{who}.{secrets.token_hex(_RANDOM)}"
+    known = _known(folder)
+    common = next((spare for spare, of in known.spare.items() if of is role), None)
+    common = common or secrets.token_hex(_RANDOM)
+    name = f"{who}.{common}"
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = _issued(folder, name, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
+    certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
     made = Person(name, role, certificate.not_valid_after_utc.timestamp())
-    _write_people(folder, (*people(folder), made))
+    left = {spare: of for spare, of in known.spare.items() if spare != common}
+    _write(replace(known, people=(*known.people, made), spare=_spare(left)))
     authority = (folder / AUTHORITY).read_text("ascii")
     return made, identity_text(name, _key_text(key), _text(certificate), authority)
 
@@ -130,17 +138,13 @@ def revoke(folder: Path, name: str) -> list[Person]:
     Raises:
         ConfigError: if there is none of that name.
     """
-    known = people(folder)
-    meant = [one for one in known if name in (one.name, person(one.name))]
+    known = _known(folder)
+    meant = [one for one in known.people if name in (one.name, person(one.name))]
     if not meant:
         raise ConfigError(f"there is no client '{name[:50]}'", path=folder / PEOPLE)
-    _write_people(folder, (replace(one, revoked=True) if one in meant else one for one in known))
+    people = tuple(replace(one, revoked=True) if one in meant else one for one in known.people)
+    _write(replace(known, people=people))
     return [one for one in meant if not one.revoked]
-
-
-def people(folder: Path) -> tuple[Person, ...]:
-    """Return those for whom certificates were made; raises `ConfigError` without an authority."""
-    return _known(folder).people
 
 
 def _known(folder: Path) -> Credentials:
@@ -228,10 +232,17 @@ def _key_text(key: Key) -> str:
     ).decode("ascii")
 
 
-def _write_people(folder: Path, found: Iterable[Person], until: float | None = None) -> None:
-    """Write the list of people, and when the hand's certificate expires if that has changed."""
-    if until is None:
-        until = _known(folder).until
+def _spare(left: Mapping[str, Role]) -> Mapping[str, Role]:
+    """Return spare names, those that are left first, with new ones for each role."""
+    found = dict(left)
+    for role in Role:
+        for _ in range(_SPARE - sum(of is role for of in left.values())):
+            found[secrets.token_hex(_RANDOM)] = role
+    return found
+
+
+def _write(known: Credentials) -> None:
+    """Write the list of people, spare names, and when the hand's certificate expires."""
     entries = [
         {
             "name": one.name,
@@ -239,7 +250,8 @@ def _write_people(folder: Path, found: Iterable[Person], until: float | None = N
             "until": one.until,
             "revoked": one.revoked,
         }
-        for one in found
+        for one in known.people
     ]
-    text = json.dumps({"until": until, "people": entries}, indent=2)
-    write_atomically(folder / PEOPLE, text + "\n")
+    spare = {name: role.name.lower() for name, role in known.spare.items()}
+    text = json.dumps({"until": known.until, "people": entries, "spare": spare}, indent=2)
+    write_atomically(known.folder / PEOPLE, text + "\n")

@@ -21,7 +21,7 @@ from rtee.errors import RemoteError
 from rtee.hand.names import safe_name
 from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.action_client import ActionClient
-from rtee.remote.credentials import person
+from rtee.remote.credentials import common_name, person
 from rtee.remote.find import open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
@@ -125,6 +125,7 @@ class RemoteHand:
         self._reaching = ReachClient(link, self._actions, self._goals)
 
     start = _part("_goals", GoalClient.start)
+    start_goal = _part("_goals", GoalClient.start_goal)
     do = _part("_goals", GoalClient.do)
     open = _part("_goals", GoalClient.open)
     move_opening = _part("_goals", GoalClient.move_opening)
@@ -146,6 +147,8 @@ class RemoteHand:
     states = _part("_monitoring", Monitoring.states)
     collected_states = _part("_monitoring", Monitoring.collected_states)
     events = _part("_monitoring", Monitoring.events)
+    feedback = _part("_monitoring", Monitoring.feedback)
+    results = _part("_monitoring", Monitoring.results)
     status = _part("_monitoring", Monitoring.status)
     ready = _part("_monitoring", Monitoring.ready)
     info = _part("_monitoring", Monitoring.info)
@@ -167,6 +170,22 @@ class RemoteHand:
     store_action = _part("_actions", ActionClient.store_action)
     remove_action = _part("_actions", ActionClient.remove_action)
     rename_action = _part("_actions", ActionClient.rename_action)
+
+    async def ask(self, name: str, fields: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Send a request of the network and return the fields of its answer.
+
+        For bridges to other networks, which hand on messages as they are; the other methods are for
+        everything else.
+
+        Args:
+            name: Its name in `rtee.messages.requests`.
+            fields: Its fields; ``None`` for a request that has none.
+
+        Raises:
+            RequestRejected: if the hand refuses it, with the reason.
+            NoHand: if the hand does not answer.
+        """
+        return await self._link.ask(name, fields)
 
     async def hold(self) -> None:
         """Hold the measured posture; a running goal is cancelled."""
@@ -260,7 +279,7 @@ async def connect(
     # The process and a random part distinguish clients that have the same name.
     whose = "" if way in (HERE, PLAIN) else f"{person(way)}-"
     identity = safe_name(f"{whose}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, name, identity, way)
+    link = Link(session, name, identity, common_name(way))
     try:
         remote = RemoteHand(link)
         await link.connect()

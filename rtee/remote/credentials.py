@@ -1,9 +1,10 @@
 """Certificates on a network, as a hand and its clients use them; `rtee secure` makes them.
 
 A hand has an authority of its own, which has signed the certificates of the hand and of the people
-who may use it. Each certificate's common name is a person's name and a random part, so that one
-that was lost can be refused without new ones for all. The list of who is admitted is kept beside
-the hand's certificate.
+who may use it. Each certificate has a random common name, so that one that was lost can be refused
+without new ones for all. The list of who is admitted is kept beside the hand's certificate. It
+holds spare names, too: Zenoh has to know at the start of a hand the names that certificates made
+later will have.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import base64
 import json
 import os
 import re
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,10 +35,6 @@ PEOPLE = "people.json"
 AUTHORITY, AUTHORITY_KEY = "authority.crt", "authority.key"
 HAND, HAND_KEY = "hand.crt", "hand.key"
 
-_READ_AGAIN = 1.0
-"""Time after which the list of who is admitted is looked at again [s]: so soon does a revocation
-take effect."""
-
 _LONGEST = 65536
 """Most that is read of a client's file [bytes]; one has two thousand."""
 
@@ -51,7 +47,7 @@ class Person:
     """Somebody for whom a certificate was made.
 
     Attributes:
-        name: The common name in the certificate: a name, a dot and a random part.
+        name: The person's name, a dot, and the common name in the certificate.
         role: What the person may do.
         until: When the certificate expires, since 1970 [s].
         revoked: Whether it is refused.
@@ -64,8 +60,13 @@ class Person:
 
 
 def person(name: str) -> str:
-    """Return for whom a certificate was made: the name in it without its random part."""
+    """Return the part of a certificate's name that says for whom it was made."""
     return name.rpartition(".")[0]
+
+
+def common_name(name: str) -> str:
+    """Return the part of a certificate's name that stands in it: a random one."""
+    return name.rpartition(".")[2]
 
 
 def config_folder() -> Path:
@@ -92,47 +93,44 @@ class Credentials:
         folder: Where they are.
         people: Those for whom certificates were made.
         until: When the hand's certificate expires, since 1970 [s].
+        spare: Role by common name of the certificates that may be made next, in this order.
     """
 
     folder: Path
     people: tuple[Person, ...] = ()
     until: float = 0.0
-    _stamp: int = field(default=-1, repr=False)
-    _looked: float = field(default=0.0, repr=False)
+    spare: Mapping[str, Role] = field(default_factory=dict)
+    _stamp: tuple[int, int] = field(default=(-1, -1), repr=False)
 
-    def read(self) -> None:
-        """Read the list of who is admitted again if it has changed.
+    def read(self) -> bool:
+        """Read the list of who is admitted if it has changed; return whether it has.
 
         Raises:
             ConfigError: if it cannot be read.
         """
         path = self.folder / PEOPLE
         try:
-            stamp = path.stat().st_mtime_ns
+            found = path.stat()
+            # A new list is a new file, perhaps within one step of the clock.
+            stamp = (found.st_mtime_ns, found.st_ino)
             if stamp == self._stamp:
-                return
-            self.people, self.until = _people(path)
+                return False
+            self.people, self.until, self.spare = _people(path)
             self._stamp = stamp
+            return True
         except OSError as error:
             raise ConfigError(
                 f"cannot be read: {reason(error)}; 'rtee secure init HAND' makes it", path=path
             ) from None
 
-    def role_of(self, name: str) -> Role | None:
-        """Return the role of whom a certificate names; ``None`` if it is not admitted."""
-        now = time.monotonic()
-        if now - self._looked > _READ_AGAIN:
-            self._looked = now
-            try:
-                self.read()
-            except ConfigError:
-                self.people = ()  # who cannot be looked up is not admitted
-        return self.admitted.get(name)
+    def forget(self) -> None:
+        """Admit nobody until the list can be read."""
+        self.people, self._stamp = (), (-1, -1)
 
     @property
-    def admitted(self) -> Mapping[str, Role]:
-        """Role by name in the certificate of those who are admitted."""
-        return {one.name: one.role for one in self.people if not one.revoked}
+    def admitted(self) -> Mapping[str, Person]:
+        """Those who are admitted, by the common names in their certificates."""
+        return {common_name(one.name): one for one in self.people if not one.revoked}
 
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings to listen with these certificates.
@@ -156,7 +154,7 @@ class Credentials:
         }
 
 
-def _people(path: Path) -> tuple[tuple[Person, ...], float]:
+def _people(path: Path) -> tuple[tuple[Person, ...], float, Mapping[str, Role]]:
     try:
         document = json.loads(path.read_text("utf-8"))
         people = tuple(
@@ -168,8 +166,9 @@ def _people(path: Path) -> tuple[tuple[Person, ...], float]:
             )
             for entry in document["people"]
         )
-        return people, float(document["until"])
-    except (ValueError, KeyError, TypeError) as error:
+        spare = {str(k): Role[str(v).upper()] for k, v in document["spare"].items()}
+        return people, float(document["until"]), spare
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"is not a list of people: {error!r}", path=path) from None
 
 
@@ -186,7 +185,7 @@ class Identity:
     """A client's certificate.
 
     Attributes:
-        name: The common name in it.
+        name: Its name, see `Person`.
         blocks: The parts of its file in PEM, by what they are.
     """
 

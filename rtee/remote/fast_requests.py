@@ -17,7 +17,7 @@ import zenoh
 from rtee.errors import NoHand
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
-from rtee.messages.requests import ANSWERS, PUT, REQUESTS
+from rtee.messages.requests import ANSWERS, PUT, REQUESTS, topic_for
 from rtee.remote.session import EXPRESS, direct
 
 _CONNECT_WITHIN = 5.0
@@ -35,6 +35,7 @@ class FastRequests:
         session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
+        way: How it comes to the hand, see `rtee.messages.requests.HELLO`.
         signer: Signs the requests.
         call_soon: Calls a function in the event loop's thread, from any thread.
         settle: Completes the future of an answer, see `Link`.
@@ -45,6 +46,7 @@ class FastRequests:
         session: zenoh.Session,
         hand: str,
         client: str,
+        way: str,
         signer: Signer,
         call_soon: Callable[..., None],
         settle: Callable[[asyncio.Future[bytes], bool, bytes], None],
@@ -59,7 +61,7 @@ class FastRequests:
         self._connected = asyncio.Event()
         self._publishers = {name: self._publisher(session, name) for name in PUT}
         self._answers = session.declare_subscriber(
-            network_key(hand, f"{ANSWERS}/{client}"), direct(self._on_answer)
+            network_key(hand, topic_for(way, f"{ANSWERS}/{client}")), direct(self._on_answer)
         )
 
     def _publisher(self, session: zenoh.Session, name: str) -> zenoh.Publisher:

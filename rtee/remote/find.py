@@ -34,7 +34,7 @@ class Found(NamedTuple):
     Attributes:
         session: A session with it.
         hand: Its name.
-        way: How it was reached, see `rtee.messages.requests.HELLO`.
+        way: How it was reached: `HERE`, `PLAIN`, or the name of this user's certificate.
     """
 
     session: zenoh.Session

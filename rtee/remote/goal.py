@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypedDict, Unpack
 
@@ -181,9 +182,15 @@ class GoalClient:
         effort = options.get("effort")
         if isinstance(effort, float | int):
             options["effort"] = await self.effort_limits(effort)
-        return await self._begin(_goal(action, elements, self._link.client, options))
+        return await self.start_goal(_goal(action, elements, self._link.client, options))
 
-    async def _begin(self, goal: Goal) -> RunningGoal:
+    async def start_goal(self, goal: Goal) -> RunningGoal:
+        """Begin a goal that says all itself and return at once; errors are those of `start`.
+
+        Args:
+            goal: The goal; it becomes one of this client.
+        """
+        goal = replace(goal, client=self._link.client)
         # Sent before anything else is prepared. The answer, and what follows it, come through this
         # event loop and so cannot arrive before the goal is registered.
         answer = self._link.send("do", encode_goal(goal))
@@ -284,7 +291,7 @@ class GoalClient:
             on_contact=_words({} if on_contact is None else on_contact),
             max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
         )
-        return await self._begin(goal)
+        return await self.start_goal(goal)
 
     async def grasp(
         self,
@@ -359,7 +366,7 @@ class GoalClient:
             tip_speed=None if speed is None else quantity(speed, SPEED, "speed"),
             touch=True,
         )
-        return await self._begin(goal)
+        return await self.start_goal(goal)
 
     async def touch(
         self,

@@ -11,14 +11,13 @@ import re
 import secrets
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Collection
+from typing import Any, NamedTuple
 
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import HERE, PLAIN, Request, Role
-from rtee.remote.credentials import person
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import Ignored, Rates
 
@@ -31,13 +30,26 @@ oldest are forgotten. Token and hello are milliseconds apart."""
 
 _TOKEN = re.compile(r"[0-9a-f]{32}\Z")
 
-RoleOf = Callable[[str], Role | None]
-"""Returns the role of a way to the hand (see `HELLO`); ``None`` if it is not admitted."""
+
+class Admitted(NamedTuple):
+    """What those may do who come to the hand in a way.
+
+    Attributes:
+        role: Their role.
+        prefix: What the names of their clients begin with.
+    """
+
+    role: Role
+    prefix: str = ""
 
 
-def local_roles(way: str) -> Role | None:
-    """Return the role of those who come without a certificate."""
-    return Role.MAINTAINER if way in (HERE, PLAIN) else None
+Admit = Callable[[str], Admitted | None]
+"""Tells what a way to the hand (see `HELLO`) admits to; ``None``: to nothing."""
+
+
+def admit_local(way: str) -> Admitted | None:
+    """Admit those who come without a certificate."""
+    return Admitted(Role.MAINTAINER) if way in (HERE, PLAIN) else None
 
 
 class Client:
@@ -71,11 +83,11 @@ class Identities:
     """The clients of a hand. Any thread may call its methods.
 
     Args:
-        role_of: Tells what those who come in some way may do.
+        admit: Tells what those who come in some way may do.
     """
 
-    def __init__(self, role_of: RoleOf = local_roles) -> None:
-        self._role_of = role_of
+    def __init__(self, admit: Admit = admit_local) -> None:
+        self._admitted = admit
         self._lock = threading.Lock()
         self._strangers = Rates()
         self._there: dict[str, Client] = {}
@@ -101,11 +113,12 @@ class Identities:
             RequestRejected: if it is not admitted, with the reason.
         """
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
-        if self._role_of(way) is None:
-            raise RequestRejected(f"the certificate of '{way[:50]}' is not admitted here")
-        if way not in (HERE, PLAIN) and not name.startswith(f"{person(way)}-"):
+        admitted = self._admitted(way)
+        if admitted is None:
+            raise RequestRejected(f"the certificate '{way[:50]}' is not admitted here")
+        if not name.startswith(admitted.prefix):
             raise RequestRejected(
-                f"the names of clients of this certificate begin '{person(way)}-'"
+                f"the names of clients of this certificate begin '{admitted.prefix}'"
             )
         if _TOKEN.match(token) is None:
             raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
@@ -169,13 +182,13 @@ class Identities:
         client = self._signer(request.name, attachment, question)
         if client is None:
             self._strangers.refuse("this client is not known here; say hello first")
-        rates, role = client.rates, self._role_of(client.way)
-        if role is None:
+        rates, admitted = client.rates, self._admitted(client.way)
+        if admitted is None:
             rates.refuse("the certificate of this client was revoked")
-        if role < request.role:
+        if admitted.role < request.role:
             rates.refuse(
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
-                f" the role {role.name.lower()}"
+                f" the role {admitted.role.name.lower()}"
             )
         if not rates.allow(request.name):
             rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
@@ -186,6 +199,16 @@ class Identities:
         if not self._strangers.allow(request.name):
             raise Ignored
         return ""
+
+    def way(self, name: str) -> str:
+        """Return how the client of a name came to the hand, see `HELLO`."""
+        client = self._there.get(name)
+        return HERE if client is None else client.way
+
+    def of(self, ways: Collection[str]) -> list[str]:
+        """Return the names of the clients that came in some ways."""
+        with self._lock:
+            return [client.name for client in self._there.values() if client.way in ways]
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request; empty if nobody has signed it."""

@@ -21,7 +21,7 @@ from rtee.errors import (
 )
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
-from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP
+from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP, topic_for
 from rtee.messages.schema import message_type
 from rtee.remote.fast_requests import FastRequests
 from rtee.remote.session import direct
@@ -60,7 +60,7 @@ class Link:
         self._way = way
         self._signer = Signer(client)
         self._fast = FastRequests(
-            session, hand, client, self._signer, self._call_soon, self._settle
+            session, hand, client, way, self._signer, self._call_soon, self._settle
         )
         # While this token is there the hand knows that its client is alive. Nobody else knows its
         # name, and so nobody can declare it in this client's place.
@@ -107,12 +107,13 @@ class Link:
         def received(sample: zenoh.Sample) -> None:
             self._call_soon(_decoded, receive, sample.payload.to_bytes())
 
-        key = network_key(self.hand, topic)
-        self._subscribers.append(self._session.declare_subscriber(key, direct(received)))
+        self._subscribers.append(self._declared(topic, received))
 
     @contextlib.contextmanager
-    def subscribed(self, key: str, receive: Callable[[bytes], object], most: int) -> Iterator[None]:
-        """Have the messages on a key received for as long as the context lasts.
+    def subscribed(
+        self, topic: str, receive: Callable[[bytes], object], most: int
+    ) -> Iterator[None]:
+        """Have the messages on a topic received for as long as the context lasts.
 
         While the event loop is busy, the newest ``most`` messages are kept.
         """
@@ -127,26 +128,32 @@ class Link:
             if len(waiting) == 1:  # else the event loop has been woken already
                 self._call_soon(drain)
 
-        with self._subscriber(key, received):
+        with self._subscriber(topic, received):
             yield
 
     @contextlib.contextmanager
-    def collected(self, key: str, most: int) -> Iterator[deque[bytes]]:
-        """Collect the newest ``most`` messages on a key for as long as the context lasts.
+    def collected(self, topic: str, most: int) -> Iterator[deque[bytes]]:
+        """Collect the newest ``most`` messages on a topic for as long as the context lasts.
 
         Zenoh's thread collects them, so that the event loop is not woken.
         """
         found: deque[bytes] = deque(maxlen=most)
-        with self._subscriber(key, lambda sample: found.append(sample.payload.to_bytes())):
+        with self._subscriber(topic, lambda sample: found.append(sample.payload.to_bytes())):
             yield found
 
     @contextlib.contextmanager
-    def _subscriber(self, key: str, received: Callable[[zenoh.Sample], None]) -> Iterator[None]:
-        subscriber = self._session.declare_subscriber(key, direct(received))
+    def _subscriber(self, topic: str, received: Callable[[zenoh.Sample], None]) -> Iterator[None]:
+        subscriber = self._declared(topic, received)
         try:
             yield
         finally:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _declared(
+        self, topic: str, received: Callable[[zenoh.Sample], None]
+    ) -> zenoh.Subscriber[None]:
+        key = network_key(self.hand, topic_for(self._way, topic))
+        return self._session.declare_subscriber(key, direct(received))
 
     # --- requests
 

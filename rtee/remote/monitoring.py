@@ -9,19 +9,19 @@ import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import anyio
 
 from rtee.commands import StreamStatus
 from rtee.errors import MessageError, NoHand, NotReady
-from rtee.messages import decode_event, topics
+from rtee.messages import decode_event, decode_feedback, decode_result, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
 from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
-from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics
+from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, LoopStatistics, Result
 
 T = TypeVar("T")
 
@@ -99,6 +99,7 @@ class Monitoring:
         # Weak, because an iterator that nobody has begun to use is never closed.
         self._event_queues: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
         self._state_queues: set[asyncio.Queue[State | None]] = set()
+        self._message_queues: set[asyncio.Queue[Any]] = set()
         link.subscribe(topics.EVENTS, self._on_event)
         link.on_gone(self._on_gone)
 
@@ -112,6 +113,8 @@ class Monitoring:
             _put(events, None)
         for states in self._state_queues:
             _put(states, None)
+        for messages in self._message_queues:
+            _put(messages, None)
 
     def _has_gone(self) -> NoHand:
         return NoHand(f"the hand '{self._link.hand}' has gone")
@@ -134,10 +137,10 @@ class Monitoring:
         def receive(data: bytes) -> None:
             _put(queue, decode_state(data))
 
-        key = await self._stream(rate)
+        topic = await self._stream(rate)
         self._state_queues.add(queue)
         try:
-            with self._link.subscribed(key, receive, _MOST_WAITING):
+            with self._link.subscribed(topic, receive, _MOST_WAITING):
                 while not self._link.gone and (state := await queue.get()) is not None:
                     yield state
         finally:
@@ -160,7 +163,7 @@ class Monitoring:
             yield CollectedStates(found)
 
     async def _stream(self, rate: float) -> str:
-        """Ask for states at a rate [Hz]; return the key on which they are published."""
+        """Ask for states at a rate [Hz]; return the topic on which they are published."""
         fields = {"client": self._link.client, "rate": rate}
         return str((await self._link.ask("stream", fields))["text"])
 
@@ -178,6 +181,37 @@ class Monitoring:
     async def _drained(self, queue: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
         while not self._link.gone and (event := await queue.get()) is not None:
             yield event
+        raise self._has_gone()
+
+    async def feedback(self) -> AsyncIterator[Feedback]:
+        """Iterate over the feedback of all clients' goals until the hand goes.
+
+        Raises:
+            NoHand: if the hand goes.
+        """
+        async for feedback in self._messages(topics.FEEDBACK, decode_feedback):
+            yield feedback
+
+    async def results(self) -> AsyncIterator[Result]:
+        """Iterate over the results of all clients' goals until the hand goes.
+
+        Raises:
+            NoHand: if the hand goes.
+        """
+        async for result in self._messages(topics.RESULTS, decode_result):
+            yield result
+
+    async def _messages(self, topic: str, decode: Callable[[bytes], T]) -> AsyncIterator[T]:
+        queue: asyncio.Queue[T | None] = asyncio.Queue(_MOST_WAITING)
+        self._message_queues.add(queue)
+        try:
+            with self._link.subscribed(
+                topic, lambda data: _put(queue, decode(data)), _MOST_WAITING
+            ):
+                while not self._link.gone and (message := await queue.get()) is not None:
+                    yield message
+        finally:
+            self._message_queues.discard(queue)
         raise self._has_gone()
 
     async def status(self) -> HandStatus:

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 from zlib import crc32
 
 import zenoh
@@ -30,7 +30,6 @@ from rtee.messages import (
     encode_goal,
     encode_loop_statistics,
     encode_result,
-    network_key,
     topics,
 )
 from rtee.messages.requests import STATES
@@ -38,7 +37,8 @@ from rtee.messages.state import StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.lease import Lease
-from rtee.remote.session import DELIVER, direct
+from rtee.remote.outlets import Outlet, Outlets
+from rtee.remote.session import DELIVER
 from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
@@ -95,69 +95,54 @@ class StateMessages:
         )
 
 
+@dataclass(frozen=True, slots=True)
 class Stream:
     """A message published every n ticks while it has subscribers.
 
     Attributes:
-        key: Its key on the network.
+        outlet: Where it is published.
         every: The number n of ticks.
-        wanted: Whether it has subscribers.
+        encode: Returns the message of a tick.
     """
 
-    def __init__(
-        self, session: zenoh.Session, key: str, every: int, encode: Callable[[TickRecord], bytes]
-    ) -> None:
-        self.key = key
-        self.every = every
-        self.wanted = False
-        self.encode = encode
-        self._publisher = session.declare_publisher(
-            key, congestion_control=zenoh.CongestionControl.DROP, express=True
-        )
-        self._listener = self._publisher.declare_matching_listener(direct(self._matched))
-
-    def _matched(self, status: Any) -> None:
-        self.wanted = status.matching
-
-    def put(self, data: bytes) -> None:
-        """Publish a message."""
-        self._publisher.put(data)
-
-    def close(self) -> None:
-        """Stop publishing."""
-        self.wanted = False
-        self._listener.undeclare()  # type: ignore[no-untyped-call]
-        self._publisher.undeclare()  # type: ignore[no-untyped-call]
+    outlet: Outlet
+    every: int
+    encode: Callable[[TickRecord], bytes]
 
 
 class Streams:
     """The streams of one hand.
 
     Args:
-        session: The Zenoh session.
+        outlets: Has the topics published.
         hand: The hand.
         rate: Rate of the loop [Hz].
         state_rate: Rate of the topics for all clients [Hz].
     """
 
-    def __init__(self, session: zenoh.Session, hand: Hand, rate: float, state_rate: float) -> None:
-        self._session, self._hand, self._rate = session, hand.name, rate
+    def __init__(self, outlets: Outlets, hand: Hand, rate: float, state_rate: float) -> None:
+        self._outlets, self._rate = outlets, rate
         self.messages = StateMessages(hand)
         every = self._every(state_rate)
         self._fixed = (
-            Stream(session, network_key(hand.name, JOINT_STATES), every, self.messages.joint_state),
-            Stream(session, network_key(hand.name, REFERENCE), every, self.messages.reference),
+            self._stream(JOINT_STATES, every, self.messages.joint_state),
+            self._stream(REFERENCE, every, self.messages.reference),
         )
         self._asked: dict[int, Stream] = {}
         self._all: tuple[Stream, ...] = self._fixed
         self._ticks = crc32(hand.name.encode())  # so that hands on one clock take turns
         self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
 
+    def _stream(self, topic: str, every: int, encode: Callable[[TickRecord], bytes]) -> Stream:
+        drop = zenoh.CongestionControl.DROP
+        outlet = self._outlets.open(topic, watched=True, congestion_control=drop, express=True)
+        return Stream(outlet, every, encode)
+
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
 
     def ask(self, rate: float) -> str:
-        """Return the key of a stream of states at the nearest possible rate to a given one [Hz].
+        """Return the topic with states at the nearest possible rate to a given one [Hz].
 
         The stream begins when a client subscribes to it. While very many rates are streamed, it may
         be up to twice as fast.
@@ -171,23 +156,22 @@ class Streams:
         if every not in self._asked:
             every = every if self._has_room() else 1 << (every.bit_length() - 1)
         if every not in self._asked:
-            key = f"{network_key(self._hand, STATES)}/{every}"
             # Replaced rather than changed, because the loop's thread iterates over it.
             asked = dict(self._asked)
-            asked[every] = Stream(self._session, key, every, self.messages.state)
+            asked[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
             self._replace(asked)
-        return self._asked[every].key
+        return self._asked[every].outlet.topic
 
     def _has_room(self) -> bool:
         """Return whether there is room for one more rate, or an idle one was given up for it."""
         if len(self._asked) < MOST_STREAMS:
             return True
-        idle = [every for every, stream in self._asked.items() if not stream.wanted]
+        idle = [every for every, stream in self._asked.items() if not stream.outlet.wanted]
         if not idle:
             return False
         stream = self._asked[idle[0]]
         self._replace({every: kept for every, kept in self._asked.items() if kept is not stream})
-        stream.close()
+        self._outlets.close(stream.outlet)
         return True
 
     def _replace(self, asked: dict[int, Stream]) -> None:
@@ -196,27 +180,27 @@ class Streams:
     def publish(self, record: TickRecord) -> None:
         """Queue what is due at a tick."""
         self._ticks += 1
-        due = [each for each in self._all if each.wanted and self._ticks % each.every == 0]
+        due = [each for each in self._all if self._ticks % each.every == 0 and each.outlet.wanted]
         if due:
             self._worker.put(partial(self._put, record, due))
 
     def _put(self, record: TickRecord, due: Sequence[Stream]) -> None:
         state = b""
         for stream in due:
-            if not stream.wanted:  # its subscribers have left meanwhile
+            if not stream.outlet.wanted:  # its subscribers have left meanwhile
                 continue
             if stream.encode == self.messages.state:
                 state = state or stream.encode(record)
-                stream.put(state)
+                stream.outlet.put(state)
             else:
-                stream.put(stream.encode(record))
+                stream.outlet.put(stream.encode(record))
 
     def close(self) -> None:
         """Stop publishing; waits for what is being published."""
         streams, self._all = self._all, ()  # nothing more is queued from now on
         self._worker.close()
         for stream in streams:
-            stream.close()
+            self._outlets.close(stream.outlet)
 
 
 class Publisher(Observer):
@@ -225,21 +209,15 @@ class Publisher(Observer):
     Its methods are called in the loop's thread.
 
     Args:
-        session: The Zenoh session.
-        hand: The hand's name.
+        outlets: Has the topics published.
         streams: Publishes the states.
         outbox: Publishes everything else.
         lease: The hand's lease, which goals and streams hold until they end.
     """
 
-    def __init__(
-        self, session: zenoh.Session, hand: str, streams: Streams, outbox: CallQueue, lease: Lease
-    ) -> None:
+    def __init__(self, outlets: Outlets, streams: Streams, outbox: CallQueue, lease: Lease) -> None:
         self._streams, self._outbox, self._lease = streams, outbox, lease
-        self._publishers = {
-            topic: session.declare_publisher(network_key(hand, topic), **DELIVER)
-            for topic in _TOPICS
-        }
+        self._topics = {topic: outlets.open(topic, **DELIVER) for topic in _TOPICS}
 
     @property
     def dropped(self) -> int:
@@ -248,7 +226,7 @@ class Publisher(Observer):
 
     def _put(self, topic: str, encode: Callable[..., bytes], what: object, **times: float) -> None:
         wall = time.time_ns()
-        self._outbox.put(lambda: self._publishers[topic].put(encode(what, wall=wall, **times)))
+        self._outbox.put(lambda: self._topics[topic].put(encode(what, wall=wall, **times)))
 
     def on_tick(self, record: TickRecord) -> None:
         """Queue the states that are due."""

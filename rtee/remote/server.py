@@ -10,7 +10,7 @@ likewise.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Collection
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,11 +21,20 @@ import anyio.to_thread
 import zenoh
 
 from rtee.errors import RequestRejected
-from rtee.hand.config_schema import SecuritySettings
 from rtee.loop.handloop import HandLoop
 from rtee.messages import network_key
 from rtee.messages.identity import claim_of
-from rtee.messages.requests import ALIVE, ANSWERS, ASK, CLIENTS, CONTROL, HELLO, STOP, Request
+from rtee.messages.requests import (
+    ALIVE,
+    ANSWERS,
+    ASK,
+    CLIENTS,
+    CONTROL,
+    HELLO,
+    STOP,
+    Request,
+    topic_for,
+)
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import claimed
@@ -40,26 +49,15 @@ from rtee.remote.incoming_request import (
 )
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
-from rtee.remote.protection import Protection
+from rtee.remote.outlets import Outlets
+from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
 
 
-class RemoteSettings(Protocol):
+class RemoteSettings(Endpoints, Protocol):
     """Network settings of a hand."""
-
-    @property
-    def listen(self) -> Sequence[str]:
-        """Zenoh endpoints to listen on, besides the socket on this computer."""
-
-    @property
-    def connect(self) -> Sequence[str]:
-        """Zenoh endpoints to connect to."""
-
-    @property
-    def security(self) -> SecuritySettings:
-        """Who may use the hand on a network."""
 
     @property
     def state_rate(self) -> float:
@@ -137,19 +135,27 @@ class Server:
                 open_server, socket, settings.listen, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, session.close)
-            streams = Streams(session, hand, loop.settings.rate, settings.state_rate)
+            outlets = Outlets(session, hand.name, protection.people)
+            streams = Streams(outlets, hand, loop.settings.rate, settings.state_rate)
             stack.push_async_callback(in_thread, streams.close)
             lease, thread = Lease(), LoopThread()
             commands = CommandHandlers(loop, lease, thread)
             queries = QueryHandlers(loop, lease, thread, streams, recording, profile)
-            identities = Identities(protection.role_of)
+            identities = Identities(protection.admit)
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
-            publisher = Publisher(session, hand.name, streams, server.outbox, lease)
+            publisher = Publisher(outlets, streams, server.outbox, lease)
             loop.add_observer(publisher)
             stack.callback(loop.remove_observer, publisher)
             server.declare()
+
+            def admit(people: Collection[str], revoked: Collection[str]) -> None:
+                outlets.admit(people)
+                for client in identities.of(revoked):
+                    commands.client_left(client)
+
+            stack.enter_context(protection.watched(admit))
             # Last: waiting clients send requests as soon as the hand is announced.
             place.write([endpoint])
             stack.callback(place.withdraw)
@@ -222,7 +228,8 @@ class Server:
         handle_request(sample, CONTROL, check, self._commands.handle_put, answer)
 
     def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
-        key = network_key(self._hand, f"{ANSWERS}/{client}")
+        topic = topic_for(self._identities.way(client), f"{ANSWERS}/{client}")
+        key = network_key(self._hand, topic)
         attachment = f"{'+' if ok else '-'}{number}"
         self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **DELIVER))
 

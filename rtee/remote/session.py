@@ -191,7 +191,7 @@ def open_server(
     Raises:
         ConfigError: if an endpoint cannot be used.
     """
-    _check([*listen, *connect])
+    check_endpoints([*listen, *connect])
     endpoint = local_endpoint(local)
     settings = {
         "listen/endpoints": [endpoint, *listen],
@@ -216,7 +216,7 @@ def open_server(
 
 
 def way_to(endpoint: str) -> str:
-    """Return how a client comes to a hand through an endpoint; see `HELLO`."""
+    """Return how a client comes to a hand through an endpoint; see `Found`."""
     if endpoint.startswith(TLS):
         return identity().name
     return HERE if endpoint.startswith(LOCAL) else PLAIN
@@ -239,7 +239,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         NoHand: if nobody answers there.
         ConfigError: if an endpoint is malformed.
     """
-    _check(endpoints)
+    check_endpoints(endpoints)
     settings: dict[str, Any] = {
         "listen/endpoints": [],
         "connect/endpoints": list(endpoints),
@@ -259,7 +259,8 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         raise NoHand(f"nobody answers at {', '.join(endpoints)}: {_words(error)}") from None
 
 
-def _check(endpoints: Sequence[str]) -> None:
+def check_endpoints(endpoints: Sequence[str]) -> None:
+    """Raise `ConfigError` if one is not written as Zenoh's endpoints are."""
     for endpoint in endpoints:
         if _ENDPOINT.fullmatch(endpoint) is None:
             raise ConfigError(

@@ -29,7 +29,9 @@ URDF = """<robot name="{name}">
 </robot>
 """
 DEVICE = "devices:\n  gripper:\n    driver: {driver}\n    options: {options}\n"
+INSECURE = "security: {insecure: true}"
 UNIT = "/etc/systemd/system/rtee@.service"
+DROP_IN = "/etc/systemd/system/rtee@jaw.service.d/10-hand.conf"
 PROGRAM = "/opt/rtee/bin/rtee"
 
 
@@ -243,7 +245,22 @@ def test_a_port_with_a_name_of_its_own_gets_it(tmp_path: Path) -> None:
         ("{port: 'socket://localhost:7000'}", "", []),
         ("{port: 'socket://gateway:7000'}", "", ["IPAddressAllow=any"]),
         ("{}", "remote: {listen: ['tcp/127.0.0.1:7447']}\n", []),
-        ("{}", "remote: {listen: ['tcp/0.0.0.0:7447']}\n", ["IPAddressAllow=any"]),
+        ("{}", f"remote: {{listen: ['tcp/0.0.0.0:7447'], {INSECURE}}}\n", ["IPAddressAllow=any"]),
+        (
+            "{}",
+            "remote: {listen: ['tls/192.168.1.10:7447']}\n",
+            ["IPAddressAllow=any", "Environment=RTEE_SECURE_DIR=/var/lib/rtee/secure"],
+        ),
+        (
+            "{}",
+            "remote: {listen: ['tls/0.0.0.0:7447'], security: {folder: /etc/keys/jaw}}\n",
+            ["IPAddressAllow=any"],
+        ),
+        (
+            "{}",
+            "remote: {listen: ['tls/127.0.0.1:7447']}\n",
+            ["Environment=RTEE_SECURE_DIR=/var/lib/rtee/secure"],
+        ),
         ("{}", "log: {directory: /data/logs}\n", ["ReadWritePaths=-/data/logs"]),
     ],
 )
@@ -253,6 +270,42 @@ def test_the_unit_is_opened_as_far_as_the_hand_needs(
     hand = write_hand(tmp_path, options=options, more=more)
     [text] = drop_in(needs_of(hand)).values() or [b"\n\n"]
     assert text.decode().splitlines()[2:] == lines
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        ("{listen: ['tcp/0.0.0.0:7447']}", "could move the hand"),
+        (
+            "{listen: ['tls/0.0.0.0:7447'], security: {folder: /home/ann/keys}}",
+            "sees nothing of /home/ann/keys",
+        ),
+        (
+            "{listen: ['tls/0.0.0.0:7447'], security: {folder: keys}}",
+            "folder must be an absolute path",
+        ),
+    ],
+)
+def test_a_network_with_which_the_service_could_not_run_is_refused(
+    tmp_path: Path, more: str, reason: str
+) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        needs_of(write_hand(tmp_path, more=f"remote: {more}\n"))
+
+
+def test_a_driver_of_others_is_not_imported(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "foreign.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    options = "{port: /dev/ttyTHS1}"
+    hand = write_hand(tmp_path, driver="foreign:Gripper", options=options)
+    needs = needs_of(hand)
+    assert [port.path for port in needs.ports] == ["/dev/ttyTHS1"]
+    done = rtee("install", hand, "--root", root, path=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "the drivers of gripper are not rtee's" in done.stdout
+    assert "DeviceAllow=char-ttyTHS rw" in text_for(hand, DROP_IN)
+    assert not (tmp_path / "ran").exists()
 
 
 def test_ethercat_gets_raw_frames(tmp_path: Path) -> None:
@@ -271,7 +324,7 @@ def test_the_kernel_leaves_cpus_to_the_loop(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
 def test_systemd_understands_what_is_added_to_the_unit(tmp_path: Path) -> None:
     pytest.importorskip("pysoem")
-    more = "remote: {listen: ['tcp/0.0.0.0:7447']}\nlog: {directory: /data/logs}\n"
+    more = "remote: {listen: ['tls/0.0.0.0:7447']}\nlog: {directory: /data/logs}\n"
     hand = write_hand(tmp_path, driver="heri_ethercat", options="{interface: eth1}", more=more)
     files = system_files(needs_of(hand), "/bin/true", realtime=False)
     units = tmp_path / "units"
@@ -324,6 +377,26 @@ def test_the_doctor_looks_at_every_part(root: Path, tmp_path: Path) -> None:
     assert verdicts(root, hand)["service"] == (Verdict.WRONG, again)
     (root / MANIFEST[1:]).write_text("{")
     assert verdicts(root, hand)["service"][0] is Verdict.WRONG
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="files are given to others by root")
+def test_the_doctor_looks_for_the_certificates(root: Path, tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="needs the extra secure")
+    from rtee.remote.authority import make_authority
+
+    hand = write_hand(tmp_path, more="remote: {listen: ['tls/0.0.0.0:7447']}\n")
+    install(root, hand)
+    what = "service's certificates"
+    verdict, remedy = verdicts(root, hand)[what]
+    assert verdict is Verdict.WRONG
+    assert "sudo -u rtee env RTEE_SECURE_DIR=/var/lib/rtee/secure " in remedy
+    folder = root / "var/lib/rtee/secure/jaw"
+    make_authority(folder, "jaw")
+    assert verdicts(root, hand)[what] == (Verdict.WRONG, f"sudo chown -R rtee: {folder}")
+    with (root / "etc/passwd").open("a") as file:
+        file.write("rtee:x:4711:4711::/var/lib/rtee:/usr/sbin/nologin\n")
+    os.chown(folder / "hand.key", 4711, 4711)
+    assert verdicts(root, hand)[what] == (Verdict.OK, "")
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -273,7 +273,7 @@ async def test_what_nobody_takes_does_not_pile_up(hand: Hand, library: ActionLib
 
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         session, key = remote._link._session, "rtee/small/states/test"
-        with remote._link.subscribed(key, taken.append, 10):
+        with remote._link.subscribed("states/test", taken.append, 10):
             watched = session.declare_subscriber(key, direct(at_last))
             while not received.is_set():  # until the subscriptions have got around
                 for number in range(300):

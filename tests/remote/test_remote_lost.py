@@ -50,9 +50,17 @@ anyio.run(main)
 
 async def started(code: str, *arguments: str) -> anyio.abc.Process:
     process = await anyio.open_process([sys.executable, "-c", code, *arguments], stderr=None)
-    assert process.stdout is not None
-    assert (await process.stdout.receive()).strip() == b"there"
+    assert await printed_line(process) == b"there"
     return process
+
+
+async def printed_line(process: anyio.abc.Process) -> bytes:
+    """Return the next line; what unbuffered Python prints comes in pieces."""
+    assert process.stdout is not None
+    line = b""
+    while not line.endswith(b"\n"):
+        line += await process.stdout.receive(1)
+    return line[:-1]
 
 
 @pytest.mark.parametrize("how", ["goal", "jog", "acquire"])

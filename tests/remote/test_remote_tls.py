@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import anyio
@@ -18,11 +19,13 @@ from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected
 from rtee.hand.config_schema import SecuritySettings
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
-from rtee.remote import credentials
+from rtee.remote import credentials, protection
 from rtee.remote.client import RemoteHand
-from rtee.remote.session import is_safe
+from rtee.remote.identities import Admitted
+from rtee.remote.session import direct, is_safe, open_client
+from rtee.types import Event
 
-from .serving import Config, Remote, free_endpoint, serving
+from .serving import Config, Remote, free_endpoint, serving, until
 
 pytestmark = pytest.mark.anyio
 
@@ -50,6 +53,7 @@ class People:
 @pytest.fixture
 def people(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> People:
     monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
+    monkeypatch.setenv(credentials.IDENTITY_VARIABLE, "")  # restored after the test
     return People(tmp_path)
 
 
@@ -105,14 +109,13 @@ async def _tries(remote: RemoteHand, role: Role) -> None:
 async def test_the_hand_itself_refuses_what_a_role_may_not(
     hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    everything = people.authority.people
     file = people.add("ann", Role.MAINTAINER)
     monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(file))
     endpoint = tls()
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))) as served:
         # Zenoh's rules are still those of a maintainer.
-        (name,) = [one.name for one in everything(people.folder)]
-        served.server._identities._role_of = {name: Role.OBSERVER}.get
+        name = credentials.common_name(name_of(file))
+        served.server._identities._admitted = {name: Admitted(Role.OBSERVER, "ann-")}.get
         async with rtee.connect(endpoint=endpoint) as remote:
             assert "has the role observer" in await refused(remote.hold())
             assert "needs the role maintainer" in await refused(
@@ -145,32 +148,119 @@ async def test_without_a_certificate_nobody_gets_in(
                 pass
 
 
-async def test_a_revoked_certificate_is_refused_at_once_and_at_the_next_start(
-    hand: Hand, library: ActionLibrary, people: People, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Changes of who is admitted are seen soon."""
+    monkeypatch.setattr(protection, "_LOOK_EVERY", 0.02)
+
+
+async def test_a_revoked_client_sees_and_does_nothing_any_more(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,
+    monkeypatch: pytest.MonkeyPatch,
+    soon: None,
 ) -> None:
     ann, bob = people.add("ann", Role.OPERATOR), people.add("bob", Role.OPERATOR)
-    monkeypatch.setattr(credentials, "_READ_AGAIN", 0.0)
     endpoint = tls()
-    config = Config(Remote(listen=[endpoint]))
-    async with serving(hand, library, config=config):
-        monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(ann))
-        async with rtee.connect(endpoint=endpoint) as remote:
-            await remote.hold()
-            people.authority.revoke(people.folder, "ann")
-            assert "revoked" in await refused(remote.hold())
-        with pytest.raises(RequestRejected, match="not admitted"):
-            async with rtee.connect(endpoint=endpoint):
-                pass
-        monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(bob))
-        async with rtee.connect(endpoint=endpoint) as remote:
-            await remote.hold()
-    async with serving(hand, library, config=config):
-        async with rtee.connect("small", endpoint=endpoint) as remote:
-            await remote.hold()
-        monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(ann))
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))) as served:
+        as_user(ann)
+        async with rtee.connect(endpoint=endpoint) as remote, remote.collected_states() as seen:
+            as_user(bob)
+            async with rtee.connect(endpoint=endpoint) as other, other.collected_states() as others:
+                events = remote.events()
+                await remote.acquire()
+                await until(lambda: len(seen.drain()) > 0)
+                people.authority.revoke(people.folder, "ann")
+                # What it held is free again, as if the client were lost.
+                await served.event("client_lost")
+                assert "revoked" in await refused(remote.hold())
+                with pytest.raises(NoHand):  # what is put and not asked is not even answered
+                    await remote._link.send("do", b"x", within=0.2)
+                seen.drain()
+                await other.stop()
+                assert (await other.do("Trig", "index", intensity=0.2)).reached
+                await until(lambda: len(others.drain()) > 0)
+                assert seen.drain() == []
+                assert "stop" not in await told(events)
+            as_user(ann)
+            with pytest.raises(RequestRejected, match="not admitted"):
+                async with rtee.connect(endpoint=endpoint):
+                    pass
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
         with pytest.raises(NoHand):
             async with rtee.connect(endpoint=endpoint):
                 pass
+
+
+async def told(events: AsyncIterator[Event]) -> list[str]:
+    """Return the kinds of the events that have arrived."""
+    kinds: list[str] = []
+    with anyio.move_on_after(0.1):
+        async for event in events:
+            kinds.append(event.kind)
+    return kinds
+
+
+async def test_a_client_that_is_added_to_a_running_hand_is_admitted(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,
+    soon: None,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))) as served:
+        files = {role: people.add(role.name.lower(), role) for role in Role}
+        await until(lambda: len(served.server._identities._admitted.__self__.people) == len(files))
+        for role, file in files.items():
+            as_user(file)
+            async with rtee.connect(endpoint=endpoint) as remote:
+                assert (await anext(remote.states(50.0))).names
+                await _tries(remote, role)
+        assert "next start" not in caplog.text
+        for number in range(people.authority._SPARE):
+            people.add(f"operator{number}", Role.OPERATOR)
+        await until(lambda: "is admitted from the next start on" in caplog.text)
+
+
+async def test_nobody_sees_what_is_published_for_another(
+    hand: Hand, library: ActionLibrary, people: People
+) -> None:
+    ann, bob = people.add("ann", Role.MAINTAINER), people.add("bob", Role.OPERATOR)
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        as_user(bob)
+        async with rtee.connect(endpoint=endpoint) as remote:
+            as_user(ann)
+            spy = await anyio.to_thread.run_sync(open_client, [endpoint])
+            seen: list[str] = []
+            own, its = (credentials.common_name(name_of(file)) for file in (ann, bob))
+            for key in (
+                "**",
+                "events",
+                f"watch/{its}/**",
+                f"watch/{its}/events",
+                f"watch/{own}/results",
+            ):
+                spy.declare_subscriber(
+                    f"rtee/small/{key}", direct(lambda sample: seen.append(str(sample.key_expr)))
+                )
+            await anext(remote.states(100.0))
+            await remote.do("Trig", "index", intensity=0.1)
+            await until(lambda: len(seen) > 0)
+            await anyio.to_thread.run_sync(spy.close)
+            assert {*seen} == {f"rtee/small/watch/{own}/results"}
+
+
+def as_user(file: Path) -> None:
+    """Use a certificate for the next connections."""
+    os.environ[credentials.IDENTITY_VARIABLE] = str(file)
+
+
+def name_of(file: Path) -> str:
+    as_user(file)
+    return credentials.identity().name
 
 
 async def test_a_client_cannot_pass_for_the_hand(

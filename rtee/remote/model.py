@@ -46,12 +46,18 @@ def from_info(info: HandInfo) -> Hand:
         return replace(hand, fingers=_fingers(info))
 
 
-async def model_of(remote: RemoteHand) -> Hand:
-    """Return the model of a running hand: the one configured here if it fits, else the hand's."""
+async def model_of(remote: RemoteHand, configured: Hand | None = None) -> Hand:
+    """Return the model of a running hand: the one configured here if it fits, else the hand's.
+
+    Args:
+        remote: The running hand.
+        configured: The one configured here, where that is known; else it is looked up by name.
+    """
     info = await remote.info()
     try:
-        hand = load_hand(remote.name)
+        hand = load_hand(remote.name) if configured is None else configured
     except RteeError:
         return from_info(info)
     # Another version of the hand may be configured here.
-    return hand if hand.actuator_names == info.actuator_names else from_info(info)
+    fits = hand.actuator_names == info.actuator_names and hand.joint_names == info.joints
+    return hand if fits else from_info(info)

@@ -1,0 +1,36 @@
+"""How a goal ended, as a sentence for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rtee.types import Result
+from rtee.units import grip_words
+
+
+def sentence(result: Result, elements: Sequence[str] = ()) -> str:
+    """Return the result of a goal with some elements as a sentence."""
+    why = f": {result.reason}" if result.reason else ""
+    said = [
+        words
+        for true, words in (
+            (result.reached, "reached"),
+            (result.grasped, "grasped" + _by(result.grasped_fingers)),
+            (bool(result.touched) and not result.grasped, "touched" + _by(result.touched)),
+            (result.stalled and not (result.grasped or result.touched), "stalled"),
+            (result.preempted, "pre-empted by another goal"),
+            (result.cancelled, f"cancelled{why}"),
+            (result.timed_out, "timed out"),
+            (result.aborted, f"aborted{why}"),
+        )
+        if true
+    ]
+    how = ", ".join(said) or "ended"
+    name = " ".join((result.action, *elements))
+    if result.opening is not None:
+        how += f" at {grip_words(result)}"
+    return f"{name}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
+
+
+def _by(fingers: tuple[str, ...]) -> str:
+    return f" by {', '.join(fingers)}" if fingers else ""
