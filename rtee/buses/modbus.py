@@ -73,6 +73,7 @@ class ModbusBus(SerialBus):
         *,
         address: Callable[[], str] | None = None,
         gap: float | None = None,
+        behind: int = 0,
     ) -> None:
         """Make a bus that is not connected.
 
@@ -81,6 +82,8 @@ class ModbusBus(SerialBus):
             line: How the line is set.
             address: Returns where to connect to, if not to ``name``.
             gap: Silence kept before a request [s]; by default what the baud rate asks for.
+            behind: By how much the number of an answer's transaction may be smaller than that of
+                its request (TCP), for devices that count wrongly.
         """
         self.rtu = not name.startswith("tcp://")
         # Frames of RTU are told apart by silence alone; TCP frames have a length.
@@ -91,6 +94,7 @@ class ModbusBus(SerialBus):
         decoder = DecodePDU(is_server=False)
         self._framer: FramerBase = FramerRTU(decoder) if self.rtu else FramerSocket(decoder)
         self._number = 0
+        self._behind = behind
 
     async def read(
         self,
@@ -173,7 +177,7 @@ class ModbusBus(SerialBus):
             deadline: Longest time, retries included [s].
             retries: How often it may be sent again within that time.
         """
-        parser = AnswerParser(self._framer, request, head)
+        parser = AnswerParser(self._framer, request, head, self._behind)
 
         def numbered() -> bytes:
             # 1 to 65535, as the header has two bytes; another one in each attempt.

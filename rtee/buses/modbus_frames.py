@@ -45,10 +45,15 @@ class AnswerParser:
         request: The request.
         head: What follows the function in its answer, before the registers: the number of bytes,
             or, of a write, its address and number of registers.
+        behind: By how much the number of an answer's transaction may be smaller than that of the
+            request, for devices that count wrongly.
     """
 
-    def __init__(self, framer: FramerBase, request: ModbusPDU, head: bytes) -> None:
+    def __init__(
+        self, framer: FramerBase, request: ModbusPDU, head: bytes, behind: int = 0
+    ) -> None:
         self._framer = framer
+        self._behind = behind
         self._request = request
         function = bytes([request.function_code])
         # A write is answered by its address and number; a read by a number of bytes, then these.
@@ -80,7 +85,8 @@ class AnswerParser:
         if isinstance(self._framer, FramerSocket):
             self._openings = tuple(
                 # The MBAP header: transaction, protocol 0, length of what follows, unit.
-                struct.pack(">HHHB", number, 0, size + 1, unit) + pdu
+                struct.pack(">HHHB", told, 0, size + 1, unit) + pdu
+                for told in range(number, max(number - self._behind, 0) - 1, -1)
                 for pdu, size in self._pdus
             )
         else:

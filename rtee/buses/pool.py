@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 
 from rtee.buses.bus import Bus, TraceHook
 from rtee.buses.emulated_endpoints import PlayedEnds
@@ -113,19 +113,20 @@ class BusPool:
         baudrate: int = 115200,
         parity: str = "N",
         stopbits: int = 1,
+        behind: int = 0,
         emulator: EmulatorFactory | None = None,
     ) -> ModbusBus:
         """Return the Modbus line or network connection at an address, connected.
 
         A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
-        Modbus TCP. Arguments and errors as for `serial`.
+        Modbus TCP. Arguments and errors as for `serial`, ``behind`` as for `ModbusBus`.
         """
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
         # An emulated line without wire time has no frames to tell apart by silence.
         gap = None if emulator is None or self.wire_time else 0.0
-        return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap)
+        return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap, behind=behind)
 
     async def dynamixel(
         self,
@@ -287,7 +288,7 @@ class BusPool:
         line: Line,
         owner: str,
         emulator: EmulatorFactory | None,
-        **more: float | None,
+        **more: Any,
     ) -> B:
         url = self._apart(url, owner, emulator)
         address = emulator and self._ends.line(url, owner, line, emulator)

@@ -22,6 +22,7 @@ from rtee.hand.config_schema import (
     ProfileSettings,
     RealtimeSettings,
     RemoteSettings,
+    Ros2Settings,
     SafetySettings,
     Section,
     ThermalSettings,
@@ -123,6 +124,8 @@ class HandConfig(BaseModel):
     """Recordings."""
     remote: RemoteSettings = RemoteSettings()
     """The hand on the network."""
+    ros2: Ros2Settings = Ros2Settings()
+    """The hand as a node of ROS 2."""
     driver: Literal["kinematic", "devices"] = "kinematic"
     """What ``rtee run`` drives by default: a kinematic stand-in, or the ``devices``."""
     devices: dict[str, DeviceSection] = Field(default={})

@@ -105,6 +105,12 @@ class Writer:
             self.align(array.itemsize)
             self._buffer += array.tobytes()
 
+    def fixed(self, kind: str, values: Sequence[Any] | NDArray[Any]) -> None:
+        """Append an array of a fixed number of numbers or truth values."""
+        array = np.ascontiguousarray(values, dtype=DTYPES[kind])
+        self.align(array.itemsize)
+        self._buffer += array.tobytes()
+
     def done(self) -> bytes:
         """Return the message."""
         return bytes(self._buffer)
@@ -204,8 +210,11 @@ class Reader:
         """Return a sequence of numbers or truth values, as an array of its own."""
         dtype = DTYPES[kind]
         count = self.length(dtype.itemsize)
-        if not count:
-            return np.empty(0, dtype=dtype)
+        return self.fixed(kind, count) if count else np.empty(0, dtype=dtype)
+
+    def fixed(self, kind: str, count: int) -> NDArray[Any]:
+        """Return an array of a fixed number of numbers or truth values."""
+        dtype = DTYPES[kind]
         self.align(dtype.itemsize)
         start = self._take(count * dtype.itemsize)
         if kind == "bool":

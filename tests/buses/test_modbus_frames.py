@@ -148,6 +148,17 @@ def test_an_answer_on_a_network_is_found_by_its_number() -> None:
     assert refusal.exception_code == 2
 
 
+def test_a_device_that_counts_behind_is_heard_where_that_is_allowed() -> None:
+    request = ReadHoldingRegistersRequest(dev_id=1, address=1, count=1)
+    framer = FramerSocket(DecodePDU(is_server=False))
+    answers = [bytes.fromhex(f"00 0{n} 00 00 00 05 01 03 02 00 2A") for n in (5, 4, 3)]
+    for behind, taken in ((0, [1, 0, 0]), (1, [1, 1, 0])):
+        for answer, times in zip(answers, taken, strict=True):
+            parser = AnswerParser(framer, request, b"\x02", behind)
+            parser.request(5)
+            assert len(parser.feed(answer)) == times
+
+
 @pytest.mark.parametrize("cut", range(1, 19))
 def test_an_incomplete_request_on_a_network_costs_no_other(cut: int) -> None:
     write = bytes.fromhex("339A0000000D0210000000030601000000 0000")

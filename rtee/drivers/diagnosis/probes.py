@@ -22,6 +22,8 @@ _HAND_INFO = 7
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
 _OWNER = "scan"
+_HANDS = (1, 2)
+"""Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 
 
@@ -118,6 +120,12 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
 
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
+    # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
+    doubtful = robotiq is None and unit in _HANDS
+    if doubtful or isinstance(robotiq, ModbusRefusal) or (robotiq and not any(robotiq)):
+        rh56 = await _rh56(bus, unit, options)
+        if rh56 is not None:
+            return rh56
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
     # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
@@ -127,6 +135,23 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     if robotiq is not None:
         return Found("", f"a Modbus slave, unit {unit}", options)
     return None
+
+
+async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an RH56 if one tells its angles, states and temperatures."""
+    from rtee.drivers.inspire_rh56.codec import REPORT, WORDS, Register, Report, Rh56FrameError
+    from rtee.drivers.inspire_rh56.link import ModbusLink
+
+    link = ModbusLink(bus, unit, _ANSWER, 0)
+    try:
+        angles = await link.read(Register.ANGLE, WORDS)
+        report = Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
+    except (BusTimeout, FrameError, ModbusRefusal, Rh56FrameError):
+        return None
+    if not all(report.temperatures):
+        return None
+    protocol = {"protocol": "modbus"} if bus.rtu else {}
+    return Found("inspire_rh56", f"Inspire RH56, unit {unit}", {**options, **protocol})
 
 
 def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Found:
@@ -186,6 +211,30 @@ def softhand(devices: Sequence[int]) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("qb SoftHand", ask)
+
+
+def rh56(units: Sequence[int]) -> Probe:
+    """Return a probe for the RH56's own frames, with these numbers."""
+    from rtee.drivers.inspire_rh56.codec import BAUDRATES, Register
+    from rtee.drivers.inspire_rh56.link import FrameLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        found = []
+        for unit in units:
+            try:
+                number = await FrameLink(bus, unit, _ANSWER, 0).read(Register.HAND_ID, 1)
+            except (BusTimeout, FrameError):
+                continue
+            if number[0] == unit:
+                options = {"port": address, "unit": unit}
+                found.append(Found("inspire_rh56", f"Inspire RH56, unit {unit}", options))
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("Inspire RH56", ask)
 
 
 def dynamixel(baudrate: int) -> Probe:

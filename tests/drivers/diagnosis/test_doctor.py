@@ -176,6 +176,7 @@ async def test_another_device_is_found_out() -> None:
             "overload",
             "32: overload in servo 1 (jaw)",
         ),
+        ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
         ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
     ],
@@ -194,6 +195,17 @@ async def test_what_keeps_a_device_from_being_active_is_told(
     assert check.verdict is (Verdict.WRONG if fault else Verdict.WARNING)
     assert check.text == text
     assert "recover" in check.remedy
+
+
+async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:
+    hand = make_emulator("inspire_rh56", {"protocol": "modbus"})
+    with SimulatedLine([hand], wire_time=False) as line:
+        spec = gripper(options={"port": line.address})
+        spec = replace(spec, driver="inspire_rh56", actuators=(actuator("index", 0.0, 1.4),))
+        async with BusPool() as pool:
+            check = wrong(await check_device(spec, pool))
+    assert check.text.startswith("no RH56 answers as unit 1")
+    assert "set driver: inspire_rh56, unit: 1, protocol: modbus" in check.remedy
 
 
 async def test_a_device_without_supply() -> None:

@@ -38,6 +38,7 @@ def device(name: str, **properties: object) -> Emulator:
         ("onrobot_3fg", {"unit": 66, "framing": "rtu"}, "OnRobot 3FG, unit 66, 1000000 baud 8E1"),
         ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
         ("schunk_svh", {}, "SCHUNK SVH, firmware"),
+        ("inspire_rh56", {"unit": 3}, "Inspire RH56, unit 3"),
     ],
 )
 async def test_a_device_on_a_line_is_found_with_its_options(
@@ -62,6 +63,22 @@ async def test_a_compute_box_on_the_network_is_found() -> None:
     with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
         found = await scanned(line)
     assert [one.what for one in found.found] == ["OnRobot 3FG, unit 65"]
+
+
+async def test_a_hand_on_modbus_is_told_from_grippers() -> None:
+    """On a line and on the network, also where it tells zeros instead of refusing."""
+    line = {"protocol": "modbus", "unit": 2, "emulator": {"unknown": "refused"}}
+    with SimulatedLine([make_emulator("inspire_rh56", line)], wire_time=False) as wire:
+        found = await scanned(wire, units=[1, 2])
+        assert [one.what for one in found.found] == ["Inspire RH56, unit 2, 115200 baud 8N1"]
+        assert found.found[0].options == {
+            "port": wire.address, "unit": 2, "protocol": "modbus", "baudrate": 115200,
+        }  # fmt: skip
+    hand = make_emulator("inspire_rh56", {"port": "tcp://x", "emulator": {"unknown": "zeros"}})
+    with SimulatedLine([hand], tcp=True, scheme="tcp") as wire:
+        found = await scanned(wire)
+        assert [one.what for one in found.found] == ["Inspire RH56, any unit"]
+        assert found.found[0].options == {"port": wire.address, "unit": 1}
 
 
 async def test_three_servos_at_two_rates_are_found_at_their_own() -> None:

@@ -1,0 +1,1 @@
+"""The hands RH56 of Inspire Robots."""

@@ -1,0 +1,252 @@
+"""The RH56's registers, its serial frames and the tables in its registers; no I/O.
+
+Sources: registers, frames, error and status codes as published clients use them, which quote the
+maker's manuals. Addresses are those of bytes; a value of 16 bits takes two, the low one first. Over
+Modbus the same numbers address registers, and the tables keep their order.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+from rtee.buses.parser import FramedParser
+
+BAUDRATES = (115_200, 57_600, 19_200, 921_600)
+"""Rates that a hand can be set to [baud], by their code in `Register.BAUD`."""
+FINGERS = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotate")
+"""The six motors, in the order of every table."""
+COUNT = len(FINGERS)
+WORDS = 2 * COUNT  # bytes of a table of 16-bit values
+OPEN = 1000
+"""Angle count of an open finger; 0 is closed."""
+KEEP = -1
+"""A set-point by which a motor keeps the one it has."""
+MOST = 1000
+"""Largest speed, and largest force limit of a hand without tactile sensors [g]."""
+MOST_TACTILE = 3000
+"""Largest force limit of a hand with tactile sensors [g]."""
+OVERHEAD = 8  # bytes of a frame beside its data
+
+_LONGEST = 255 + 5
+"""Bytes of the longest frame: its length byte does not count five of them."""
+_BELOW, _ABOVE = -100, 2000
+"""What lies beyond is no angle count: a tenth of the way below 0, and above what an example frame
+of the manual has."""
+_TABLE = struct.Struct(f"<{COUNT}h")
+
+
+class Rh56FrameError(ValueError):
+    """Bytes that are no frame of an RH56, or no table of its registers."""
+
+
+class Command(IntEnum):
+    """What a frame asks for."""
+
+    READ = 0x11
+    WRITE = 0x12
+
+
+class Register(IntEnum):
+    """Addresses of registers."""
+
+    HAND_ID = 1000
+    BAUD = 1002
+    CLEAR_ERROR = 1004
+    SAVE = 1005
+    RESET = 1006
+    FORCE_CALIBRATION = 1009
+    CURRENT_LIMIT = 1020
+    INITIAL_SPEED = 1032
+    INITIAL_FORCE = 1044
+    STROKE_SET = 1474
+    ANGLE_SET = 1486
+    FORCE_SET = 1498
+    SPEED_SET = 1522
+    STROKE = 1534
+    ANGLE = 1546
+    FORCE = 1582
+    CURRENT = 1594
+    ERROR = 1606
+    STATUS = 1612
+    TEMPERATURE = 1618
+
+
+REPORT = 42
+"""Bytes from `Register.FORCE` to the last temperature."""
+BLOCK = Register.FORCE + REPORT - Register.ANGLE
+"""Bytes from the angles to the last temperature; 24 of them, before the forces, mean nothing."""
+SET_POINTS = Register.SPEED_SET + WORDS - Register.ANGLE_SET
+"""Bytes from the set-points of the angles to the last speed; 12 before the speeds mean nothing."""
+
+
+class Error(IntFlag):
+    """Bits of a motor's error byte."""
+
+    LOCKED = 1
+    TOO_HOT = 2
+    CURRENT = 4
+    ABNORMAL = 8
+    COMMUNICATION = 16
+
+
+ERRORS = {
+    Error.LOCKED: "rotor locked",
+    Error.TOO_HOT: "too hot",
+    Error.CURRENT: "over-current",
+    Error.ABNORMAL: "abnormal",
+    Error.COMMUNICATION: "no communication with its motor",
+}
+"""Names of the bits of an error byte."""
+
+
+class State(IntEnum):
+    """Values of a motor's status byte; 4 is not used."""
+
+    OPENING = 0
+    CLOSING = 1
+    AT_TARGET = 2
+    AT_FORCE = 3
+    CURRENT_PROTECTION = 5
+    LOCKED = 6
+    FAULT = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame: a request, or the reply to one, which differs by its header.
+
+    Attributes:
+        hand: Number of the hand.
+        command: Read or write.
+        address: First register.
+        data: Of a request to read the number of bytes, of the reply to a write 1 if it was
+            accepted; else the registers.
+    """
+
+    hand: int
+    command: int
+    address: int
+    data: bytes
+
+    def to_bytes(self, header: bytes) -> bytes:
+        """Return the frame as sent."""
+        length = len(self.data) + 3
+        if not (0 <= self.hand <= 255 and 4 <= length <= 255):
+            raise Rh56FrameError(f"no frame can carry {self}")
+        body = bytes((self.hand, length, self.command)) + self.address.to_bytes(2, "little")
+        body += self.data
+        return header + body + bytes([sum(body) & 0xFF])
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the frame that ``raw`` holds, complete; its header is not looked at.
+
+        Raises:
+            Rh56FrameError: if it is none.
+        """
+        if len(raw) <= OVERHEAD or raw[3] < 4 or len(raw) != raw[3] + 5:
+            raise Rh56FrameError(f"{len(raw)} bytes are no frame")
+        if sum(raw[2:-1]) & 0xFF != raw[-1]:
+            raise Rh56FrameError("the checksum does not match")
+        return cls(raw[2], raw[4], int.from_bytes(raw[5:7], "little"), raw[7:-1])
+
+
+class RequestParser(FramedParser[Frame]):
+    """Finds requests in a stream, for a hand."""
+
+    HEADER: ClassVar[bytes] = b"\xeb\x90"
+    HEAD = 4
+    PIECE = _LONGEST
+    LIMIT = 2 * _LONGEST
+
+    def _length(self, at: int) -> int:
+        length = self._buffer[at + 3]
+        return length + 5 if length >= 4 else 0
+
+    def _decode(self, raw: bytes) -> Frame:
+        return Frame.from_bytes(raw)
+
+
+class ReplyParser(RequestParser):
+    """Finds replies in a stream, for a host."""
+
+    HEADER: ClassVar[bytes] = b"\x90\xeb"
+
+
+def words(data: bytes) -> tuple[int, ...]:
+    """Return the six values of a table.
+
+    Raises:
+        Rh56FrameError: if it has not twelve bytes.
+    """
+    if len(data) != WORDS:
+        raise Rh56FrameError(f"{len(data)} bytes are no table of six values")
+    return _TABLE.unpack(data)
+
+
+def table(values: Sequence[int]) -> bytes:
+    """Return the bytes of a table of six values."""
+    return _TABLE.pack(*values)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a hand measures, in the order of `FINGERS`.
+
+    Attributes:
+        angles: 0 closed to 1000 open [counts].
+        forces: Against the closing finger, signed [g].
+        currents_ma: Of the motors [mA].
+        errors: Error bits.
+        states: What the motors do.
+        temperatures: Of the motors [°C].
+    """
+
+    angles: tuple[int, ...]
+    forces: tuple[int, ...]
+    currents_ma: tuple[int, ...]
+    errors: tuple[Error, ...]
+    states: tuple[State, ...]
+    temperatures: tuple[int, ...]
+
+    @classmethod
+    def from_bytes(cls, angles: bytes, report: bytes) -> Self:
+        """Read it from the twelve bytes of the angles and the `REPORT` from the forces on.
+
+        Raises:
+            Rh56FrameError: if no RH56 can report that.
+        """
+        if len(report) != REPORT:
+            raise Rh56FrameError(f"{len(report)} bytes are no report")
+        where = words(angles)
+        errors, states, temperatures = report[24:30], report[30:36], report[36:42]
+        # A checksum of one byte lets some damage pass; what cannot be is refused here.
+        if not all(_BELOW <= count <= _ABOVE for count in where):
+            raise Rh56FrameError(f"no angles of an RH56: {where}")
+        if any(bits > 0x1F for bits in errors) or any(
+            state in (4, *range(8, 256)) for state in states
+        ):
+            raise Rh56FrameError(f"no errors and states of an RH56: {report[24:36].hex(' ')}")
+        return cls(
+            where,
+            words(report[:12]),
+            words(report[12:24]),
+            tuple(map(Error, errors)),
+            tuple(map(State, states)),
+            tuple(temperatures),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Return the `BLOCK` from the angles on."""
+        gap = bytes(BLOCK - WORDS - REPORT)
+        tables = table(self.forces) + table(self.currents_ma)
+        return (
+            table(self.angles)
+            + gap
+            + tables
+            + bytes((*self.errors, *self.states, *self.temperatures))
+        )

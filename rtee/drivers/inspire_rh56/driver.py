@@ -1,0 +1,398 @@
+"""Drives an RH56: six motors with force sensors, on a serial line or over Modbus."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from rtee.buses.modbus import ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.inspire_rh56.calibration import ForceZeros, calibrate, read_zeros
+from rtee.drivers.inspire_rh56.codec import (
+    BLOCK,
+    COUNT,
+    ERRORS,
+    FINGERS,
+    KEEP,
+    REPORT,
+    SET_POINTS,
+    WORDS,
+    Error,
+    Register,
+    Report,
+    Rh56FrameError,
+    State,
+    table,
+    words,
+)
+from rtee.drivers.inspire_rh56.link import FrameLink, ModbusLink, Rh56Link, WriteRefused
+from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of, scales_of
+from rtee.drivers.options import read_options
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    CommandRejected,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+)
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
+
+_CLEARING = 0.2
+"""Longest time from clearing the errors until they are gone [s]; no source gives one."""
+
+_BEHIND = 1
+"""By how much the hand's Modbus TCP may count transactions behind: published clients met that."""
+
+_PAUSE = 0.3
+"""Time between two network connections that published clients keep [s]."""
+
+_WORDS = {State.AT_FORCE: True, State.OPENING: False, State.CLOSING: False, State.AT_TARGET: False}
+"""What a motor's state says of holding something; the states of trouble say nothing."""
+
+
+class InspireRh56Driver(Driver):
+    """An RH56DFX, DFQ, BFX or DFTP.
+
+    A cycle reads angles, forces, currents, errors, states and temperatures in one exchange, or in
+    two where the hand does not give them together, and writes what has changed: force limits and
+    speeds first, then the angles. A motor that a reference does not name keeps its own set-point.
+
+    The hand has no switch for its motors: they are always on. It forgets force limits and speeds
+    when its supply is cut, so what was set is read back now and then.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = InspireRh56Options
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(InspireRh56Options, spec)
+        self._motors = motors_of(spec, self.options)
+        self._scales = scales_of(spec, self.options, self._motors)
+        self.connection: Connection[Rh56Link] = Connection(spec)
+        self._attached = Attached(spec.actuators)
+        self._zeros = (0,) * COUNT
+        self._here: FloatArray = np.full(len(self._motors), math.nan)
+        self._block = self.options.reading == "block"
+        self._count = 0
+        self._closed = -math.inf
+        self._angles = [KEEP] * COUNT
+        self._forces: list[int] | None = None
+        self._speeds: list[int] | None = None
+        pairs = zip(spec.actuators, self._scales, strict=True)
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "effort", "current", "temperature", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            recoverable=True,
+            grip={actuator.name: scale.grip for actuator, scale in pairs},
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the line, see whether an RH56 answers, and how it is best read; moves nothing."""
+        options = self.options
+        if options.calibration is not None:
+            self._zeros = read_zeros(options.calibration, self.spec.name, options.unit)
+        link = await self._open()
+        self._forces = self._speeds = None
+        self._angles = [KEEP] * COUNT
+        try:
+            with link.unhurried():
+                await self._identify(link)
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no RH56 answers as unit {options.unit} at {options.port}",
+                hint="check supply, wires, `unit`, `baudrate` and `protocol`: some hands speak "
+                "Modbus alone",
+            ) from error
+        except (ModbusRefusal, Rh56FrameError) as error:
+            raise HandshakeError(
+                self.spec.name, "an RH56", f"another device ({error})", hint="check the address"
+            ) from error
+        best = self._best_rate(link)
+        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
+        every = self.spec.every or math.ceil(self.spec.rate / best)
+        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        self.capabilities = replace(
+            self.capabilities,
+            best_rate=best,
+            identity={
+                "model": f"Inspire RH56{options.model.upper()}",
+                "address": f"unit {options.unit}",
+                "protocol": "Modbus" if options.modbus else "frames",
+                "reading": "one exchange" if self._block else "two exchanges",
+            },
+        )
+
+    async def _open(self) -> Rh56Link:
+        options, owner = self.options, self.connection.owner
+        emulator = emulator_of(self.spec, "inspire_rh56")
+        rate = options.baudrate
+        if options.modbus:
+            await self._pause()
+            return await self.connection.open(
+                self.buses.modbus(
+                    options.port, owner=owner, baudrate=rate, behind=_BEHIND, emulator=emulator
+                ),
+                lambda bus: ModbusLink(bus, options.unit, 0.0, options.retries),
+            )
+        return await self.connection.open(
+            self.buses.serial(options.port, owner=owner, baudrate=rate, emulator=emulator),
+            lambda bus: FrameLink(bus, options.unit, 0.0, options.retries),
+        )
+
+    async def _pause(self) -> None:
+        """Leave a hand on the network the time it needs between two connections."""
+        if self.options.port.startswith("tcp://") and not self.spec.emulated:
+            await self.connection.close()
+            await asyncio.sleep(max(0.0, self._closed + _PAUSE - time.monotonic()))
+
+    async def _identify(self, link: Rh56Link) -> None:
+        """Read what the hand measures, and find out whether one exchange is enough for it."""
+        self._block = False
+        await self._read(link)
+        if self.options.reading == "separate":
+            return
+        self._block = True
+        try:
+            await self._read(link)
+        except (BusError, Rh56FrameError):
+            if self.options.reading == "block":
+                raise
+            # The bytes between the two tables have no meaning, and a hand may refuse them.
+            self._block = False
+
+    def _best_rate(self, link: Rh56Link) -> float:
+        sizes = (BLOCK,) if self._block else (WORDS, REPORT)
+        turnaround = self.options.turnaround
+        reading = sum(link.read_time(size, turnaround) for size in sizes)
+        once = reading + link.write_time(WORDS, turnaround)
+        # Without a turnaround a network gives no bound; a millisecond is less than any hand takes.
+        return 1.0 / max(once, 1e-3)
+
+    async def activate(self) -> None:
+        """Take the hand over as it is: its motors are always on, and keep their set-points."""
+        link = self.connection.link
+        with link.unhurried():
+            self._check(await self._read(link))
+            await self._read_back(link)
+        self._attached.begin(range(len(self._motors)))
+
+    async def examine(self) -> str:
+        """Raise the fault that the hand reports."""
+        link = self.connection.link
+        with link.unhurried():
+            self._check(await self._read(link))
+        return ""
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def _read(self, link: Rh56Link) -> Report:
+        """Return what the hand measures; raises `BusError` and `Rh56FrameError`."""
+        if self._block:
+            data = await link.read(Register.ANGLE, BLOCK)
+            return Report.from_bytes(data[:WORDS], data[-REPORT:])
+        angles = await link.read(Register.ANGLE, WORDS)
+        return Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
+
+    async def _measured(self) -> Report:
+        """Return what the hand measures; raises `BusError`."""
+        try:
+            return await self._read(self.connection.link)
+        except Rh56FrameError as error:
+            raise FrameError(self.options.port, str(error)) from error
+
+    async def sense(self) -> ActuatorState:
+        """Return what the hand measures."""
+        self._count += 1
+        if self._count % self.options.check_every == 0:
+            await self._read_back(self.connection.link)
+        report = await self._measured()
+        stamp = time.monotonic()
+        self._check(report)
+        both = tuple(zip(self._motors, self._scales, strict=True))
+        position = [scale.angle(report.angles[motor]) for motor, scale in both]
+        self._here = np.array(position)
+        return ActuatorState.measured(
+            position,
+            stamp,
+            effort=[scale.effort(report.forces[m] - self._zeros[m]) for m, scale in both],
+            current=[report.currents_ma[motor] * 1e-3 for motor in self._motors],
+            temperature=[float(report.temperatures[motor]) for motor in self._motors],
+            grasped=tuple(_WORDS.get(report.states[motor]) for motor in self._motors),
+        )
+
+    def _check(self, report: Report) -> None:
+        """Raise the fault that a report tells of."""
+        faulty = {FINGERS[m]: report.errors[m] for m in self._motors if report.errors[m]}
+        if not faulty:
+            return
+        names = [
+            f"{finger}: {name}"
+            for finger, bits in faulty.items()
+            for bit, name in ERRORS.items()
+            if bits & bit
+        ]
+        together = Error(0)
+        for bits in faulty.values():
+            together |= bits
+        hint = "free the finger, then `rtee recover`"
+        if together & Error.TOO_HOT:
+            hint = "let it cool down, then `rtee recover`; nothing else clears it"
+        raise DeviceFault(self.spec.name, int(together), "; ".join(names), hint=hint)
+
+    async def _read_back(self, link: Rh56Link) -> None:
+        """Read the hand's set-points: those that are not as they were sent are sent again."""
+        try:
+            data = await link.read(Register.ANGLE_SET, SET_POINTS)
+        except ModbusRefusal:
+            return  # a hand that does not tell them keeps them, or so one has to hope
+        angles, forces = words(data[:WORDS]), words(data[WORDS : 2 * WORDS])
+        self._forces, self._speeds = list(forces), list(words(data[-WORDS:]))
+        pairs = zip(self._angles, angles, strict=True)
+        self._angles = [sent if here in (sent, KEEP) else KEEP for sent, here in pairs]
+
+    async def move(self, reference: Reference) -> None:
+        """Write force limits and speeds that have changed, then the angles."""
+        left = self._attached.left(reference, self._here) if self._attached else ()
+        most = self.options.most
+        forces = list(self._forces or (most,) * COUNT)
+        speeds = list(self._speeds or (most,) * COUNT)
+        angles = [KEEP] * COUNT
+        asked = reference.mask.tolist()
+        for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
+            if not asked[i] or i in left:
+                continue
+            forces[motor] = scale.limit(float(reference.max_effort[i]))
+            speeds[motor] = scale.speed(float(reference.max_velocity[i]))
+            angles[motor] = scale.position.to_count(float(reference.position[i]))
+        if all(angle == KEEP for angle in angles):
+            return
+        try:
+            await self._set(forces, speeds, angles)
+        except (WriteRefused, ModbusRefusal) as error:
+            raise CommandRejected(self.spec.name, error.message) from error
+
+    async def _set(
+        self, forces: Sequence[int], speeds: Sequence[int], angles: Sequence[int]
+    ) -> None:
+        """Write the tables that differ from what the hand has."""
+        link = self.connection.link
+        # What was sent counts as unknown until the hand has said that it has it.
+        if forces != self._forces:
+            self._forces = None
+            await link.write(Register.FORCE_SET, table(forces))
+            self._forces = list(forces)
+        if speeds != self._speeds:
+            self._speeds = None
+            await link.write(Register.SPEED_SET, table(speeds))
+            self._speeds = list(speeds)
+        changed = [
+            KEEP if new == sent else new for new, sent in zip(angles, self._angles, strict=True)
+        ]
+        if any(angle != KEEP for angle in changed):
+            wanted = [
+                sent if new == KEEP else new for new, sent in zip(angles, self._angles, strict=True)
+            ]
+            self._angles = [KEEP] * COUNT
+            await link.write(Register.ANGLE_SET, table(changed))
+            self._angles = wanted
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            self._attached.begin()
+            link = self.connection.link
+            with link.unhurried():
+                report = await patiently(self._measured)
+                await patiently(lambda: self._hold(report, self._motors))
+
+    async def _hold(self, report: Report, motors: Sequence[int]) -> None:
+        """Make the measured angles of some motors their set-points."""
+        here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(report.angles)]
+        self._angles = [KEEP] * COUNT
+        await self.connection.link.write(Register.ANGLE_SET, table(here))
+
+    async def recover(self) -> None:
+        """Clear the errors; motors that had one keep the pose they are in."""
+        link = self.connection.link
+        with link.unhurried():
+            report = await self._measured()
+            faulty = [m for m in self._motors if report.errors[m]]
+            if faulty:
+                # No source says whether a motor goes on to its old set-point once it is cleared.
+                with contextlib.suppress(WriteRefused):
+                    await self._hold(report, faulty)
+                await link.write(Register.CLEAR_ERROR, b"\x01")
+                report = await self._cleared()
+                self._check(report)
+                await self._hold(report, faulty)
+        self._attached.begin(range(len(self._motors)))
+
+    async def _cleared(self) -> Report:
+        """Return what the hand reports once its errors are gone, or the time for that is over."""
+        end = time.monotonic() + _CLEARING
+        while True:
+            report = await self._measured()
+            if not any(report.errors[m] for m in self._motors) or time.monotonic() > end:
+                return report
+            await asyncio.sleep(0.01)
+
+    async def close(self) -> None:
+        """Detach from the bus; the hand keeps its set-points."""
+        if self.connection.is_open:
+            self._closed = time.monotonic()
+        await super().close()
+
+    # --- calibration -------------------------------------------------------------------------
+
+    async def calibrate(
+        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
+    ) -> ForceZeros:
+        """Let the hand calibrate its force sensors, open and untouched; store what they then tell.
+
+        Args:
+            path: File to write.
+            rest: The rest posture, which the hand goes to first [rad].
+            ready: Called with an instruction for the user; returns when the user has followed it.
+
+        Raises:
+            BusError: if the line fails.
+            CalibrationError: if the sensors tell a force although nothing touches the hand.
+            ConfigError: if the file cannot be written.
+            DeviceFault: if the hand reports a fault.
+        """
+        self._check(await patiently(self._measured))
+        await ready("Take everything out of the hand's reach and do not touch it: it will open.")
+        angles = [KEEP] * COUNT
+        for motor, scale, position in zip(self._motors, self._scales, rest.tolist(), strict=True):
+            angles[motor] = scale.position.to_count(position)
+        with self.connection.link.unhurried():
+            return await calibrate(
+                self.connection.link,
+                self._measured,
+                self.spec.name,
+                self.options.unit,
+                angles,
+                path,
+            )

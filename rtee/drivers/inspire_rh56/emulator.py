@@ -1,0 +1,166 @@
+"""Emulates an RH56 on the wire: its own frames, Modbus RTU or Modbus TCP.
+
+What differs between hands, or is not known, is a property here: whether registers without meaning
+can be read, and how long things take. A frame with a wrong checksum is met with silence.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
+
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
+from rtee.drivers.axis import VirtualObject
+from rtee.drivers.inspire_rh56 import codec
+from rtee.drivers.inspire_rh56.codec import (
+    OPEN,
+    Command,
+    Frame,
+    Register,
+    ReplyParser,
+    RequestParser,
+)
+from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
+from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.properties import read_properties
+
+_TURNS = 5  # the motor that turns the thumb, which closes on nothing
+_REFUSED = b"\x00"
+"""Data of a reply to a write that is refused; sources know only that it is not 1."""
+
+
+class InspireRh56Emulator(ModbusEmulator, Grasps):
+    """The hand.
+
+    Args:
+        properties: Its properties.
+        framing: Of Modbus; ``None``: its own frames.
+        baudrate: Rate that its line is set to [baud].
+
+    Attributes:
+        memory: Its registers and motors.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | FAULTS | {"silent"}
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
+    EXCEPTIONS: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        properties: Rh56Properties | None = None,
+        framing: Framing | None = None,
+        *,
+        baudrate: int = codec.BAUDRATES[0],
+    ) -> None:
+        made = properties or Rh56Properties()
+        super().__init__(made.unit, framing or "rtu", baudrate=baudrate)
+        self.turnaround = max(self.turnaround, made.turnaround)
+        self.memory = Memory(made)
+        self._frames = RequestParser() if framing is None else None
+        self._now: float | None = None
+        self._before = b"\0\0"
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        names = ("unit", "model", "travel_time", "turnaround")
+        fitting = {name: options[name] for name in names if name in options}
+        framing: Framing | None = None
+        if str(options.get("port", "")).startswith("tcp://"):
+            framing = "tcp"
+        elif options.get("protocol") == "modbus":
+            framing = "rtu"
+        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
+        return cls(read_properties(Rh56Properties, options, **fitting), framing, baudrate=rate)
+
+    @property
+    def axes(self) -> Sequence[Any]:
+        """Its motors."""
+        return self.memory.axes
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the motors of fingers and thumb close."""
+        most = float(self.memory.properties.most)
+        return [Closing(axis, float(OPEN), 0.0, most) for axis in self.memory.axes[:_TURNS]]
+
+    def grip_object(self, closure: float = 0.5, stiffness: float = 50.0) -> None:
+        """Put an object between the fingers, met at a closure; stiffness in grams per count."""
+        for closing in self.closings():
+            closing.motor.obstacle = VirtualObject((1.0 - closure) * OPEN, stiffness, -1.0)
+
+    def power_cycle(self, now: float) -> None:
+        """Restart; the fingers stay where they are."""
+        self.advance(now)
+        self.line_reset()
+        self.memory.power_cycle()
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete request."""
+        super().line_reset()
+        self._before = b"\0\0"  # a new connection counts from the beginning
+        if self._frames is not None:
+            self._frames.reset()
+
+    def on_faults(self) -> None:
+        """Give the faults to the motors."""
+        self.memory.set_faults(self.faults)
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        if self._now is not None:
+            self.memory.advance(max(0.0, now - self._now))
+        self._now = now
+
+    # --- frames ------------------------------------------------------------------------------
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Receive bytes and return the replies."""
+        self.advance(now)
+        if "silent" in self.faults:
+            return []
+        if self._frames is None:
+            return [self._numbered(answer) for answer in super().feed(data, now)]
+        replies = []
+        for frame in self._frames.feed(data):
+            if frame.hand == self.memory.properties.unit:
+                answer = self._answer(frame)
+                if answer is not None:
+                    reply = Frame(frame.hand, frame.command, frame.address, answer)
+                    replies.append(reply.to_bytes(ReplyParser.HEADER))
+        return replies
+
+    def _answer(self, frame: Frame) -> bytes | None:
+        if frame.command == Command.READ and len(frame.data) == 1:
+            return self._registers(frame.address, frame.data[0])
+        if frame.command == Command.WRITE:
+            return b"\x01" if self.memory.write(frame.address, frame.data) else _REFUSED
+        return None
+
+    def _registers(self, address: int, size: int) -> bytes | None:
+        data = self.memory.read(address, size)
+        if data is not None and "wrong_device" in self.faults:
+            # Another device's registers: states and errors that no RH56 has.
+            return b"\xee" * size if address >= Register.ANGLE else data
+        return data
+
+    def _numbered(self, answer: bytes) -> bytes:
+        """Return an answer with the number of the transaction before, where this hand does that."""
+        if not self.memory.properties.behind or self.framing != "tcp":
+            return answer
+        before, self._before = self._before, answer[:2]
+        return before + answer[2:]
+
+    # --- Modbus ------------------------------------------------------------------------------
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return registers, two bytes each."""
+        data = self._registers(address, 2 * count)
+        if data is None:
+            raise Refused(ILLEGAL_ADDRESS)
+        return struct.unpack(f"<{count}H", data)
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Set registers, two bytes each."""
+        if not self.memory.write(address, struct.pack(f"<{len(values)}H", *values)):
+            raise Refused(ILLEGAL_VALUE)

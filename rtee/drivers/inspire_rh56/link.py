@@ -1,0 +1,168 @@
+"""Reads and writes the registers of an RH56: by its own frames, or over Modbus."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+from rtee.buses.modbus import ModbusBus
+from rtee.buses.serial import SerialBus
+from rtee.buses.timing import wire_time
+from rtee.drivers.inspire_rh56.codec import (
+    OVERHEAD,
+    Command,
+    Frame,
+    ReplyParser,
+    RequestParser,
+)
+from rtee.errors import BusError
+
+PATIENCE = 0.5
+"""Longest time for an exchange that belongs to no cycle [s]."""
+
+
+class WriteRefused(BusError):
+    """The hand did not accept what was written to it."""
+
+    def __init__(self, bus: str, address: int, answer: int) -> None:
+        super().__init__(bus, f"the hand refused a write to register {address} ({answer:#04x})")
+
+
+class Rh56Link(ABC):
+    """Talks to one hand; several may share a line.
+
+    Attributes:
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+    """
+
+    def __init__(self, deadline: float, retries: int) -> None:
+        self.deadline = deadline
+        self.retries = retries
+
+    @contextlib.contextmanager
+    def unhurried(self) -> Iterator[None]:
+        """Allow exchanges outside the cycle the time they may need on a busy computer."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
+
+    @abstractmethod
+    async def read(self, address: int, size: int) -> bytes:
+        """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
+
+    @abstractmethod
+    async def write(self, address: int, data: bytes) -> None:
+        """Set registers from ``address`` on.
+
+        Raises:
+            WriteRefused: if the hand did not accept it.
+            BusError: if the exchange failed.
+        """
+
+    @abstractmethod
+    def read_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to read so many bytes of registers [s].
+
+        Args:
+            size: Their number.
+            turnaround: What the hand needs before it answers [s].
+        """
+
+    @abstractmethod
+    def write_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to write so many; arguments as for `read_time`."""
+
+
+class FrameLink(Rh56Link):
+    """The hand's own frames on a serial line.
+
+    Args:
+        bus: The line.
+        hand: The hand's number on it.
+        deadline: Longest time for one exchange, retries included [s].
+        retries: How often a request is sent again within that time.
+    """
+
+    def __init__(self, bus: SerialBus, hand: int, deadline: float, retries: int) -> None:
+        super().__init__(deadline, retries)
+        self._bus = bus
+        self._hand = hand
+        self._parser = ReplyParser()
+
+    async def read(self, address: int, size: int) -> bytes:
+        """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
+        return await self._ask(Command.READ, address, bytes([size]), size)
+
+    async def write(self, address: int, data: bytes) -> None:
+        """Set registers from ``address`` on; raises `WriteRefused` and `BusError`."""
+        answer = await self._ask(Command.WRITE, address, data, 1)
+        if answer != b"\x01":
+            raise WriteRefused(self._bus.name, address, answer[0])
+
+    async def _ask(self, command: Command, address: int, data: bytes, size: int) -> bytes:
+        def answers(reply: Frame) -> bool:
+            wanted = (self._hand, command, address, size)
+            return (reply.hand, reply.command, reply.address, len(reply.data)) == wanted
+
+        request = Frame(self._hand, command, address, data).to_bytes(RequestParser.HEADER)
+        reply: Frame = await self._bus.transact(
+            request,
+            self._parser,
+            self.deadline,
+            self.retries,
+            accept=answers,
+            whom=f"unit {self._hand}",
+        )
+        return reply.data
+
+    def read_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to read so many bytes of registers [s]."""
+        # Two frames: the request has one byte of data, the number.
+        count = 2 * OVERHEAD + 1 + size
+        return wire_time(count, self._bus.line.baudrate) + turnaround
+
+    def write_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to write so many bytes of registers [s]."""
+        return self.read_time(size, turnaround)
+
+
+class ModbusLink(Rh56Link):
+    """Modbus RTU or TCP; two bytes make a register, the low one the first of a table.
+
+    Arguments are those of `FrameLink`; the hand's number is its Modbus number.
+    """
+
+    def __init__(self, bus: ModbusBus, hand: int, deadline: float, retries: int) -> None:
+        super().__init__(deadline, retries)
+        self._bus = bus
+        self._unit = hand
+
+    async def read(self, address: int, size: int) -> bytes:
+        """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
+        count = (size + 1) // 2
+        values = await self._bus.read(
+            self._unit, address, count, deadline=self.deadline, retries=self.retries
+        )
+        return struct.pack(f"<{count}H", *values)[:size]
+
+    async def write(self, address: int, data: bytes) -> None:
+        """Set registers from ``address`` on; raises `BusError`."""
+        padded = data + bytes(len(data) % 2)
+        values = struct.unpack(f"<{len(padded) // 2}H", padded)
+        await self._bus.write(
+            self._unit, address, values, deadline=self.deadline, retries=self.retries
+        )
+
+    def read_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to read so many bytes of registers [s]."""
+        # The PDUs: function, address and number; function, length and registers.
+        return self._bus.exchange_time(5, 2 + size, turnaround=turnaround)
+
+    def write_time(self, size: int, turnaround: float) -> float:
+        """Return the shortest time to write so many bytes of registers [s]."""
+        return self._bus.exchange_time(6 + size, 5, turnaround=turnaround)

@@ -1,0 +1,270 @@
+"""The registers and motors of an emulated RH56, without the wire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rtee.drivers.axis import Axis
+from rtee.drivers.inspire_rh56.codec import (
+    BAUDRATES,
+    COUNT,
+    KEEP,
+    MOST,
+    MOST_TACTILE,
+    OPEN,
+    WORDS,
+    Error,
+    Register,
+    Report,
+    State,
+    table,
+    words,
+)
+from rtee.drivers.inspire_rh56.options import TURNAROUND
+from rtee.drivers.properties import Byte, Duration, Positive
+
+FIRST, LAST = Register.HAND_ID, Register.TEMPERATURE + COUNT
+_BLOCK_FAULTS = {
+    "locked_rotor": Error.LOCKED,
+    "too_hot": Error.TOO_HOT,
+    "over_current": Error.CURRENT,
+    "abnormal": Error.ABNORMAL,
+    "no_motor": Error.COMMUNICATION,
+}
+FAULTS = frozenset(_BLOCK_FAULTS)
+"""Faults of the index finger that can be injected."""
+
+_INDEX = 3
+_STALL_MA = 900.0
+"""Current of a motor that exerts the largest force [mA]; no source gives it."""
+_RUNNING_MA = 150.0
+"""Current of a motor that moves freely [mA]; likewise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rh56Properties:
+    """Properties of the emulated hand.
+
+    Attributes:
+        unit: Its number.
+        model: With tactile sensors (``dftp``) its force limits go up to 3000 g.
+        unknown: Whether it tells registers that have no meaning as 0, or refuses to.
+        behind: Over Modbus TCP, answers carry the number of the transaction before.
+        travel_time: Time for the whole way at speed 1000 [s].
+        force_bias: What its force sensors tell of an idle hand until they are calibrated [g].
+        calibration_time: Of its force calibration [s].
+        turnaround: Time between a request and its answer [s].
+        haste: How much faster it calibrates and moves than a real one.
+    """
+
+    unit: Byte = 1
+    model: Literal["dfx", "dfq", "bfx", "dftp"] = "dfx"
+    unknown: Literal["zeros", "refused"] = "zeros"
+    behind: bool = False
+    travel_time: Positive = 0.3
+    force_bias: tuple[int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0)
+    calibration_time: Duration = 6.0
+    turnaround: Duration = TURNAROUND
+    haste: Positive = 1.0
+
+    @property
+    def most(self) -> int:
+        """Largest force limit [g]."""
+        return MOST_TACTILE if self.model == "dftp" else MOST
+
+
+class Memory:
+    """The registers, and the six motors behind them.
+
+    Attributes:
+        properties: Its properties.
+        axes: The motors, in counts of their angles and in grams.
+        moves: Set-points of angles taken.
+        begun: Force limits in force when the last motion began [g].
+        errors: Error bits of the motors.
+    """
+
+    def __init__(self, properties: Rh56Properties) -> None:
+        self.properties = properties
+        fastest = OPEN / properties.travel_time * properties.haste
+        self.axes = [
+            Axis(
+                float(OPEN),
+                lower=0.0,
+                upper=float(OPEN),
+                max_velocity=fastest,
+                max_effort=float(properties.most),
+                resolution=0.5,
+            )
+            for _ in range(COUNT)
+        ]
+        for axis in self.axes:
+            # Spindles: an object that was squeezed does not push a finger back.
+            axis.self_locking = axis.enabled = True
+        self.moves = 0
+        self.begun = [properties.most] * COUNT
+        self.errors = [Error(0)] * COUNT
+        self._fastest = fastest
+        self._faults: frozenset[str] = frozenset()
+        self._bytes = bytearray(LAST - FIRST)
+        self._bias = list(properties.force_bias)
+        self._calibrating = 0.0
+        self._put(Register.HAND_ID, bytes([properties.unit]))
+        self._put(Register.CURRENT_LIMIT, table([1500] * COUNT))
+        self._put(Register.INITIAL_SPEED, table([MOST] * COUNT))
+        self._put(Register.INITIAL_FORCE, table([properties.most] * COUNT))
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Take the initial speeds and force limits; fingers stay, for nothing moves them."""
+        self.errors = [Error(0)] * COUNT
+        self._put(Register.SPEED_SET, self._get(Register.INITIAL_SPEED, WORDS))
+        self._put(Register.FORCE_SET, self._get(Register.INITIAL_FORCE, WORDS))
+        for axis in self.axes:
+            axis.target = axis.position
+        here = table([round(axis.position) for axis in self.axes])
+        self._put(Register.ANGLE_SET, here)
+        self._limit()
+
+    def set_faults(self, faults: set[str]) -> None:
+        """Take the faults that are injected at present; errors stay until they are cleared."""
+        self._faults = frozenset(faults & FAULTS)
+        for axis in self.axes:
+            axis.stuck = "stuck" in faults
+        self._latch()
+
+    def _latch(self) -> None:
+        for fault in self._faults:
+            self.errors[_INDEX] |= _BLOCK_FAULTS[fault]
+        if "too_hot" not in self._faults:
+            # The only error that goes with its cause, and not when it is cleared.
+            self.errors[_INDEX] &= ~Error.TOO_HOT
+        for axis, errors in zip(self.axes, self.errors, strict=True):
+            axis.enabled = not errors
+            if errors:
+                axis.target = axis.position
+
+    def advance(self, dt: float) -> None:
+        """Let ``dt`` seconds pass."""
+        for axis in self.axes:
+            axis.advance(dt)
+        if self._calibrating > 0.0:
+            self._calibrating -= dt * self.properties.haste
+            if self._calibrating <= 0.0:
+                self._bias = [0] * COUNT
+
+    # --- registers -------------------------------------------------------------------------------
+
+    def _put(self, address: int, data: bytes) -> None:
+        self._bytes[address - FIRST : address - FIRST + len(data)] = data
+
+    def _get(self, address: int, size: int) -> bytes:
+        return bytes(self._bytes[address - FIRST : address - FIRST + size])
+
+    def read(self, address: int, size: int) -> bytes | None:
+        """Return registers, or ``None`` where it refuses."""
+        hole = range(Register.ANGLE + WORDS, Register.FORCE)
+        known = address >= FIRST and address + size <= LAST
+        if self.properties.unknown == "refused" and (
+            not known or (address < hole.stop and address + size > hole.start)
+        ):
+            return None
+        if not known:
+            return bytes(size)
+        report = self.report()
+        self._put(Register.ANGLE, report.to_bytes())
+        stroke = [round((OPEN - angle) * 2) for angle in report.angles]  # 0 to 2000, closed
+        self._put(Register.STROKE, table(stroke))
+        return self._get(address, size)
+
+    def report(self) -> Report:
+        """Return what it measures."""
+        return Report(
+            tuple(round(axis.position) for axis in self.axes),
+            tuple(round(self._force(i)) for i in range(COUNT)),
+            tuple(round(self._current(axis)) for axis in self.axes),
+            tuple(self.errors),
+            tuple(self._state(i) for i in range(COUNT)),
+            tuple(round(axis.temperature) for axis in self.axes),
+        )
+
+    def _force(self, i: int) -> float:
+        # The sensors feel what a finger touches, not what holds it up inside.
+        axis = self.axes[i]
+        felt = -axis.effort if axis.obstacle is not None and axis.velocity == 0.0 else 0.0
+        return felt + self._bias[i]
+
+    def _current(self, axis: Axis) -> float:
+        if axis.velocity != 0.0:
+            return _RUNNING_MA
+        return _STALL_MA * abs(axis.effort) / self.properties.most if axis.blocked else 0.0
+
+    def _state(self, i: int) -> State:
+        axis, errors = self.axes[i], self.errors[i]
+        if errors:
+            if errors & Error.LOCKED:
+                return State.LOCKED
+            return State.CURRENT_PROTECTION if errors & Error.CURRENT else State.FAULT
+        if axis.blocked and axis.obstacle is not None and abs(axis.effort) >= axis.max_effort:
+            return State.AT_FORCE
+        if axis.position == axis.target:
+            return State.AT_TARGET
+        return State.CLOSING if axis.target < axis.position else State.OPENING
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Set registers and act on them; return whether it accepted that."""
+        settable = {
+            Register.CURRENT_LIMIT,
+            Register.INITIAL_SPEED,
+            Register.INITIAL_FORCE,
+            Register.ANGLE_SET,
+            Register.FORCE_SET,
+            Register.SPEED_SET,
+        }
+        if address in settable:
+            return len(data) == WORDS and self._table(Register(address), words(data))
+        flag = data[:1] == b"\x01"
+        if address == Register.CLEAR_ERROR and flag:
+            self.errors = [error & Error.TOO_HOT for error in self.errors]
+            self._latch()
+        elif address == Register.FORCE_CALIBRATION and flag:
+            self._calibrating = self.properties.calibration_time
+        elif address in (Register.HAND_ID, Register.BAUD) and data[0] < 255:
+            if address == Register.BAUD and data[0] >= len(BAUDRATES):
+                return False
+            self._put(address, data[:1])
+        else:
+            return address in (Register.SAVE, Register.RESET)
+        return True
+
+    def _table(self, register: Register, values: tuple[int, ...]) -> bool:
+        most = self.properties.most if "FORCE" in register.name else MOST
+        least = 0
+        if register is Register.ANGLE_SET:
+            # An example frame of the manual writes 2000, so it is taken for as open as can be.
+            least, most = KEEP, 2 * OPEN
+        if register is not Register.CURRENT_LIMIT and not all(least <= v <= most for v in values):
+            return False
+        before = words(self._get(register, WORDS))
+        kept = [b if v == KEEP else v for v, b in zip(values, before, strict=True)]
+        self._put(register, table(kept))
+        if register is Register.ANGLE_SET:
+            self._aim(values)
+        self._limit()
+        return True
+
+    def _aim(self, values: tuple[int, ...]) -> None:
+        if any(value != KEEP for value in values):
+            self.moves += 1
+            self.begun = list(words(self._get(Register.FORCE_SET, WORDS)))
+        for axis, value in zip(self.axes, values, strict=True):
+            if value != KEEP and axis.enabled:
+                axis.target = float(min(value, OPEN))
+
+    def _limit(self) -> None:
+        forces = words(self._get(Register.FORCE_SET, WORDS))
+        speeds = words(self._get(Register.SPEED_SET, WORDS))
+        for axis, force, speed in zip(self.axes, forces, speeds, strict=True):
+            axis.max_effort = float(force)
+            axis.max_velocity = self._fastest * speed / MOST

@@ -1,0 +1,156 @@
+"""Options of an RH56, and which motor drives which actuator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE
+from rtee.drivers.inspire_rh56.scales import FORCES, Force, Scale
+from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.wiring import check_names, numbers_of
+from rtee.errors import ConfigError
+from rtee.types import DeviceSpec
+
+Finger = Literal["little", "ring", "middle", "index", "thumb_bend", "thumb_rotate"]
+
+TURNAROUND = 0.0035
+"""Time from a request to its answer beyond the wire's [s]: published exchanges of 29 bytes at
+115,200 baud took 6 ms."""
+
+_ROTATES = ("yaw", "rot", "oppos", "abduct")
+"""Parts of names by which the motor that turns the thumb is recognised."""
+
+
+class ForceOptions(BaseModel):
+    """What is known better of one finger's force than its line by default.
+
+    Attributes:
+        newton_per_gram: Slope of the force by what the hand calls grams [N/g].
+        offset: Force at 0 g [N].
+        arm: Effort of the actuator by force at the fingertip [N·m/N].
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    newton_per_gram: Positive | None = None
+    offset: float | None = None
+    arm: Positive | None = None
+
+
+class InspireRh56Options(DeviceOptions):
+    """Options of an RH56."""
+
+    port: str = Field(
+        "/dev/ttyUSB0",
+        description="tty, socket:// or rfc2217:// (serial), or tcp://host:6000 (Modbus TCP)",
+    )
+    protocol: Literal["frames", "modbus"] = Field(
+        "frames", description="on a serial line: the hand's own frames, or Modbus RTU"
+    )
+    unit: Annotated[int, Field(ge=1, le=254)] = Field(
+        1, description="number of the hand, also its Modbus number"
+    )
+    baudrate: Literal[115_200, 57_600, 19_200, 921_600] = 115_200
+    model: Literal["dfx", "dfq", "bfx", "dftp"] = Field(
+        "dfx", description="`dftp` has tactile sensors and force limits up to 3000 g, not 1000"
+    )
+    fingers: dict[str, Finger] = Field(
+        default_factory=dict,
+        description="the motor that drives each actuator; by default by its name",
+    )
+    reverse: frozenset[Finger] = Field(
+        frozenset(), description="motors whose counts rise with the actuator's position"
+    )
+    forces: dict[Finger, ForceOptions] = Field(
+        default_factory=dict, description="what a finger's grams are worth, where it is known"
+    )
+    travel_time: Positive = Field(
+        0.3, description="time for the whole way at speed 1000 [s]; published: 0.18 to 0.30"
+    )
+    calibration: Path | None = Field(
+        None, description="file of a calibration (`rtee calibrate`): the forces of an idle hand"
+    )
+    reading: Literal["auto", "block", "separate"] = Field(
+        "auto", description="angles and the rest in one exchange, or in two; `auto` tries"
+    )
+    check_every: Annotated[int, Field(ge=1)] = Field(
+        50, description="set-points are read back every so many exchanges"
+    )
+    retries: Annotated[int, Field(ge=0, le=10)] = 1
+    turnaround: Annotated[float, Field(ge=0.0)] = Field(
+        TURNAROUND, description="time per answer that the bytes do not explain [s]"
+    )
+
+    @property
+    def modbus(self) -> bool:
+        """Whether it is talked to by Modbus."""
+        return self.protocol == "modbus" or self.port.startswith("tcp://")
+
+    @property
+    def most(self) -> int:
+        """Largest force limit [g]."""
+        return MOST_TACTILE if self.model == "dftp" else MOST
+
+
+def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
+    """Return the motor of each actuator, by its place in `FINGERS`.
+
+    Raises:
+        ConfigError: if an actuator has none, or two have the same.
+    """
+    if options.fingers:
+        check_names(spec, "fingers", options.fingers)
+    named = {a.name: options.fingers.get(a.name) or _finger_of(a.name) for a in spec.actuators}
+    found = {name: FINGERS.index(finger) for name, finger in named.items() if finger}
+    return tuple(numbers_of(spec, "fingers", found, "motor"))
+
+
+def _finger_of(name: str) -> str:
+    """Return the motor that an actuator's name speaks of; empty if it speaks of none."""
+    lowered = name.lower()
+    if "thumb" in lowered:
+        turns = any(word in lowered for word in _ROTATES)
+        return "thumb_rotate" if turns else "thumb_bend"
+    if "pinky" in lowered:
+        return "little"
+    return next((finger for finger in FINGERS[:4] if finger in lowered), "")
+
+
+def scales_of(
+    spec: DeviceSpec, options: InspireRh56Options, motors: tuple[int, ...]
+) -> tuple[Scale, ...]:
+    """Return the scale of each actuator.
+
+    Raises:
+        ConfigError: if an actuator has no limits.
+    """
+    found = []
+    for actuator, motor in zip(spec.actuators, motors, strict=True):
+        if not actuator.upper - actuator.lower < float("inf"):
+            raise ConfigError(f"device '{spec.name}': actuator '{actuator.name}' has no limits")
+        finger = FINGERS[motor]
+        given = options.forces.get(finger)  # type: ignore[call-overload]
+        usual = FORCES[finger]
+        force = usual if given is None else _replaced(usual, given)
+        found.append(
+            Scale(
+                actuator.lower,
+                actuator.upper,
+                force,
+                most=options.most,
+                travel_time=options.travel_time,
+                reverse=finger in options.reverse,
+            )
+        )
+    return tuple(found)
+
+
+def _replaced(usual: Force, given: ForceOptions) -> Force:
+    return Force(
+        usual.newton_per_gram if given.newton_per_gram is None else given.newton_per_gram,
+        usual.offset if given.offset is None else given.offset,
+        usual.arm if given.arm is None else given.arm,
+    )
