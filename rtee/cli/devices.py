@@ -66,6 +66,9 @@ def doctor(
             metavar="DIR", help="Only write the files for a robot PC: udev rule, limits, service."
         ),
     ] = None,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Also check the ROS 2 graph: who does not hear whom.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and a hand's devices; each line is ok, or says what to type."""
@@ -91,6 +94,8 @@ def doctor(
             found["computer"] += _service(hand)
             if certificates := check_certificates(hand):
                 found["network"] = certificates
+        if ros2:
+            found["ROS 2"] = await _graph(hand)
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):
@@ -118,6 +123,23 @@ def _service(hand: str) -> list[Check]:
         return check_service(Needs.of(prepare(hand, RunOptions(driver="devices")), {}))
     except RteeError:  # the check of the model says what is wrong with it
         return []
+
+
+async def _graph(hand: str | None) -> list[Check]:
+    """Return what was found in the ROS graph, looked at with a hand's settings."""
+    from rtee.errors import RteeError
+    from rtee.hand.config_schema import Ros2Settings
+    from rtee.ros2.diagnosis import check_graph
+    from rtee.run import RunOptions, prepare
+
+    settings, name = Ros2Settings(), None
+    if hand is not None:
+        try:
+            prepared = prepare(hand, RunOptions())
+        except RteeError:  # the check of the model says what is wrong with it
+            return []
+        settings, name = prepared.config.ros2, prepared.hand.name
+    return await check_graph(settings, name)
 
 
 def _print(name: str, checks: list[Check]) -> None:

@@ -158,8 +158,8 @@ def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     results, notes = read_results(folder / FILE_NAME), []
     if results and not read_results(folder / FILE_NAME, fingerprint(folder)):
         notes.append(
-            f"the trials in {FILE_NAME} were made with other files of this hand;"
-            f" `rtee try {folder.name} --all` repeats them"
+            f"the trials in {FILE_NAME} are outdated, made with other files of this hand or by an"
+            f" earlier method; `rtee try {folder.name} --all` repeats them"
         )
     tried = [
         Tried(

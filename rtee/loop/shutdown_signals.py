@@ -77,7 +77,10 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
         if cpus:
             with suppress(ProcessLookupError):  # it may have ended already
                 os.sched_setaffinity(process.pid, cpus)
-        await process.wait()
+        if status := await process.wait():
+            log.warning(
+                "'%s' has ended with status %d; the hand goes on", " ".join(command), status
+            )
     finally:
         if process.returncode is None:
             process.terminate()

@@ -10,7 +10,9 @@ import pytest
 from extract.models import figure_3
 from rtee.actions.library import ActionLibrary
 from rtee.cli.main import main
-from rtee.hand.catalog import find_hand
+from rtee.hand.catalog import find_hand, fingerprint
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.store import write_results
 
 Run = tuple[int, str, str]
 
@@ -140,10 +142,12 @@ def test_report_says_that_trials_are_of_other_files(
 ) -> None:
     folder, report = tmp_path / "robotiq_2f_85", tmp_path / "report.html"
     shutil.copytree(find_hand("robotiq_2f_85"), folder)
+    held = TrialResult(Trial("Grasp", (), "sphere:0.03"), True)
+    write_results(folder / "trials.yaml", fingerprint(folder), [held])
     command = ["extract", folder, "--report", report]
     assert rtee(capsys, monkeypatch, *command)[0] == 0
-    assert "made with other files" not in report.read_text()
+    assert "are outdated, made with" not in report.read_text()
     with (folder / "hand.yaml").open("a") as file:
         file.write("# another one\n")
     assert rtee(capsys, monkeypatch, *command)[0] == 0
-    assert "made with other files of this hand" in report.read_text()
+    assert "are outdated, made with other files of this hand" in report.read_text()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from rtee.actions.types import (
 from rtee.errors import ConfigError
 from rtee.gui.colours import line_colour, line_dash, link_colours, ramp, rgb
 from rtee.gui.history import LONGEST, POINTS, History, nice_range
-from rtee.gui.model import from_info
 from rtee.gui.panels.actions import grouped
 from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
@@ -27,6 +27,7 @@ from rtee.gui.wording import described, said, short_names, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State
+from rtee.remote.model import from_info
 from rtee.remote.planner import info_fields, info_of
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
@@ -249,9 +250,9 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     assert "it slipped &lt;out&gt;" in picture
     assert not tried.outdated
     assert tried_in(file.read_text() + "present: '1'\n").outdated
-    assert line(found["fist", ()], outdated=True) == (
-        "held 1 of 1 object, with other files of this hand"
-    )
+    earlier = re.sub(r"(?m)^method: .*\n", "", file.read_text())
+    assert tried_in(earlier + "present: '0'\n").outdated, "made before methods were numbered"
+    assert line(found["fist", ()], outdated=True) == "held 1 of 1 object, outdated"
     assert tried_in("") == Tried()
     with pytest.raises(ConfigError, match="no results of trials"):
         tried_in("trials: [1]")

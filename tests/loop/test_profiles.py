@@ -182,6 +182,8 @@ STATE = st.tuples(st.floats(-1, 1), st.floats(-1, 1))
 )
 @example(state=(0.0, 0.0), target=3.699998821387686e-13, acceleration=2.0, jerk=5.0)
 @example(state=(0.0, 0.01171875), target=8.9e-12, acceleration=2.0, jerk=221.0)
+@example(state=(5.32e-12, 0.0), target=5.32e-12, acceleration=2.0, jerk=6.0)
+@example(state=(-0.859375, -1.0), target=-1.0, acceleration=29.25, jerk=5.0)
 def test_s_curve_takes_hardly_longer_than_ruckig(
     state: tuple[float, float], target: float, acceleration: float, jerk: float
 ) -> None:
@@ -196,7 +198,10 @@ def test_s_curve_takes_hardly_longer_than_ruckig(
     problem.current_position, problem.current_velocity, problem.current_acceleration = (
         [value] for value in begin
     )
-    problem.target_position, problem.max_velocity = [target], [bounds.velocity]
+    problem.target_position = [target]
+    # Where a motion comes just up to the limit, ruckig takes a rounding error for too fast and goes
+    # a way that takes longer, up to twice as long: it is given a hair more.
+    problem.max_velocity = [bounds.velocity * (1.0 + 1e-9)]
     problem.max_acceleration, problem.max_jerk = [bounds.acceleration], [bounds.jerk]
     trajectory = ruckig.Trajectory(1)
     assume(ruckig.Ruckig(1).calculate(problem, trajectory) == ruckig.Result.Working)
@@ -205,9 +210,11 @@ def test_s_curve_takes_hardly_longer_than_ruckig(
     # From rest it is as fast; else it takes the acceleration away before it stops, which at worst,
     # braking already and just before the target, costs 28 % (found by 80,000 random states).
     factor = 1.0 if begin[1:] == (0.0, 0.0) else 1.3
-    assert motion.duration <= factor * trajectory.duration + 1e-4
-    # Nearer than the end is asked for, ruckig takes up to a millisecond for what counts as reached.
-    if abs(target) >= 1e-9:
+    # Nearer than the end is asked for, ruckig takes up to a millisecond for what counts as reached,
+    # or no time at all.
+    far = abs(target) >= 1e-9
+    assert motion.duration <= factor * trajectory.duration + (1e-4 if far else 1e-3)
+    if far:
         assert motion.duration >= trajectory.duration - 1e-4
 
 

@@ -24,9 +24,12 @@ if TYPE_CHECKING:
 REBOUND = "rebound.test"
 """A foreign name that the browser takes for this computer."""
 
+BALL = ("--object", "sphere:0.03", "--option", "support=floating")
+"""It stays between the fingers when they open, so that each test finds it as the others did."""
+
 DRIVERS = {
     GRIPPER: ("--driver", "kinematic", "--rate", "200"),
-    SQUEEZER: ("--driver", "mujoco", "--object", "sphere:0.03", "--rate", "100", "--no-log"),
+    SQUEEZER: ("--driver", "mujoco", *BALL, "--rate", "100", "--no-log"),
     MANY: ("--driver", "kinematic", "--rate", "100", "--no-log"),
 }
 

@@ -135,7 +135,7 @@ class Window:
 
     def picture(self) -> Picture:
         """Return what the middle of the 3D view shows ``(h, w, 3)``."""
-        area = {"x": 380.0, "y": 260.0, "width": 160.0, "height": 240.0}
+        area = {"x": 380.0, "y": 160.0, "width": 160.0, "height": 340.0}
         data = self.page.screenshot(clip=area)  # type: ignore[arg-type]
         with Image.open(io.BytesIO(data)) as image:
             return np.asarray(image.convert("RGB"), dtype=np.int16)
