@@ -30,6 +30,7 @@ The tree::
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
+        ├── NoRouter               the router of ROS 2 does not answer
         ├── NotReady (TimeoutError)  a device of the hand is not active in time
         ├── LeaseHeld              another client holds the hand
         └── RequestRejected        the hand refused, with its reason
@@ -386,6 +387,10 @@ class RemoteError(RteeError):
 
 class NoHand(RemoteError):
     """No running hand answers on the network."""
+
+
+class NoRouter(RemoteError):
+    """The router of ROS 2 does not answer."""
 
 
 class NotReady(RemoteError, TimeoutError):

@@ -42,6 +42,7 @@ class RunOptions:
         duration: End after this long [s]; ``None``: never by itself.
         trace: Log the bytes of all buses.
         companions: Commands that run beside, and are ended with the hands.
+        ros2: Show all hands as nodes of ROS 2, whatever hand.yaml says.
         config_dirs: Folders to look hands up in, before the usual ones.
     """
 
@@ -57,6 +58,7 @@ class RunOptions:
     duration: float | None = None
     trace: bool = False
     companions: tuple[tuple[str, ...], ...] = ()
+    ros2: bool = False
     config_dirs: tuple[Path, ...] = ()
 
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import importlib.util
 import logging
+import os
 import sys
 import threading
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import anyio
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
-from rtee.errors import ConfigError, LoopError, RteeError
+from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
 from rtee.hand.config_schema import Behaviour, RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
@@ -92,6 +94,9 @@ async def run_hands(
         for warning in hand.warnings():
             log.warning("%s: %s", hand.hand.name, warning)
     _warn_of_profiles(prepared)
+    if serve is not None:
+        companions = (*options.companions, *_in_ros2(names, prepared, options))
+        options = replace(options, companions=companions)
     realtime = _realtime(prepared, options)
     collector = Collector()
     service = Service.of()
@@ -126,6 +131,23 @@ async def run_hands(
             for line in _summary(running):
                 say(line)
     return 0
+
+
+def _in_ros2(
+    names: Sequence[str], prepared: Sequence[PreparedHand], options: RunOptions
+) -> Iterator[tuple[str, ...]]:
+    """Yield the command that shows hands as nodes of ROS 2, if there are some to be shown.
+
+    It is a process of its own, a client of the hands, so that it cannot hold up their loop.
+    """
+    pairs = zip(names, prepared, strict=True)
+    shown = [name for name, one in pairs if options.ros2 or one.config.ros2.enabled]
+    if shown:
+        with needing_extra("ROS 2", "ros2"):
+            if importlib.util.find_spec("xxhash") is None:
+                raise ImportError
+        beside = ("--beside", str(os.getpid()))
+        yield (sys.executable, "-m", "rtee", "ros2", "serve", *shown, *beside)
 
 
 def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:

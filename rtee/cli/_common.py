@@ -130,6 +130,14 @@ OnContactOption = Annotated[
         help="What fingers do when they touch something: stop, hold or squeeze; may be repeated.",
     ),
 ]
+EffortOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="PERCENT%|ACTUATOR=VALUE",
+        help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
+        "[N·m | N]; may be repeated.",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 

@@ -6,11 +6,9 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
-
-from rtee.units import grip_words
 
 if TYPE_CHECKING:
     from rtee.actions.cli_syntax import Efforts
@@ -77,34 +75,6 @@ def _plain(values: Any) -> Any:
     if isinstance(values, (list, tuple)):
         return [_plain(value) for value in values]
     return values
-
-
-def sentence(result: Result, elements: Sequence[str] = ()) -> str:
-    """Return the result of a goal with some elements as a sentence."""
-    why = f": {result.reason}" if result.reason else ""
-    said = [
-        words
-        for true, words in (
-            (result.reached, "reached"),
-            (result.grasped, "grasped" + _by(result.grasped_fingers)),
-            (bool(result.touched) and not result.grasped, "touched" + _by(result.touched)),
-            (result.stalled and not (result.grasped or result.touched), "stalled"),
-            (result.preempted, "pre-empted by another goal"),
-            (result.cancelled, f"cancelled{why}"),
-            (result.timed_out, "timed out"),
-            (result.aborted, f"aborted{why}"),
-        )
-        if true
-    ]
-    how = ", ".join(said) or "ended"
-    name = " ".join((result.action, *elements))
-    if result.opening is not None:
-        how += f" at {grip_words(result)}"
-    return f"{name}: {how} (error {result.error:.3g}, {result.duration:.2f} s)"
-
-
-def _by(fingers: tuple[str, ...]) -> str:
-    return f" by {', '.join(fingers)}" if fingers else ""
 
 
 async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float]:

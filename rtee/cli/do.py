@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 
 from rtee.cli._common import (
     ConnectOption,
+    EffortOption,
     JsonOption,
     OnContactOption,
     RunningOption,
@@ -22,8 +23,9 @@ from rtee.cli._common import (
     complete_action,
     complete_element,
 )
-from rtee.cli._online import effort_limits, result_json, sentence, with_hand
+from rtee.cli._online import effort_limits, result_json, with_hand
 from rtee.errors import RteeError
+from rtee.remote.words import sentence
 from rtee.types import Stage
 
 if TYPE_CHECKING:
@@ -54,14 +56,7 @@ def do(
     intensity: Annotated[
         float, typer.Option(help="0 (rest posture) to 1 (the action's posture).")
     ] = 1.0,
-    effort: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PERCENT%|ACTUATOR=VALUE",
-            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
-            "[N·m | N]; may be repeated.",
-        ),
-    ] = None,
+    effort: EffortOption = None,
     speed: Annotated[float, typer.Option(help="Scale of the velocity limits, up to 1.")] = 1.0,
     tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
     timeout: Annotated[

@@ -13,8 +13,9 @@ from rtee.cli._common import (
     RunningOption,
     WaitOption,
 )
-from rtee.cli._online import result_json, sentence, with_hand
+from rtee.cli._online import result_json, with_hand
 from rtee.cli.do import follow
+from rtee.remote.words import sentence
 
 if TYPE_CHECKING:
     from rtee.remote.client import RemoteHand

@@ -107,6 +107,7 @@ def run(
     ] = None,
     no_log: Annotated[bool, typer.Option("--no-log", help="Write no recordings.")] = False,
     gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
+    ros2: Annotated[bool, typer.Option("--ros2", help="Show the hands as nodes of ROS 2.")] = False,
     duration: Annotated[
         float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
     ] = None,
@@ -145,6 +146,7 @@ def run(
         duration=duration,
         trace=trace,
         companions=_companions(gui, hands),
+        ros2=ros2,
     )
 
     async def main() -> int:

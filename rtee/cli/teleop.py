@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, RunningOption, WaitOption
+from rtee.cli._common import ConnectOption, EffortOption, RunningOption, WaitOption
 from rtee.cli._online import effort_limits, with_hand
 from rtee.errors import ConfigError
 
@@ -41,14 +41,7 @@ def teleop(
         str | None, typer.Option(metavar="PATH", help="The gamepad, such as /dev/input/event5.")
     ] = None,
     rate: Annotated[float, typer.Option(help="Samples per second.")] = 50.0,
-    effort: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PERCENT%|ACTUATOR=VALUE",
-            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
-            "[N·m | N]; may be repeated.",
-        ),
-    ] = None,
+    effort: EffortOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,
@@ -100,14 +93,7 @@ def play(
         Path, typer.Argument(metavar="FILE", help="A recording (.mcap, or its folder), or a .csv.")
     ],
     speed: Annotated[float, typer.Option(help="Scale of time: 2 is twice as fast.")] = 1.0,
-    effort: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PERCENT%|ACTUATOR=VALUE",
-            help="Effort limit: 40% of the limits of all actuators, or of one by name, or a value "
-            "[N·m | N]; may be repeated.",
-        ),
-    ] = None,
+    effort: EffortOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,

@@ -7,6 +7,7 @@ pydantic understands, and nothing here imports it: loops run without it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -334,7 +335,7 @@ class LogSection(Section):
 class SecuritySettings(Section):
     """Who may use the hand on a network."""
 
-    folder: Annotated[Path | None, _Converted()] = None
+    folder: Annotated[Path, _Converted()] | None = None
     """Folder with the certificates that ``rtee secure`` has made; unless given, where it makes
     them."""
     insecure: bool = False
@@ -354,6 +355,45 @@ class RemoteSettings(Section):
     """Who may use the hand on a network."""
     state_rate: Positive = 100.0
     """Rate at which states are published [Hz]."""
+
+
+class Distro(Word):
+    """A distribution of ROS 2: it decides which interfaces and hashes are spoken."""
+
+    JAZZY = "jazzy"
+    KILTED = "kilted"
+    ROLLING = "rolling"
+    HUMBLE = "humble"
+
+
+@dataclass(frozen=True, slots=True)
+class Ros2Settings(Section):
+    """The hand as a node of ROS 2, for nodes with the middleware ``rmw_zenoh_cpp``."""
+
+    enabled: bool = False
+    """Be a node of ROS 2. ROS 2 knows no identities: whoever reaches its router can move the
+    hand."""
+    domain: Annotated[int, Interval(ge=0, le=232)] = 0
+    """The domain, unless ``ROS_DOMAIN_ID`` says another."""
+    namespace: str = ""
+    """Namespace of the node, such as ``left``; empty: none."""
+    distro: Distro = Distro.JAZZY
+    """Distribution of the other nodes: jazzy, kilted, rolling or humble."""
+    router: str = "tcp/localhost:7447"
+    """Zenoh endpoint of the router (``rmw_zenohd``)."""
+    rate: Annotated[float, Interval(ge=1, le=1000)] = 100.0
+    """Rate of ``joint_states`` and of the other topics with what is measured [Hz]."""
+    tf: bool = False
+    """Publish ``/tf`` and ``/tf_static``, where no ``robot_state_publisher`` does."""
+    gripper_joint: str = ""
+    """The actuator whose position goals of ``gripper_cmd`` give; empty: the gap in metres."""
+
+    def __post_init__(self) -> None:
+        """Check that ROS 2 takes the namespace."""
+        if not re.fullmatch(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", self.namespace, re.ASCII):
+            raise ValueError(
+                "the namespace should be of letters, digits and underscores, parted by slashes"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,6 +91,7 @@ OFFLINE = (
     Case("deploy plan robotiq_2f_85 --program /opt/rtee/bin/rtee --root .", "Type=notify"),
     Case("deploy install robotiq_2f_85 --dry-run --root . --program /opt/rtee/bin/rtee", "new: "),
     needs("secure init robotiq_2f_85", "secure"),
+    needs("ros2 list", "ros2"),
     Case("doctor claw", "no stored pinch of two fingertips lies there"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
     Case("locate robotiq_2f_85 --emulated --yes --times 1", ""),

@@ -14,6 +14,8 @@ from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
 from rtee.drivers.dynamixel.codec import InstructionParser
 from rtee.drivers.heri_ethercat import codec as heri
+from rtee.drivers.inspire_rh56 import codec as rh56
+from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
@@ -178,6 +180,23 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
     ("HERI II reply", bytes(38), heri.Reply.from_bytes, (heri.HeriFrameError,)),
 ]
 
+RH56_REQUESTS = [
+    bytes.fromhex(text)
+    for text in (
+        "EB 90 01 04 11 0A 06 4E 74",
+        "EB 90 01 0F 12 CE 05 FF FF FF FF FF FF F4 01 FF FF FF FF E0",
+        "EB 90 01 04 12 EC 03 01 07",
+    )
+]
+RH56_REPLIES = [
+    bytes.fromhex(text)
+    for text in (
+        "90 EB 01 0F 11 2E 06 00 00 F4 FF 05 00 5E 01 00 00 00 00 AC",
+        "90 EB 01 04 12 CE 05 01 EB",
+        "90 EB 01 09 11 4C 06 02 02 02 03 02 02 7A",
+    )
+]
+
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
     Decoder("Modbus TCP requests", NETWORK, parser=TcpRequests, limit=260, lost=0),
@@ -225,6 +244,26 @@ DECODERS = [
         errors=(FrameError,),
     ),
     Decoder("SCHUNK SVH packets", SVH, parser=svh.Parser, prefix=svh.SYNC, limit=svh.Parser.LIMIT),
+    Decoder(
+        "RH56 requests",
+        RH56_REQUESTS,
+        parser=rh56.RequestParser,
+        prefix=rh56.RequestParser.HEADER,
+        limit=rh56.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "RH56 replies",
+        RH56_REPLIES,
+        parser=rh56.ReplyParser,
+        prefix=rh56.ReplyParser.HEADER,
+        limit=rh56.ReplyParser.LIMIT,
+    ),
+    Decoder(
+        "RH56 report",
+        [Memory(Rh56Properties()).report().to_bytes()],
+        decode=lambda data: rh56.Report.from_bytes(data[:12], data[36:]),
+        errors=(rh56.Rh56FrameError,),
+    ),
     Decoder("qb SoftHand frames", QB, parser=qb.Parser, prefix=qb.HEADER, limit=qb.Parser.LIMIT),
     Decoder(
         "Dynamixel instructions",

@@ -1,0 +1,384 @@
+"""`rtee ros2`: hands in a ROS 2 graph, and a look at that graph from a computer without ROS."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import anyio
+import typer
+
+from rtee.cli._common import JsonOption
+from rtee.cli._online import to_json
+from rtee.cli._table import Column, Row, Table
+from rtee.cli.ros2_serve import serve
+from rtee.errors import ConfigError, MessageError, RemoteError, suggestion
+
+if TYPE_CHECKING:
+    from rtee.ros2 import Context
+    from rtee.ros2.listing import Listed, Sort
+    from rtee.ros2.message import Message
+
+T = TypeVar("T")
+
+app = typer.Typer(no_args_is_help=True)
+app.command()(serve)
+
+NODE = "rtee_cli"
+"""Name of the node that these commands are, as ROS 2's own command line has one."""
+
+PLACE = "tcp/localhost:7447"
+"""Where the router of ROS 2 is expected."""
+
+_NEW = 1.0
+"""Time within which what has just begun is told in the graph [s]."""
+
+_FOUND = 10.0
+"""Time within which all parts of an action that is in the graph are seen [s]."""
+
+DomainOption = Annotated[
+    int | None, typer.Option(min=0, max=232, help="The domain; that of ROS_DOMAIN_ID, or 0.")
+]
+RouterOption = Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the router is.")]
+DistroOption = Annotated[
+    str, typer.Option(help="Distribution of the other nodes: jazzy, kilted, rolling or humble.")
+]
+TypeArgument = Annotated[
+    str | None,
+    typer.Argument(metavar="[TYPE]", help="Its type, where the graph does not tell it."),
+]
+TimeoutOption = Annotated[float, typer.Option(min=0.0, help="Longest time to wait [s].")]
+
+
+def _in_graph(
+    domain: int | None,
+    router: str,
+    distro: str,
+    work: Callable[[Context], Coroutine[Any, Any, T]],
+) -> T:
+    """Open a context, wait until the graph is known, and return what a function makes of it."""
+    from rtee.hand.config_schema import Distro, Ros2Settings
+    from rtee.ros2 import Context
+
+    try:
+        settings = Ros2Settings(router=router, domain=domain or 0, distro=Distro(distro))
+    except ValueError:
+        known = ", ".join(one.value for one in Distro)
+        raise ConfigError(f"--distro {distro}: there are {known}") from None
+    environment = dict(os.environ)
+    if domain is not None:
+        environment.pop("ROS_DOMAIN_ID", None)  # what is typed counts before what is set
+
+    async def main() -> T:
+        # These commands send nothing by themselves, so that any router will do.
+        opened = Context.open(settings, environment, insecure=True, router_needed=True)
+        async with opened as context:
+            await context.graph.ready()
+            return await work(context)
+
+    return anyio.run(main)
+
+
+async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
+    """Return the type of a topic, service or action as given, else as the graph tells it.
+
+    Raises:
+        ConfigError: if the graph does not tell it.
+    """
+    from rtee.ros2.listing import listed
+
+    if given is not None:
+        return given
+
+    def offered() -> list[Listed]:
+        rows = listed(context.graph.entities(), parts=True)
+        return [row for row in rows if row.sort is sort and row.offered]
+
+    def kinds() -> list[str]:
+        return sorted({row.type for row in offered() if row.name == name})
+
+    with anyio.move_on_after(_NEW):
+        await context.graph.wait_until(lambda: bool(kinds()))
+    found = kinds()
+    if not found:
+        names = [row.name for row in offered()]
+        raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")
+    if len(found) > 1:
+        raise ConfigError(f"the {sort} {name} is offered as {' and as '.join(found)}: say which")
+    return found[0]
+
+
+def _message(kind: type[Message], text: str | None, what: str) -> Any:
+    """Return the message of fields given as YAML.
+
+    Raises:
+        ConfigError: if the text is not YAML, or has a field that the message has not.
+    """
+    from rtee.hand.yamlfile import parse_yaml
+
+    fields = parse_yaml(text, Path(what), f"the {what}").data if text and text.strip() else {}
+    try:
+        return kind.from_dict(fields)
+    except MessageError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _print(message: Message, as_json: bool) -> None:
+    fields = message.to_dict()
+    if as_json:
+        print(to_json(fields), flush=True)
+        return
+    from ruamel.yaml import YAML
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None  # lists of numbers in one line
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment] # its stub says None
+    yaml.dump(fields, sys.stdout)
+    print("---", flush=True)
+
+
+@app.command(name="list")
+def list_(
+    kind: Annotated[
+        str | None,
+        typer.Argument(metavar="[KIND]", help="Only these: nodes, topics, services or actions."),
+    ] = None,
+    parts: Annotated[
+        bool, typer.Option("--all", help="Also the topics and services that actions are made of.")
+    ] = False,
+    domain: DomainOption = None,
+    router: RouterOption = PLACE,
+    distro: DistroOption = "jazzy",
+    as_json: JsonOption = False,
+) -> None:
+    """List what is in the ROS graph.
+
+    What cannot hear each other, since type or hash differ, is listed apart.
+    """
+    from rtee.ros2.listing import Sort, listed, unheard
+
+    sort = kind.removesuffix("s") if kind is not None else None
+    if sort is not None and sort not in list(Sort):
+        raise ConfigError(f"'{kind}' is no kind: nodes, topics, services or actions")
+
+    async def work(context: Context) -> list[Listed]:
+        return listed(context.graph.entities(), parts=parts)
+
+    found = _in_graph(domain, router, distro, work)
+    rows = [row for row in found if sort in (None, row.sort)]
+    if as_json:
+        print(to_json([_as_dict(row) for row in rows]))
+        return
+    columns = (
+        Column("name", whole=True),
+        Column("type"),
+        Column("offered by"),
+        Column("used by"),
+        Column("hash"),
+    )
+    cells = (
+        Row(
+            (row.name, row.type, *map(" ".join, (row.offered, row.used)), _short(row.type_hash)),
+            heading=f"{row.sort}s",
+        )
+        for row in rows
+    )
+    Table(columns, tuple(cells), heading="kind").show()
+    for sentence in unheard(found):
+        print(f"rtee: warning: {sentence}", file=sys.stderr)
+
+
+def _as_dict(row: Listed) -> dict[str, Any]:
+    return {
+        "kind": row.sort.value,
+        "name": row.name,
+        "type": row.type,
+        "hash": row.type_hash,
+        "offered": list(row.offered),
+        "used": list(row.used),
+    }
+
+
+def _short(type_hash: str) -> str:
+    """Return the beginning of a hash: enough to see that two differ."""
+    return type_hash.removeprefix("RIHS01_")[:8]
+
+
+@app.command()
+def echo(
+    topic: Annotated[str, typer.Argument(help="Name of the topic.")],
+    type_: TypeArgument = None,
+    count: Annotated[int | None, typer.Option(min=1, help="End after so many messages.")] = None,
+    timeout: Annotated[
+        float | None, typer.Option(min=0.0, help="End when nothing comes for so long [s].")
+    ] = None,
+    domain: DomainOption = None,
+    router: RouterOption = PLACE,
+    distro: DistroOption = "jazzy",
+    as_json: JsonOption = False,
+) -> None:
+    """Print the messages of a topic, as YAML."""
+    from rtee.ros2 import DEFAULT, LATCHED
+    from rtee.ros2.keys import Kind
+    from rtee.ros2.listing import Sort
+
+    full = f"/{topic.lstrip('/')}"
+
+    async def work(context: Context) -> None:
+        kind = await _the_type(context, Sort.TOPIC, full, type_)
+        there = context.graph.of(Kind.PUBLISHER, full)
+        latched = any(one.qos.transient_local for one in there)
+        left, last, ended = count, anyio.current_time(), anyio.Event()
+
+        def show(message: Message) -> None:
+            nonlocal left, last
+            if ended.is_set():
+                return
+            _print(message, as_json)
+            last = anyio.current_time()
+            if left is not None:
+                left -= 1
+                if not left:
+                    ended.set()
+
+        node = context.node(f"{NODE}_{os.getpid()}")
+        node.subscription(full, kind, show, LATCHED if latched else DEFAULT)
+        while not ended.is_set():
+            until = math.inf if timeout is None else last + timeout
+            if anyio.current_time() > until:
+                raise RemoteError(f"nothing came on {full} for {timeout:g} s")
+            with anyio.move_on_at(until):
+                await ended.wait()
+
+    _in_graph(domain, router, distro, work)
+
+
+@app.command()
+def call(
+    service: Annotated[str, typer.Argument(help="Name of the service.")],
+    type_: TypeArgument = None,
+    request: Annotated[
+        str | None, typer.Argument(metavar="[REQUEST]", help="Its fields, as YAML.")
+    ] = None,
+    timeout: TimeoutOption = 10.0,
+    domain: DomainOption = None,
+    router: RouterOption = PLACE,
+    distro: DistroOption = "jazzy",
+    as_json: JsonOption = False,
+) -> None:
+    """Call a service and print its response, as YAML.
+
+    Example: rtee ros2 call /schunk_svh/stop
+    """
+    from rtee.ros2.listing import Sort
+
+    full = f"/{service.lstrip('/')}"
+
+    async def work(context: Context) -> None:
+        kind, fields = _swapped(type_, request)
+        named = await _the_type(context, Sort.SERVICE, full, kind)
+        made = context.interfaces.service(named)
+        asked = _message(made.request, fields, "request")
+        client = context.node(f"{NODE}_{os.getpid()}").client(full, made)
+        try:
+            await client.wait(timeout)
+            _print(await client.call(asked, timeout), as_json)
+        except TimeoutError as error:
+            raise RemoteError(str(error)) from None
+
+    _in_graph(domain, router, distro, work)
+
+
+@app.command(name="send-goal")
+def send_goal(
+    action: Annotated[str, typer.Argument(help="Name of the action.")],
+    type_: TypeArgument = None,
+    goal: Annotated[
+        str | None, typer.Argument(metavar="[GOAL]", help="Its fields, as YAML.")
+    ] = None,
+    feedback: Annotated[bool, typer.Option("--feedback", help="Print its feedback, too.")] = False,
+    timeout: TimeoutOption = 60.0,
+    domain: DomainOption = None,
+    router: RouterOption = PLACE,
+    distro: DistroOption = "jazzy",
+    as_json: JsonOption = False,
+) -> None:
+    """Send a goal and print its result, as YAML; Ctrl-C and the end of the time cancel it.
+
+    Example: rtee ros2 send-goal /robotiq_2f_85/gripper_cmd '{command: {position: 0.03}}'
+    """
+    from rtee.ros2.action_client import ActionClient
+    from rtee.ros2.actions import GoalState
+    from rtee.ros2.listing import Sort
+
+    full = f"/{action.lstrip('/')}"
+
+    async def work(context: Context) -> GoalState:
+        kind, fields = _swapped(type_, goal)
+        named = await _the_type(context, Sort.ACTION, full, kind)
+        client = ActionClient(context.node(f"{NODE}_{os.getpid()}"), full, named)
+        asked = _message(client.type.goal, fields, "goal")
+        show = (lambda message: _print(message, as_json)) if feedback else None
+        try:
+            await client.wait_for_server(_FOUND)
+            sent = await client.send_goal(asked, show)
+            try:
+                outcome = await sent.result(timeout)
+            except BaseException:
+                with anyio.CancelScope(shield=True), suppress(TimeoutError):
+                    await sent.cancel()
+                raise
+        except TimeoutError as error:
+            raise RemoteError(str(error)) from None
+        _print(outcome.result, as_json)
+        return outcome.state
+
+    state = _in_graph(domain, router, distro, work)
+    if state is not GoalState.SUCCEEDED:
+        print(f"rtee: the goal was {state.name.lower()}", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def _swapped(kind: str | None, fields: str | None) -> tuple[str | None, str | None]:
+    """Return type and fields where the type may be left out."""
+    if kind is not None and fields is None and not _is_type(kind):
+        return None, kind
+    return kind, fields
+
+
+def _is_type(text: str) -> bool:
+    return text.count("/") in (1, 2) and not set(text) & set(" {:")
+
+
+@app.command()
+def router(
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where to listen.")] = PLACE,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="Let others in the network come without certificates."),
+    ] = False,
+) -> None:
+    """Be the router of a ROS graph, until Ctrl-C: a stand-in for rmw_zenohd."""
+    from rtee.ros2.router import router as open_router
+
+    async def main() -> None:
+        async with open_router(listen, insecure=insecure):
+            print(f"router of ROS 2 at {listen}", flush=True)
+            await anyio.sleep_forever()
+
+    anyio.run(main)
+
+
+@app.command()
+def messages(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write the package.")],
+) -> None:
+    """Write the ament package rtee_msgs, for programs that are compiled against it."""
+    from rtee.ros2.package import write_package
+
+    print(f"wrote {write_package(folder)}")

@@ -1,0 +1,122 @@
+"""`rtee ros2 serve`: running hands as nodes of ROS 2."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import ConnectOption, check_files, complete_hand
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rtee.ros2.serving import Shown
+
+_LOOK_EVERY = 0.5
+"""Time between two looks whether the run beside which this works is still there [s]."""
+
+_NICE = 5
+"""Priority (nice) beside a run: where processors are short, its loop gets three times as much."""
+
+
+def serve(
+    hands: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="HAND…", help="Names of hands, or their folders.", autocompletion=complete_hand
+        ),
+    ],
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help="The domain, before ROS_DOMAIN_ID.")
+    ] = None,
+    namespace: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Namespace of the nodes, such as left.")
+    ] = None,
+    router: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Where the router of ROS 2 is.")
+    ] = None,
+    distro: Annotated[
+        str | None,
+        typer.Option(help="Distribution of the other nodes: jazzy, kilted, rolling or humble."),
+    ] = None,
+    endpoint: ConnectOption = None,
+    # The run that has started this: it ends with it, also when that is killed.
+    beside: Annotated[int | None, typer.Option(metavar="PID", hidden=True)] = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Show what happens, not only warnings.")
+    ] = False,
+) -> None:
+    """Show running hands as nodes of ROS 2, until Ctrl-C; each whenever it runs.
+
+    Options count before the section ros2 of each hand.yaml. 'rtee run HAND --ros2' does the same
+    beside a run.
+    """
+    import logging
+
+    import anyio
+
+    from rtee.errors import needing_extra
+    from rtee.ros2.serving import serve as serve_hands
+    from rtee.ros2.serving import warnings
+
+    check_files()
+    with needing_extra("ROS 2", "ros2"):
+        import xxhash  # noqa: F401 - before anything is opened
+    logging.basicConfig(
+        format="%(asctime)s %(levelname)s %(message)s",
+        level=logging.INFO if verbose else logging.WARNING,
+    )
+    given = {"domain": domain, "namespace": namespace, "router": router, "distro": distro}
+    shown = [_shown(hand, given, endpoint) for hand in hands]
+    environment = dict(os.environ)
+    if domain is not None:
+        environment.pop("ROS_DOMAIN_ID", None)  # what is typed counts before what is set
+    for warning in warnings(shown):
+        print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
+
+    if beside is not None:
+        os.nice(max(0, _NICE - os.nice(0)))
+
+    async def main() -> None:
+        async with anyio.create_task_group() as group:
+            group.start_soon(serve_hands, shown, environment)
+            while beside is None or os.getppid() == beside:  # noqa: ASYNC110 - nobody tells it
+                await anyio.sleep(_LOOK_EVERY)
+            group.cancel_scope.cancel()
+
+    anyio.run(main)
+
+
+def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Shown:
+    """Return a hand with its settings, those of the command line before those in its hand.yaml."""
+    from rtee.errors import ConfigError
+    from rtee.hand.catalog import hand_names
+    from rtee.hand.config_schema import Ros2Settings
+    from rtee.hand.load import load_configured
+    from rtee.hand.names import check_name
+    from rtee.ros2.serving import Shown, overridden
+
+    if not Path(hand).exists() and hand not in hand_names():
+        if endpoint is None and hand not in _running():
+            raise ConfigError(f"there is no hand '{hand}': neither configured nor running here")
+        settings = overridden(Ros2Settings(), given)
+        return Shown(check_name(hand, "hand"), settings, endpoint=endpoint)
+    model, config = load_configured(hand)
+    return Shown(
+        config.name,
+        overridden(config.ros2, given),
+        config.remote.security.insecure,
+        model,
+        config.thermal,
+        endpoint,
+    )
+
+
+def _running() -> set[str]:
+    from rtee.remote.find import hands_running
+
+    return set(hands_running())

@@ -1,0 +1,20 @@
+"""The hand in a ROS 2 graph, over Zenoh as rmw_zenoh speaks it; no ROS is needed."""
+
+from rtee.ros2.node import Context, Node
+from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, ROSOUT, SENSOR_DATA, Qos
+from rtee.ros2.types import ActionType, ServiceType, TopicType, interfaces
+
+__all__ = [
+    "DEFAULT",
+    "LATCHED",
+    "PARAMETERS",
+    "ROSOUT",
+    "SENSOR_DATA",
+    "ActionType",
+    "Context",
+    "Node",
+    "Qos",
+    "ServiceType",
+    "TopicType",
+    "interfaces",
+]

@@ -1,0 +1,228 @@
+"""Clients of actions."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import anyio
+
+from rtee.errors import GoalRejected, NoHand
+from rtee.ros2.actions import NO_GOAL, GoalState, Outcome, Refusal, names, time_fields, versions
+from rtee.ros2.keys import Kind
+from rtee.ros2.message import Message
+from rtee.ros2.node import Node
+from rtee.ros2.qos import LATCHED
+from rtee.ros2.types import ActionType
+
+OnFeedback = Callable[[Any], object]
+"""Called with the feedback of a goal: a message of the action's type."""
+
+_ANSWER_WITHIN = 5.0
+"""Time within which a server must say whether it takes a goal, or cancels it [s]."""
+
+
+class ClientGoal:
+    """A goal that a server has accepted; made by `ActionClient.send_goal`.
+
+    Attributes:
+        id: Its identifier ``(16,)``.
+        stamp: When it was accepted, by the server: a ``builtin_interfaces/msg/Time``.
+        state: How far it is, as the server told last.
+    """
+
+    def __init__(self, client: ActionClient, goal_id: bytes, stamp: Any) -> None:
+        self.id, self.stamp, self.state = goal_id, stamp, GoalState.ACCEPTED
+        self._client = client
+
+    async def result(self, timeout: float = math.inf) -> Outcome:
+        """Wait for its end and return how it ended.
+
+        Args:
+            timeout: Longest time [s].
+
+        Raises:
+            TimeoutError: if it does not end by then.
+            NoHand: if the server has gone, or does not know the goal any more.
+        """
+        return await self._client.result(self, timeout)
+
+    async def cancel(self, timeout: float = _ANSWER_WITHIN) -> Refusal:
+        """Ask the server to cancel it; return whether it refuses.
+
+        Args:
+            timeout: Longest time until the answer [s].
+
+        Raises:
+            TimeoutError: if the server does not answer.
+        """
+        code, _ = await self._client.cancel(self.id, timeout=timeout)
+        return code
+
+
+class ActionClient:
+    """A client of an action.
+
+    Args:
+        node: The node.
+        name: The action's name.
+        type_: Its type, or the type's full name.
+
+    Raises:
+        ConfigError: if the name is none of ROS 2.
+        MessageError: if there is no such type.
+    """
+
+    def __init__(self, node: Node, name: str, type_: str | ActionType) -> None:
+        known = node.context.interfaces
+        self.type = known.action(type_) if isinstance(type_, str) else type_
+        self.name = node.name.resolve(name)
+        self._node, self._graph = node, node.context.graph
+        self._uuid: type[Message] = known.message("unique_identifier_msgs/msg/UUID")
+        self._info: type[Message] = known.message("action_msgs/msg/GoalInfo")
+        self._time: type[Message] = known.message("builtin_interfaces/msg/Time")
+        self._goals: dict[bytes, tuple[ClientGoal, OnFeedback | None]] = {}
+        called = names(self.name)
+        self._send = node.client(called.send_goal, self.type.send_goal)
+        self._result = node.client(called.get_result, self.type.get_result)
+        self._cancel = node.client(called.cancel_goal, self.type.cancel_goal)
+        self._heard = [
+            node.subscription(called.feedback, version.feedback_message, self._on_feedback)
+            for version in versions(self.type, known.distro)
+        ]
+        self._heard.append(
+            node.subscription(called.status, self.type.status, self._on_status, LATCHED)
+        )
+
+    @property
+    def available(self) -> bool:
+        """Whether there is a server: all three services and both topics of the action."""
+        services = self._send.available and self._result.available and self._cancel.available
+        return services and all(
+            self._graph.of(Kind.PUBLISHER, one.name, one.type.name) for one in self._heard
+        )
+
+    async def wait_for_server(self, timeout: float = math.inf) -> None:
+        """Wait until there is a server.
+
+        Args:
+            timeout: Longest time [s].
+
+        Raises:
+            TimeoutError: if there is none.
+        """
+        with anyio.move_on_after(timeout) as scope:
+            await self._graph.wait_until(lambda: self.available)
+        if scope.cancelled_caught:
+            raise TimeoutError(f"nobody offers the action {self.name} ({self.type.name})")
+
+    async def send_goal(
+        self,
+        goal: Message,
+        on_feedback: OnFeedback | None = None,
+        timeout: float = _ANSWER_WITHIN,
+        goal_id: bytes | None = None,
+    ) -> ClientGoal:
+        """Send a goal and return it when the server has accepted it.
+
+        Args:
+            goal: The goal's message.
+            on_feedback: Called with its feedback in the event loop.
+            timeout: Longest time until the server's answer [s].
+            goal_id: Its identifier ``(16,)``; random unless given.
+
+        Raises:
+            GoalRejected: if the server does not take it; ROS 2 tells no reason.
+            TimeoutError: if the server does not answer.
+            MessageError: if a field of the goal holds what its type cannot.
+        """
+        goal_id = uuid.uuid4().bytes if goal_id is None else goal_id
+        request = self.type.send_goal.request(goal_id=self._uuid(uuid=goal_id), goal=goal)
+        # Feedback and status may come before the answer.
+        made = ClientGoal(self, goal_id, self._time())
+        self._goals[goal_id] = (made, on_feedback)
+        accepted = False
+        try:
+            answer = await self._send.call(request, timeout)
+            accepted = answer.accepted
+        finally:
+            if not accepted:
+                self._goals.pop(goal_id, None)
+        if not accepted:
+            raise GoalRejected(f"{self.name} refuses the goal; the server's log says why")
+        made.stamp = answer.stamp
+        return made
+
+    async def result(self, goal: ClientGoal, timeout: float) -> Outcome:
+        """Wait for the end of a goal; see `ClientGoal.result`."""
+        gone = NoHand(f"the server of {self.name} has gone")
+        request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
+        asked = asyncio.ensure_future(self._result.call(request, math.inf))
+        watch = asyncio.ensure_future(self._graph.wait_until(lambda: not self._result.available))
+        try:
+            limit = None if math.isinf(timeout) else timeout
+            await asyncio.wait((asked, watch), timeout=limit, return_when="FIRST_COMPLETED")
+            if not asked.done() and not watch.done():
+                raise TimeoutError(f"the goal of {self.name} has not ended after {timeout:g} s")
+            if not asked.done():
+                raise gone
+            try:
+                answer = asked.result()
+            except TimeoutError:  # Zenoh ended the query: nobody is there who will answer it
+                raise gone from None
+        finally:
+            for task in (asked, watch):
+                task.cancel()
+            await asyncio.gather(asked, watch, return_exceptions=True)
+        self._goals.pop(goal.id, None)
+        with suppress(ValueError):
+            goal.state = GoalState(answer.status)
+        if goal.state is GoalState.UNKNOWN:
+            raise NoHand(f"the server of {self.name} does not know the goal: it was started anew")
+        return Outcome(goal.state, answer.result)
+
+    async def cancel(
+        self, goal_id: bytes = NO_GOAL, until: int = 0, timeout: float = _ANSWER_WITHIN
+    ) -> tuple[Refusal, list[bytes]]:
+        """Cancel goals, also those of others.
+
+        Args:
+            goal_id: The goal; none: those of ``until``, or all.
+            until: Also all that were accepted up to then, since 1970 [ns]; 0: none.
+            timeout: Longest time until the answer [s].
+
+        Returns:
+            What the server answers, and the identifiers of the goals that it cancels.
+
+        Raises:
+            TimeoutError: if the server does not answer.
+        """
+        stamp = self._time(**time_fields(until))
+        info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)
+        answer = await self._cancel.call(self.type.cancel_goal.request(goal_info=info), timeout)
+        ids = [one.goal_id.uuid for one in answer.goals_canceling]
+        return Refusal(answer.return_code), ids
+
+    def _on_feedback(self, message: Any) -> None:
+        found = self._goals.get(message.goal_id.uuid)
+        if found is not None and found[1] is not None:
+            found[1](message.feedback)
+
+    def _on_status(self, message: Any) -> None:
+        for one in message.status_list:
+            found = self._goals.get(one.goal_info.goal_id.uuid)
+            if found is not None:
+                with suppress(ValueError):
+                    found[0].state = GoalState(one.status)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for client in (self._send, self._result, self._cancel):
+            self._node.discard(client)
+        for subscription in self._heard:
+            self._node.discard(subscription)
+        self._goals.clear()

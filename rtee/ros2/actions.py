@@ -1,0 +1,106 @@
+"""What servers and clients of actions have in common: names, states, and how goals end.
+
+An action ``/hand/gripper_cmd`` is three services and two topics below ``/hand/gripper_cmd/_action``
+(see `names`). A goal has an identifier of 16 bytes, chosen by its client.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from rtee.ros2.message import Message
+from rtee.ros2.types import ActionType, interfaces
+
+NO_GOAL: Final = bytes(16)
+"""Identifier that stands for no goal in particular."""
+
+_NANO = 1_000_000_000
+"""Nanoseconds of a second."""
+
+
+class GoalState(IntEnum):
+    """How far a goal is; the numbers are those of ``action_msgs/msg/GoalStatus``."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+    @property
+    def ended(self) -> bool:
+        """Whether the goal has ended."""
+        return self >= GoalState.SUCCEEDED
+
+
+class Refusal(IntEnum):
+    """The answer to a request to cancel goals, as ``action_msgs/srv/CancelGoal`` has it."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL = 2
+    ENDED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a goal ended.
+
+    Attributes:
+        state: Succeeded, canceled or aborted.
+        result: The result, of the action's type.
+        reason: Why it was aborted, for the log.
+    """
+
+    state: GoalState
+    result: Message
+    reason: str = ""
+
+
+class Names(NamedTuple):
+    """Names of the services and topics of an action."""
+
+    send_goal: str
+    get_result: str
+    cancel_goal: str
+    feedback: str
+    status: str
+
+
+def names(action: str) -> Names:
+    """Return the names of the services and topics of an action."""
+    return Names(*(f"{action}/_action/{one}" for one in Names._fields))
+
+
+def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
+    """Return an action's type in all versions that differ in their feedback.
+
+    That of FollowJointTrajectory changed with control_msgs 6.3, which a robot may have whatever
+    its distribution; Humble has no hashes, hence one type.
+
+    Args:
+        kind: The action.
+        distro: Distribution of the robot; its version comes first.
+    """
+    found = {kind.feedback_message.hash: kind}
+    if distro != "humble":
+        for other in ("jazzy", "rolling"):
+            version = interfaces(other).action(kind.name)
+            found.setdefault(version.feedback_message.hash, version)
+    return tuple(found.values())
+
+
+def nanoseconds(stamp: Message) -> int:
+    """Return a ``Time`` or ``Duration`` of ROS 2 in nanoseconds."""
+    fields = stamp.to_dict()
+    return int(fields["sec"]) * _NANO + int(fields["nanosec"])
+
+
+def time_fields(nanoseconds: int) -> dict[str, int]:
+    """Return the fields of a ``Time`` or ``Duration`` of ROS 2."""
+    sec, nanosec = divmod(nanoseconds, _NANO)
+    return {"sec": sec, "nanosec": nanosec}

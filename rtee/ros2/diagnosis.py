@@ -1,0 +1,46 @@
+"""What `rtee doctor --ros2` looks at: router, nodes, and who does not hear whom."""
+
+from __future__ import annotations
+
+from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
+from rtee.errors import MissingExtra, NoRouter
+from rtee.hand.config_schema import Ros2Settings
+from rtee.ros2 import Context
+from rtee.ros2.listing import Sort, listed, unheard
+
+_ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: rtee ros2 router"
+
+
+async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
+    """Return what was found in the ROS graph.
+
+    rmw_zenoh is silent about nodes that use a topic, service or action with another type or hash:
+    they just don't hear each other.
+
+    Args:
+        settings: Domain, distribution and router.
+        hand: A hand whose node should be there.
+
+    Raises:
+        ConfigError: if a setting or variable of rmw_zenoh cannot be used.
+    """
+    try:
+        async with Context.open(settings, insecure=True, router_needed=True) as context:
+            await context.graph.ready()
+            rows = listed(context.graph.entities())
+            found = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
+    except MissingExtra as error:
+        return [wrong("ROS 2", str(error), "pip install 'rtee[ros2]'")]
+    except NoRouter as error:
+        return [wrong("router", str(error), _ROUTER_REMEDY)]
+    nodes = [row.name for row in rows if row.sort is Sort.NODE]
+    found.append(ok("nodes", f"{len(nodes)}: {', '.join(sorted(nodes))}" if nodes else "none"))
+    if hand is not None and not any(name.rpartition("/")[2] == hand for name in nodes):
+        found.append(
+            warning("hand", f"there is no node '{hand}'", f"start it: rtee run {hand} --ros2")
+        )
+    found += [
+        wrong("types", sentence, "use the same distribution: 'ros2: distro' in hand.yaml")
+        for sentence in unheard(rows)
+    ]
+    return found

@@ -1,0 +1,169 @@
+"""What a hand's node tells under ``/diagnostics``: the loop, its devices, temperatures."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping
+from enum import IntEnum
+from typing import Any
+
+import anyio
+
+from rtee.remote.monitoring import HandStatus
+from rtee.ros2.face import Face
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.topics import stamped
+from rtee.types import DeviceStatus, Lifecycle
+
+_PERIOD = 1.0
+"""Time between two messages [s], as diagnostic_updater has it."""
+
+_OLD = 1.0
+"""A device whose newest measurement is older than this is stale [s]."""
+
+
+class Level(IntEnum):
+    """The levels of ``diagnostic_msgs/msg/DiagnosticStatus``."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Diagnostics:
+    """Publishes ``/diagnostics``, and tells the other parts of the hand's status.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self._array = face.message("diagnostic_msgs/msg/DiagnosticArray")
+        self._status = face.message("diagnostic_msgs/msg/DiagnosticStatus")
+        self._pair = face.message("diagnostic_msgs/msg/KeyValue")
+        self._publisher = face.node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+        self._missed = self._dropped = 0
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return none: it reads none."""
+        return ()
+
+    async def run(self) -> None:
+        """Publish once a second until the hand goes."""
+        hand = self._face.hand
+        while True:
+            status = await hand.status()
+            for tell in self._face.on_status:
+                tell(status)
+            self._publisher.publish(self.message(status, time.time_ns()))
+            await anyio.sleep(_PERIOD)
+
+    def message(self, status: HandStatus, wall_ns: int) -> Message:
+        """Return the message of a status.
+
+        Args:
+            status: The status of the hand.
+            wall_ns: The time since 1970 [ns].
+        """
+        found = [self._loop(status), *map(self._device, status.devices)]
+        temperatures = self._temperatures()
+        if temperatures is not None:
+            found.append(temperatures)
+        message: Message = self._array(header=stamped(self._face, wall_ns), status=found)
+        return message
+
+    def _entry(self, name: str, level: Level, message: str, values: Mapping[str, Any]) -> Message:
+        hand = self._face.hand.name
+        entry: Message = self._status(
+            level=level,
+            name=f"{hand}: {name}",
+            message=message,
+            hardware_id=hand,
+            values=[self._pair(key=key, value=_text(value)) for key, value in values.items()],
+        )
+        return entry
+
+    def _loop(self, status: HandStatus) -> Message:
+        clock = status.statistics
+        missed, self._missed = clock.missed - self._missed, clock.missed
+        dropped, self._dropped = clock.dropped - self._dropped, clock.dropped
+        level, said = Level.OK, status.action or "ready"
+        if status.recording_trouble:
+            level, said = Level.WARN, status.recording_trouble
+        elif missed or dropped:
+            level = Level.WARN
+            said = f"{missed} ticks missed, {dropped} records dropped since the last message"
+        values = {
+            "rate [Hz]": clock.measured_rate,
+            "ticks": clock.ticks,
+            "missed": clock.missed,
+            "lateness p99 [s]": clock.lateness_p99,
+            "busy p99 [s]": clock.busy_p99,
+            "client": status.holder,
+            "goal": status.action,
+            "recording": status.recording,
+            "grip effort": status.grip_effort,
+            "profile": status.profile,
+        }
+        return self._entry("loop", level, said, values)
+
+    def _device(self, device: DeviceStatus) -> Message:
+        level, said = health(device)
+        values: dict[str, Any] = {
+            "lifecycle": str(device.lifecycle),
+            "driver": device.driver,
+            "rate [Hz]": device.rate,
+            "age [s]": device.age,
+            "exchanges": device.exchanges,
+            "overruns": device.overruns,
+            "errors": device.errors,
+            "reconnects": device.reconnects,
+            "fault code": device.fault_code,
+            "fault": device.fault_name,
+            "hint": device.hint,
+            **device.identity,
+            **device.counters,
+        }
+        return self._entry(f"device {device.name}", level, said, values)
+
+    def _temperatures(self) -> Message | None:
+        """Return what is told of the temperatures; ``None`` where none is measured."""
+        state, limits = self._face.latest, self._face.thermal
+        pairs = zip(state.names, state.temperature.tolist(), strict=True)
+        known = {name: value for name, value in pairs if not math.isnan(value)}
+        if not known:
+            return None
+        hottest = max(known, key=lambda name: known[name])
+        worst = known[hottest]
+        level = Level.OK
+        if worst >= limits.warn:
+            level = Level.ERROR if worst >= limits.disable else Level.WARN
+        said = f"{hottest} has {worst:.0f} °C"
+        return self._entry(
+            "temperatures", level, said, {f"{name} [°C]": value for name, value in known.items()}
+        )
+
+
+def health(device: DeviceStatus) -> tuple[Level, str]:
+    """Return how a device is, and why, in words."""
+    why = "; ".join(filter(None, (device.fault_name or device.message, device.hint)))
+    match device.lifecycle:
+        case Lifecycle.ACTIVE if device.age > _OLD:
+            return Level.STALE, f"its newest measurement is {device.age:.1f} s old"
+        case Lifecycle.ACTIVE:
+            return Level.OK, "active"
+        case Lifecycle.FAULT:
+            return Level.ERROR, why or "fault"
+        case Lifecycle.INACTIVE:
+            return Level.WARN, why or "inactive"
+    return Level.STALE, why or str(device.lifecycle)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)

@@ -1,0 +1,220 @@
+"""Publishers and subscriptions of a node."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import zenoh
+from zenoh import ext
+
+from rtee.errors import MessageError
+from rtee.remote.session import direct
+from rtee.ros2 import attachments
+from rtee.ros2.attachments import Attachment
+from rtee.ros2.inbox import Inbox
+from rtee.ros2.keys import Entity
+from rtee.ros2.message import Message
+from rtee.ros2.participant import Participant
+from rtee.ros2.qos import History, Qos
+from rtee.ros2.types import TopicType
+
+log = logging.getLogger(__name__)
+
+_MOST_KEPT = 1000
+"""Messages of a topic that wait or are kept, whatever the QoS asks for."""
+
+
+LONGEST = 1 << 20
+"""Longest message, request or response that is taken, unless said otherwise [bytes]: ten times the
+longest that a hand is sent, a trajectory of thousands of points."""
+
+Callback = Callable[[Any], Awaitable[None] | None]
+"""What is called with each message of a subscription, in the event loop."""
+
+_Received = tuple[bytes, Attachment]
+
+
+class Publisher:
+    """A publisher; made by `rtee.ros2.node.Node.publisher`.
+
+    Attributes:
+        type: Type of the topic.
+        name: Fully qualified name of the topic.
+        sent: Number of messages published.
+    """
+
+    def __init__(self, participant: Participant, entity: Entity, key: str, kind: TopicType) -> None:
+        self.type, self.name, self.sent = kind, entity.topic, 0
+        self._gid = attachments.gid(entity.token)
+        self._lock, self._closed = threading.Lock(), False
+        self._publisher = self._declared(participant.session, key, entity.qos)
+        self._heard, self._listener = True, None
+        if isinstance(self._publisher, zenoh.Publisher):
+            # Told rather than asked for: asking takes as long as encoding a message.
+            self._heard = False
+            self._listener = self._publisher.declare_matching_listener(direct(self._matched))
+            if getattr(self._publisher.matching_status, "matching", True):
+                self._heard = True
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    def _matched(self, status: Any) -> None:
+        self._heard = status.matching
+
+    @staticmethod
+    def _declared(session: zenoh.Session, key: str, qos: Qos) -> Any:
+        block = qos.reliable and qos.history == History.KEEP_ALL
+        control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
+        if not qos.transient_local:
+            reliability = zenoh.Reliability
+            return session.declare_publisher(
+                key,
+                congestion_control=control,
+                reliability=reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
+            )
+        # rmw_zenoh's publishers also repeat the number of their last message for a while. To end
+        # that, Zenoh waits for its own threads with Python's lock held, for which they may wait:
+        # for ever. On a stream such as TCP no last message is lost.
+        return ext.declare_advanced_publisher(
+            session,
+            key,
+            congestion_control=control,
+            cache=ext.CacheConfig(max_samples=min(qos.depth, _MOST_KEPT)),
+            publisher_detection=True,
+        )
+
+    @property
+    def heard(self) -> bool:
+        """Whether anybody subscribes; always true where those who come later are sent it, too."""
+        return self._heard
+
+    def publish(self, message: Message | bytes) -> None:
+        """Publish a message, or the CDR bytes of one; any thread may call this.
+
+        Raises:
+            MessageError: if a field holds what its type cannot, or it is another message.
+        """
+        if isinstance(message, Message):
+            if message.STRUCTURE.name != self.type.name:
+                raise MessageError(
+                    f"{self.name} is a topic of {self.type.name}, not of {message.STRUCTURE.name}"
+                )
+            message = message.encode()
+        # The numbers tell others what they have missed: one order, and none left out.
+        with self._lock:
+            if self._closed:
+                return
+            attachment = attachments.encode(self.sent + 1, time.time_ns(), self._gid)
+            self._publisher.put(message, attachment=attachment)
+            self.sent += 1
+
+    def close(self) -> None:
+        """Publish nothing more, and leave the graph; what is published later goes nowhere."""
+        with self._lock:
+            self._closed = True
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        if self._listener is not None:
+            self._listener.undeclare()  # type: ignore[no-untyped-call]
+        self._publisher.undeclare()
+
+
+class Subscription:
+    """A subscription; made by `rtee.ros2.node.Node.subscription`.
+
+    Attributes:
+        type: Type of the topic.
+        name: Fully qualified name of the topic.
+        source: Who sent the message that the callback is given, which one it is, and when.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        entity: Entity,
+        key: str,
+        kind: TopicType,
+        callback: Callback,
+        longest: int,
+    ) -> None:
+        self.type, self.name = kind, entity.topic
+        self.source = Attachment(0, 0, b"")
+        self._participant, self._callback, self._longest = participant, callback, longest
+        depth = min(entity.qos.depth, _MOST_KEPT)
+        if entity.qos.history == History.KEEP_ALL:
+            depth = _MOST_KEPT
+        self._inbox: Inbox[_Received] = Inbox(self._take, depth)
+        self._waiting: deque[_Received] = deque(maxlen=max(depth, 1))
+        self._busy = False
+        self._subscriber = self._declared(participant.session, key, entity.qos)
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    def _declared(self, session: zenoh.Session, key: str, qos: Qos) -> Any:
+        handler = direct(self._on_sample)
+        if not qos.transient_local:
+            return session.declare_subscriber(key, handler)
+        recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
+        return ext.declare_advanced_subscriber(
+            session,
+            key,
+            handler,
+            history=ext.HistoryConfig(
+                detect_late_publishers=True, max_samples=min(qos.depth, _MOST_KEPT)
+            ),
+            recovery=recovery if qos.reliable else None,
+            subscriber_detection=True,
+        )
+
+    def _tell(self, error: MessageError) -> None:
+        self._participant.complaints.tell(f"a message on {self.name} is dropped", str(error))
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        try:
+            attachment = attachments.decode(sample.attachment)
+            if len(sample.payload) > self._longest:
+                raise MessageError(f"of {len(sample.payload)} bytes")
+        except MessageError as error:
+            self._tell(error)
+            return
+        self._inbox.put((bytes(sample.payload), attachment))
+
+    def _take(self, received: _Received) -> None:
+        self._waiting.append(received)
+        if not self._busy:
+            self._next()
+
+    def _next(self) -> None:
+        """Call the callback with what waits, until one of its results has to be awaited."""
+        while self._waiting:
+            payload, self.source = self._waiting.popleft()
+            try:
+                result = self._callback(self.type.message.decode(payload))
+            except MessageError as error:
+                self._tell(error)
+            except Exception:
+                log.exception("a message on %s could not be handled", self.name)
+            else:
+                if inspect.isawaitable(result):
+                    self._busy = True
+                    self._participant.start(self._finish(result))
+                    return
+
+    async def _finish(self, result: Awaitable[None]) -> None:
+        try:
+            await result
+        except Exception:
+            log.exception("a message on %s could not be handled", self.name)
+        finally:
+            self._busy = False
+        self._next()
+
+    def close(self) -> None:
+        """Hear nothing more, and leave the graph."""
+        self._inbox.close()
+        self._waiting.clear()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._subscriber.undeclare()

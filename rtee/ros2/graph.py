@@ -1,0 +1,168 @@
+"""The ROS graph: the nodes of a domain and what they publish, subscribe to, serve and ask."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import threading
+from collections.abc import Callable
+
+import anyio
+import zenoh
+
+from rtee.remote.session import direct
+from rtee.ros2.inbox import Complaints
+from rtee.ros2.keys import GRAPH, LONGEST_TOKEN, Entity, Kind, parse_token
+
+log = logging.getLogger(__name__)
+
+MOST = 20_000
+"""Entities that are kept: twenty times those of a large robot."""
+
+_SETTLE = 3.0
+"""Time within which everybody has told what there is [s]."""
+
+_QUIET = 0.3
+"""Time without news after which everybody has told what there is [s]: sessions on one computer find
+each other within 0.1 s."""
+
+
+_PAUSE = 0.01
+"""Time between two looks at the graph [s]: a robot that starts makes thousands of changes."""
+
+
+class Graph:
+    """The graph of a domain, kept up to date from the first use on.
+
+    Args:
+        session: The session.
+        domain: The domain.
+        complaints: Where to tell of what cannot be read.
+    """
+
+    def __init__(self, session: zenoh.Session, domain: int, complaints: Complaints) -> None:
+        self._session, self._complaints = session, complaints
+        self._keys = f"{GRAPH}/{domain}/**"
+        self._tokens: dict[str, Entity | str | None] = {}  # a text: not parsed yet
+        self._lock = threading.Lock()
+        self._subscriber: zenoh.Subscriber[None] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._changed = asyncio.Event()
+        self._due = False
+
+    def _start(self) -> None:
+        if self._subscriber is None:
+            liveliness = self._session.liveliness()
+            self._subscriber = liveliness.declare_subscriber(
+                self._keys, direct(self._on_sample), history=True
+            )
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        # In a thread of Zenoh: only noted. It is parsed when somebody wants to know.
+        key = str(sample.key_expr)
+        with self._lock:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                self._tokens.pop(key, None)
+            elif key not in self._tokens:
+                if len(self._tokens) >= MOST or len(key) > LONGEST_TOKEN:
+                    self._complaints.tell("entities of the ROS graph are left out", "too many")
+                    return
+                self._tokens[key] = key
+            wake, self._due = not self._due, True
+        if wake:
+            with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
+                self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        with self._lock:
+            self._due = False
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def entities(self) -> list[Entity]:
+        """Return all entities that are known; see `ready`."""
+        self._start()
+        with self._lock:
+            tokens = list(self._tokens.items())
+        found: list[Entity] = []
+        for key, entity in tokens:
+            if isinstance(entity, str):
+                entity = parse_token(key)
+                if entity is None:
+                    self._complaints.tell("a token of the ROS graph is not understood", key[:200])
+                with self._lock:
+                    if key in self._tokens:
+                        self._tokens[key] = entity
+            if entity is not None:
+                found.append(entity)
+        return found
+
+    def nodes(self) -> list[Entity]:
+        """Return the nodes."""
+        return [one for one in self.entities() if one.kind is Kind.NODE]
+
+    def of(self, kind: Kind, name: str | None = None, type_: str | None = None) -> list[Entity]:
+        """Return publishers, subscriptions, services or clients.
+
+        Args:
+            kind: Which of them.
+            name: Fully qualified name of the topic or service; all unless given.
+            type_: Full name of the type; all unless given.
+        """
+        return [
+            one
+            for one in self.entities()
+            if one.kind is kind
+            and (name is None or one.topic == name)
+            and (type_ is None or one.type == type_)
+        ]
+
+    def strangers(self, name: str, type_: str, type_hash: str) -> list[Entity]:
+        """Return those who use a topic or service with another type or hash: they are not heard."""
+        return [
+            one
+            for one in self.entities()
+            if one.topic == name and (one.type, one.type_hash) != (type_, type_hash)
+        ]
+
+    async def ready(self) -> None:
+        """Wait until everybody who can be reached has told what there is, for 3 s at most."""
+        self._start()
+        told = asyncio.Event()
+
+        def ended() -> None:
+            with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
+                self._loop.call_soon_threadsafe(told.set)
+
+        def reply(answer: zenoh.Reply) -> None:
+            if answer.ok is not None:
+                self._on_sample(answer.ok)
+
+        self._session.liveliness().get(self._keys, direct(reply, ended), timeout=_SETTLE)
+        with anyio.move_on_after(_SETTLE + 1):
+            await told.wait()
+        # The router leaves it to other sessions to tell of themselves, once they are connected.
+        with anyio.move_on_after(_SETTLE):
+            changing = True
+            while changing:
+                changed = self._changed
+                with anyio.move_on_after(_QUIET) as quiet:
+                    await changed.wait()
+                changing = not quiet.cancelled_caught
+
+    async def wait_until(self, holds: Callable[[], bool]) -> None:
+        """Wait until something holds of the graph; it is looked at after each change."""
+        self._start()
+        while True:
+            changed = self._changed
+            if holds():
+                return
+            await changed.wait()
+            await anyio.sleep(_PAUSE)
+
+    def close(self) -> None:
+        """Watch the graph no more."""
+        if self._subscriber is not None:
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+            self._subscriber = None

@@ -1,0 +1,124 @@
+"""The action ``~/grasp``: goals with everything that a goal of the hand has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeVar
+
+from rtee.errors import GoalRejected, suggestion
+from rtee.ros2.action_server import ActionServer, Offer
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.types import Feedback, Goal, OnContact, Result, Stage
+
+GRASP = "~/grasp"
+"""Name of the action."""
+
+V = TypeVar("V")
+
+
+class Grasp:
+    """Offers the action.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self._type = face.node.context.interfaces.action("rtee_msgs/action/Grasp")
+        self._server = ActionServer(face.node, GRASP, Offer(self._type, self._accept))
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return none: a goal says all."""
+        return ()
+
+    async def run(self) -> None:
+        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        await self._server.run()
+
+    async def _accept(self, message: Any) -> HandJob:
+        running = await self._face.hand.start_goal(goal_of(message))
+        return HandJob(running, self._result, _feedback)
+
+    def _result(self, result: Result) -> Message:
+        kind = self._type.result
+        given = {one.name for one in kind.STRUCTURE.members}
+        fields = {name: getattr(result, name) for name in given if hasattr(result, name)}
+        for name in ("opening", "force", "force_error"):
+            fields[name] = [] if fields[name] is None else [fields[name]]
+        fields |= {
+            "position_name": list(result.position),
+            "position": list(result.position.values()),
+        }
+        return kind(**fields)
+
+
+def goal_of(message: Any) -> Goal:
+    """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; the hand checks its numbers.
+
+    Args:
+        message: The message.
+
+    Raises:
+        GoalRejected: if names and values do not match, or a word is none.
+    """
+    fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
+    return Goal(
+        message.action,
+        tuple(message.elements),
+        kind=message.kind or None,
+        intensity=message.intensity,
+        effort=_pairs(message.effort_name, [float(one) for one in message.effort], "effort"),
+        tolerance=message.tolerance,
+        speed=message.speed,
+        timeout=_optional(message.timeout),
+        stage=_word(Stage, message.stage, "stage"),
+        opening=_optional(message.opening),
+        force=_optional(message.force),
+        grasp=message.grasp,
+        tip_speed=_optional(message.tip_speed),
+        narrower=message.narrower,
+        wider=message.wider,
+        on_contact={
+            finger: _word(OnContact, word, "on_contact") for finger, word in fingers.items()
+        },
+        touch=message.touch,
+        max_force=_optional(message.max_force),
+    )
+
+
+def _optional(values: Sequence[float]) -> float | None:
+    """Return the value of a sequence that has one or none."""
+    return float(values[0]) if len(values) else None
+
+
+def _pairs(names: Sequence[str], values: Sequence[V], what: str) -> dict[str, V]:
+    if len(names) != len(values) or len(set(names)) != len(names):
+        raise GoalRejected(
+            f"'{what}' needs a value for each of its names, which all differ, not"
+            f" {len(values)} for {len(names)}"
+        )
+    return dict(zip(names, values, strict=True))
+
+
+W = TypeVar("W", Stage, OnContact)
+
+
+def _word(kind: type[W], word: str, what: str) -> W:
+    try:
+        return kind(word)
+    except ValueError:
+        raise GoalRejected(f"unknown {what} '{word[:100]}'; {suggestion(word, kind)}") from None
+
+
+def _feedback(feedback: Feedback) -> dict[str, Any]:
+    inner = feedback.inner_progress
+    return {
+        "progress": feedback.progress,
+        "inner": feedback.inner,
+        "inner_name": list(inner),
+        "inner_progress": list(inner.values()),
+    }

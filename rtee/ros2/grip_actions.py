@@ -1,0 +1,318 @@
+"""The action ``~/gripper_cmd``, as GripperCommand and as ParallelGripperCommand at once.
+
+A position is the gap between the fingertips [m] and an effort the force between them [N]; or, where
+a joint is named, that joint's position [rad | m] and its effort [N·m | N].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtee.actions.types import Action, Timed, kind_of
+from rtee.errors import ConfigError, GoalRejected, suggestion
+from rtee.messages.state import State
+from rtee.ros2.action_server import ActionServer, Offer
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.topics import stamped
+from rtee.types import ActuatorSpec, Feedback, Goal, Result
+
+GRIPPER = "~/gripper_cmd"
+"""Name of the action."""
+
+JOINT, ACTION = "gripper.joint", "gripper.action"
+"""Names of the parameters: the joint that positions are of, and the action to close with."""
+
+GAP = "opening"
+"""What ParallelGripperCommand calls the gap, where it must have a name as a joint has."""
+
+_BEYOND = 0.01
+"""Share of a range by which a position may be beyond its end: planners round."""
+
+
+_STILL = 0.02
+"""Slower than this share of its velocity limit an actuator stands still, as by default for the
+hand's own `rtee.hand.config_schema.StallSettings.speed`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a gripper is to do.
+
+    Attributes:
+        joint: The joint that is meant; empty: the gap between the fingertips.
+        position: Where to [rad | m].
+        effort: The most effort of the joint [N·m | N], or the force of the fingertips [N]; 0: as
+            configured.
+        speed: How fast [rad/s | m/s]; 0: as fast as the hand goes.
+    """
+
+    joint: str
+    position: float
+    effort: float = 0.0
+    speed: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            GoalRejected: if one cannot be used.
+        """
+        if not math.isfinite(self.position):
+            raise GoalRejected(f"the position must be a finite number, not {self.position:g}")
+        for what, value in (("effort", self.effort), ("velocity", self.speed)):
+            if not 0.0 <= value < math.inf:
+                raise GoalRejected(
+                    f"the {what} must be 0 (as configured) or more, and finite, not {value:g}"
+                )
+
+
+class Gripper:
+    """Offers the action.
+
+    Args:
+        face: The hand and its node.
+
+    Raises:
+        ConfigError: if the settings name an actuator that the hand does not have.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self._joint = face.settings.gripper_joint
+        if self._joint and self._joint not in face.actuators:
+            raise ConfigError(
+                f"'gripper_joint' under 'ros2' in hand.yaml: there is no actuator '{self._joint}';"
+                f" {suggestion(self._joint, face.actuators)}"
+            )
+        known, package = face.node.context.interfaces, "control_msgs/action"
+        self._simple = known.action(f"{package}/GripperCommand")
+        self._parallel = known.action(f"{package}/ParallelGripperCommand")
+        self._joint_state = face.message("sensor_msgs/msg/JointState")
+        self._server = ActionServer(
+            face.node,
+            GRIPPER,
+            Offer(self._simple, self._accept_simple),
+            Offer(self._parallel, self._accept_parallel),
+        )
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return the joint that positions are of, and the action to close with."""
+        yield Parameter(
+            JOINT,
+            self._joint,
+            f"The actuator whose position [rad | m] goals of {GRIPPER} give; empty: the gap between"
+            " the fingertips [m].",
+            change=self._check_joint,
+        )
+        yield Parameter(
+            ACTION,
+            "",
+            f"The action that {GRIPPER} opens and closes with, and its elements, such as"
+            " 'PinchTight index thumb'; empty: the hand's best one for the gap.",
+        )
+
+    def _check_joint(self, name: str) -> None:
+        if name:
+            self._actuator(name)
+
+    async def run(self) -> None:
+        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        await self._server.run()
+
+    # --- what comes
+
+    async def _accept_simple(self, message: Any) -> HandJob:
+        asked = message.command
+        command = Command(self._configured_joint, asked.position, asked.max_effort)
+        return await self._begin(command, lambda fields: self._simple.result(**fields), dict)
+
+    async def _accept_parallel(self, message: Any) -> HandJob:
+        asked = message.command
+        names = list(asked.name)
+        if len(asked.position) != 1 or len(names) > 1:
+            raise GoalRejected(
+                f"a gripper takes one position and at most one name, not {len(asked.position)} and"
+                f" {len(names)}"
+            )
+        if names in ([], [""]):
+            joint = self._configured_joint
+        else:
+            joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
+        command = Command(
+            joint,
+            float(asked.position[0]),
+            _single(asked.effort, "effort"),
+            _single(asked.velocity, "velocity"),
+        )
+        name = names or [joint or GAP]
+
+        def state(fields: dict[str, Any]) -> Message:
+            made: Message = self._joint_state(
+                header=stamped(self._face, self._face.latest.wall_ns),
+                name=name,
+                position=[fields["position"]],
+                effort=[fields["effort"]],
+            )
+            return made
+
+        def ended(fields: dict[str, Any]) -> Message:
+            return self._parallel.result(
+                state=state(fields),
+                stalled=fields["stalled"],
+                reached_goal=fields["reached_goal"],
+            )
+
+        return await self._begin(command, ended, lambda fields: {"state": state(fields)})
+
+    @property
+    def _configured_joint(self) -> str:
+        return str(self._face.parameters.values[JOINT])
+
+    def _actuator(self, name: str) -> ActuatorSpec:
+        """Return an actuator; raises `GoalRejected` if there is none of that name."""
+        names = self._face.actuators
+        if name not in names:
+            raise GoalRejected(f"there is no actuator '{name[:100]}'; {suggestion(name, names)}")
+        return self._face.model.actuators[names.index(name)]
+
+    # --- what the hand is to do
+
+    async def _begin(
+        self,
+        command: Command,
+        result: Callable[[dict[str, Any]], Message],
+        feedback: Callable[[dict[str, Any]], dict[str, Any]],
+    ) -> HandJob:
+        hand = self._face.hand
+        if command.joint:
+            actuator = self._actuator(command.joint)
+            goal = joint_goal(command, actuator, await hand.actions())
+        else:
+            goal = self._gap_goal(command)
+        running = await hand.start_goal(goal)
+        return HandJob(
+            running,
+            lambda ended: result(self._ended(command.joint, ended)),
+            lambda now: feedback(self._now(command.joint, now)),
+        )
+
+    def _gap_goal(self, command: Command) -> Goal:
+        """Return the goal for a gap between the fingertips."""
+        gap = command.position
+        action, *elements = str(self._face.parameters.values[ACTION]).split() or [""]
+        if not action and self._face.openings:
+            # The hand's best action for a width is one that opens wider still, so that an object
+            # fits in between. To open as wide as it goes, the one that opens widest is meant.
+            widest = max(self._face.openings, key=lambda one: one.widest)
+            if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
+                gap, action, elements = widest.widest, widest.action, list(widest.elements)
+        return Goal(
+            action,
+            tuple(elements),
+            opening=gap,
+            force=command.effort or None,
+            tip_speed=command.speed or None,
+        )
+
+    # --- what is told
+
+    def _now(self, joint: str, _: Feedback) -> dict[str, Any]:
+        """Return the fields of feedback."""
+        position, effort = self._measured(joint)
+        limits = [one.velocity for one in self._face.model.actuators]
+        return {
+            "position": position,
+            "effort": effort,
+            "stalled": is_stalled(self._face.latest, limits),
+            "reached_goal": False,
+        }
+
+    def _ended(self, joint: str, result: Result) -> dict[str, Any]:
+        """Return the fields of the result."""
+        position, effort = self._measured(joint)
+        if joint:
+            position = result.position.get(joint, position)
+        else:
+            position = position if result.opening is None else result.opening
+            effort = effort if result.force is None else result.force
+        return {
+            "position": position,
+            "effort": effort,
+            "stalled": result.stalled,
+            "reached_goal": result.reached,
+        }
+
+    def _measured(self, joint: str) -> tuple[float, float]:
+        """Return the newest position [rad | m] and effort [N·m | N], of a joint or of the gap."""
+        state = self._face.latest
+        if not joint:
+            return state.opening, state.force
+        row = state.names.index(joint)
+        return float(state.position[row]), float(state.effort[row])
+
+
+def is_stalled(state: State, limits: Sequence[float]) -> bool:
+    """Return whether the hand is blocked by something and stands still.
+
+    Args:
+        state: The newest state. An actuator whose velocity is not measured counts as still.
+        limits: Velocity limits of the actuators ``(n,)`` [rad/s | m/s].
+    """
+    moving = np.abs(state.velocity) > _STILL * np.asarray(limits)
+    return bool(state.grasped.any()) and not bool(moving.any())
+
+
+def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
+    """Return the goal that brings an actuator to a position.
+
+    It is the action that moves the fewest actuators besides, at the intensity for the position.
+
+    Args:
+        command: The command.
+        actuator: Its joint.
+        actions: The hand's actions.
+
+    Raises:
+        GoalRejected: if no action brings it there, with what they can do.
+    """
+    found: list[tuple[int, float, Action]] = []
+    reached = [actuator.rest]
+    for action in actions:
+        if isinstance(action, Timed) or actuator.name not in action.posture.involved:
+            continue
+        end = action.posture.position[actuator.name]
+        reached.append(end)
+        if end != actuator.rest:
+            share = (command.position - actuator.rest) / (end - actuator.rest)
+            if -_BEYOND <= share <= 1.0 + _BEYOND:
+                found.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
+    if not found:
+        raise GoalRejected(
+            f"the hand's actions bring '{actuator.name}' from {min(reached):.4g} to"
+            f" {max(reached):.4g}, not to {command.position:.4g}"
+        )
+    _, share, action = min(found, key=lambda each: each[:2])
+    speed = command.speed / actuator.velocity
+    return Goal(
+        action.name,
+        tuple(action.elements),
+        kind=kind_of(action),
+        intensity=share,
+        effort={actuator.name: command.effort} if command.effort else {},
+        speed=min(speed, 1.0) if speed else 1.0,
+    )
+
+
+def _single(values: Sequence[float], what: str) -> float:
+    """Return the value of a sequence that has one or none; 0 for none."""
+    if len(values) > 1:
+        raise GoalRejected(f"a gripper takes one {what} or none, not {len(values)}")
+    return float(values[0]) if len(values) else 0.0

@@ -1,0 +1,243 @@
+"""The services of a hand's node: stop, open, its actions, and what there is to know about it."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
+from typing import Any
+
+from rtee.actions.naming import normalise, snake_case
+from rtee.actions.types import Action, kind_of
+from rtee.errors import NoHand, RteeError
+from rtee.remote.monitoring import HandStatus
+from rtee.remote.words import sentence
+from rtee.ros2.face import Face
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.services import Service
+from rtee.ros2.topics import ros_name
+from rtee.types import Result
+
+log = logging.getLogger(__name__)
+
+TOLERANCE, SPEED, INTENSITY = "tolerance", "speed", "intensity"
+"""Names of the parameters of the goals that services begin."""
+
+GRIP_EFFORT = "grip_effort"
+"""Name of the parameter with the effort kept on what is held."""
+
+CHANGED = "actions_changed"
+"""The kind of the event that a hand's actions have changed."""
+
+_TRIGGER = "std_srvs/srv/Trigger"
+
+
+class Services:
+    """Offers what a hand does and knows as services.
+
+    Args:
+        face: The hand and its node.
+        actions: The hand's actions as they are now.
+        gains: The gains of its devices, by device and gain.
+        grip_effort: The effort kept on what is held, as a fraction of the effort limit.
+    """
+
+    def __init__(
+        self,
+        face: Face,
+        actions: Iterable[Action],
+        gains: dict[tuple[str, str], float],
+        grip_effort: float,
+    ) -> None:
+        self._face, self._gains, self._grip_effort = face, gains, grip_effort
+        self._offered: dict[str, tuple[Action, Service]] = {}
+        node = face.node
+        self._trigger = node.context.interfaces.service(_TRIGGER)
+        for name, answer in (("stop", self._stop), ("recover", self._recover)):
+            self._offer(f"~/{name}", answer)
+        self._offer("~/open", partial(self._goal, "open", ()))
+        for name, handler in (
+            ("ListActions", self._list_actions),
+            ("PrimitivesAggregated", self._primitives),
+            ("SelectablePartners", self._partners),
+            ("NewGenericAction", self._new_generic),
+            ("GetHandInfo", self._info),
+            ("ListOpenings", self._openings),
+        ):
+            kind = node.context.interfaces.service(f"rtee_msgs/srv/{name}")
+            node.service(f"~/{snake_case(name)}", kind, partial(_with, kind.response, handler))
+        self._update(actions)
+        face.on_status.append(self._keep_gains)
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return those of goals, and the gains."""
+        goals = "of the goals that services begin"
+        yield Parameter(TOLERANCE, 0.01, f"Tolerance {goals} [rad | m].", lower=1e-6, upper=1.0)
+        yield Parameter(
+            SPEED, 1.0, f"Scale of the velocity limits {goals}.", lower=0.001, upper=1.0
+        )
+        yield Parameter(INTENSITY, 1.0, f"Intensity {goals}: 0 (rest) to 1.", lower=0.0, upper=1.0)
+        hand = self._face.hand
+        yield Parameter(
+            GRIP_EFFORT,
+            self._grip_effort,
+            "Effort kept on a grasped object, as a fraction of the effort limit.",
+            lower=0.0,
+            upper=1.0,
+            change=lambda value: hand.set_gains({GRIP_EFFORT: value}),
+        )
+        for (device, gain), value in self._gains.items():
+            if not math.isnan(value):  # the device tells none, so that it could not be read back
+                yield Parameter(
+                    gain_name(device, gain),
+                    value,
+                    f"Gain {gain} of the device {device}.",
+                    change=partial(self._set_gain, device, gain),
+                )
+        model = self._face.model
+        for name, what, values in (
+            ("lower", "Lower limits of the actuators [rad | m].", model.lower),
+            ("upper", "Upper limits of the actuators [rad | m].", model.upper),
+        ):
+            yield Parameter(f"limits.{name}", values.tolist(), what, read_only=True)
+        yield Parameter(
+            "use_sim_time", False, "A hand has the time of its computer.", read_only=True
+        )
+
+    async def _set_gain(self, device: str, gain: str, value: float) -> None:
+        await self._face.hand.set_gains({gain: value}, device)
+
+    async def run(self) -> None:
+        """Follow changes of the hand's actions until it goes."""
+        async for event in self._face.hand.events():
+            if event.kind == CHANGED:
+                self._update(await self._face.hand.actions())
+
+    def _keep_gains(self, status: HandStatus) -> None:
+        """Keep the gains, which other clients may have changed."""
+        found = {GRIP_EFFORT: status.grip_effort}
+        for device in status.devices:
+            pairs = zip(device.gains, device.gain_values, strict=False)
+            found |= {gain_name(device.name, gain): value for gain, value in pairs}
+        parameters = self._face.parameters
+        known = parameters.values
+        parameters.update({n: v for n, v in found.items() if n in known and not math.isnan(v)})
+
+    # --- what moves the hand
+
+    def _offer(self, name: str, answer: Callable[[], Awaitable[tuple[bool, str]]]) -> Service:
+        """Offer a ``Trigger``; what goes wrong is its message."""
+
+        async def handle(_: Any) -> Message:
+            try:
+                success, text = await answer()
+            except RteeError as error:
+                success, text = False, str(error)
+            return self._trigger.response(success=success, message=text)
+
+        return self._face.node.service(name, self._trigger, handle)
+
+    async def _stop(self) -> tuple[bool, str]:
+        confirmed = await self._face.hand.stop()
+        silent = [device for device, did in confirmed.items() if not did]
+        if silent:
+            return False, f"no answer of {', '.join(silent)}"
+        return True, "all devices have stopped"
+
+    async def _recover(self) -> tuple[bool, str]:
+        await self._face.hand.recover()
+        return True, "all devices have recovered"
+
+    async def _goal(
+        self, name: str, elements: tuple[str, ...], kind: str | None = None
+    ) -> tuple[bool, str]:
+        face = self._face
+        result: Result = await face.hand.do(
+            name,
+            *elements,
+            kind=kind,
+            tolerance=face.number(TOLERANCE),
+            speed=face.number(SPEED),
+            intensity=face.number(INTENSITY) if kind is not None else 1.0,
+        )
+        return result.succeeded, sentence(result, elements)
+
+    def _update(self, actions: Iterable[Action]) -> None:
+        """Offer a service for each action, and no others."""
+        wanted: dict[str, Action] = {}
+        for action in actions:
+            name = service_name(action)
+            if name in wanted:  # a composed action may be called as a primitive with its elements
+                name = f"{name}_{kind_of(action)}"
+            wanted[name] = action
+        for name in [name for name in self._offered if name not in wanted]:
+            self._face.node.discard(self._offered.pop(name)[1])
+        for name, action in wanted.items():
+            same = self._offered.get(name)
+            if same is not None and _reference(same[0]) == _reference(action):
+                continue
+            if same is not None:
+                self._face.node.discard(same[1])
+            service = self._offer(f"~/do/{name}", partial(self._goal, *_reference(action)))
+            self._offered[name] = action, service
+
+    # --- what is known of it
+
+    async def _list_actions(self, request: Any) -> dict[str, Any]:
+        asked = {"kind": request.kind, "name": request.name, "elements": request.elements}
+        return await self._face.hand.ask("actions", asked)
+
+    async def _primitives(self, request: Any) -> dict[str, Any]:
+        groups = (await self._face.hand.ask("primitives"))["groups"]
+        wanted = normalise(request.name)
+        return {"groups": [g for g in groups if wanted in ("", normalise(g["name"]))]}
+
+    async def _partners(self, request: Any) -> dict[str, Any]:
+        return {"partners": await self._face.hand.partners(request.action, request.element)}
+
+    async def _new_generic(self, request: Any) -> dict[str, Any]:
+        if len(request.actuator) != len(request.position):
+            reason = f"{len(request.actuator)} actuators have {len(request.position)} positions"
+            return {"accepted": False, "reason": reason}
+        where = dict(zip(request.actuator, request.position.tolist(), strict=True))
+        try:
+            await self._face.hand.add_generic(
+                request.name, where, store=request.store, replace=request.replace
+            )
+        except NoHand:
+            raise
+        except RteeError as error:
+            return {"accepted": False, "reason": str(error)}
+        return {"accepted": True}
+
+    async def _info(self, request: Any) -> dict[str, Any]:
+        asked = {"name": request.name, "position": request.position}
+        return {"info": await self._face.hand.ask("info", asked)}
+
+    async def _openings(self, _: Any) -> dict[str, Any]:
+        return await self._face.hand.ask("openings")
+
+
+def service_name(action: Action) -> str:
+    """Return how an action's service is called: ``pinch_tight_index_thumb``."""
+    return ros_name("_".join((snake_case(action.name), *action.elements)))
+
+
+def gain_name(device: str, gain: str) -> str:
+    """Return the name of the parameter of a gain."""
+    return f"gains.{ros_name(device)}.{gain}"
+
+
+def _reference(action: Action) -> tuple[str, tuple[str, ...], str]:
+    """Return what identifies an action."""
+    return action.name, tuple(action.elements), str(kind_of(action))
+
+
+async def _with(
+    response: type[Message], handler: Callable[[Any], Awaitable[dict[str, Any]]], request: Any
+) -> Message:
+    """Return a response of the fields that a handler returns."""
+    made: Message = response.from_dict(await handler(request))
+    return made

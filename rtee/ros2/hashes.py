@@ -1,0 +1,79 @@
+"""Hashes of types (RIHS01) and the descriptions that they are made of.
+
+A hash is the SHA-256 of the type's description as JSON, with the descriptions of all types that it
+refers to, sorted by name (REP 2016). Two programs hear each other only where their hashes agree.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+from rtee.ros2.notation import PRIMITIVES, Structure
+
+PREFIX: Final = "RIHS01_"
+"""Beginning of every hash: the version of the rule by which it is made."""
+
+NO_HASH: Final = "TypeHashNotSupported"
+"""What Humble writes instead of a hash: it has none."""
+
+_NESTED = 1
+_BOUNDED_STRING = 21
+
+Description = dict[str, Any]
+"""A description: a tree of mappings, lists, texts and integers."""
+
+
+def describe(structure: Structure) -> Description:
+    """Return a structure as an ``IndividualTypeDescription``."""
+    fields = []
+    for member in structure.members:
+        number = PRIMITIVES.get(member.base, _NESTED)
+        if member.longest:
+            number = _BOUNDED_STRING
+        fields.append(
+            {
+                "name": member.name,
+                "type": {
+                    "type_id": number + member.many.value,
+                    "capacity": member.capacity,
+                    "string_capacity": member.longest,
+                    "nested_type_name": member.base if member.nested else "",
+                },
+            }
+        )
+    return {"type_name": structure.name, "fields": fields}
+
+
+def referred(structure: Structure, find: Callable[[str], Structure]) -> list[Structure]:
+    """Return all structures that one refers to, directly or not, sorted by name."""
+    found: dict[str, Structure] = {}
+
+    def visit(names: Iterable[str]) -> None:
+        for name in names:
+            if name not in found:
+                found[name] = find(name)
+                visit(member.base for member in found[name].members if member.nested)
+
+    visit(member.base for member in structure.members if member.nested)
+    return [found[name] for name in sorted(found)]
+
+
+def description(structure: Structure, find: Callable[[str], Structure]) -> Description:
+    """Return the ``TypeDescription`` of a structure, with all that it refers to.
+
+    Args:
+        structure: The structure.
+        find: Returns a structure by its full name.
+    """
+    others = [describe(one) for one in referred(structure, find)]
+    return {"type_description": describe(structure), "referenced_type_descriptions": others}
+
+
+def type_hash(structure: Structure, find: Callable[[str], Structure]) -> str:
+    """Return the hash of a structure: ``RIHS01_`` and 64 hexadecimal digits."""
+    # Separators and order as rosidl writes them: they are part of what is hashed.
+    text = json.dumps(description(structure, find), separators=(", ", ": "))
+    return PREFIX + hashlib.sha256(text.encode()).hexdigest()

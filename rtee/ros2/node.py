@@ -1,0 +1,324 @@
+"""Nodes of ROS 2, with what they publish, subscribe to and serve, and the context they are in."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+import os
+from collections.abc import AsyncIterator, Coroutine, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
+
+import anyio
+import anyio.to_thread
+import zenoh
+
+from rtee.errors import NoRouter, needing_extra
+from rtee.hand.config_schema import Ros2Settings
+from rtee.remote.session import disable_linger
+from rtee.ros2.endpoints import LONGEST, Callback, Publisher, Subscription
+from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name
+from rtee.ros2.participant import Participant
+from rtee.ros2.qos import DEFAULT, Qos
+from rtee.ros2.services import Client, Handler, Service
+from rtee.ros2.session import close_session, configuration, domain_of, open_session, router_attempts
+from rtee.ros2.types import ServiceType, TopicType
+
+log = logging.getLogger(__name__)
+
+_WATCH = 1.0
+"""Time between two looks at the router [s], and between two attempts at the start."""
+
+
+class _Closable(Protocol):
+    def close(self) -> None: ...
+
+
+C = TypeVar("C", bound=_Closable)
+
+AT_ONCE = 16
+"""Requests of a service that are handled at once, unless said otherwise."""
+
+
+class Node:
+    """A node; made by `Context.node`.
+
+    Types are given by name, such as ``sensor_msgs/msg/JointState``, or as the `TopicType` or
+    `ServiceType` of the context's interfaces; names of topics and services as in ROS 2:
+    ``/absolute``, ``relative`` to the namespace or ``~/private``.
+
+    Attributes:
+        context: The context.
+        name: Its name.
+    """
+
+    def __init__(self, context: Context, name: NodeName) -> None:
+        self.context, self.name = context, name
+        self._participant = context.participant
+        self._id = self._participant.next_id()
+        self._open: list[_Closable] = []
+        self._token: zenoh.LivelinessToken = self._participant.session.liveliness().declare_token(
+            self._entity(Kind.NODE, self._id).token
+        )
+
+    def _entity(self, kind: Kind, number: int) -> Entity:
+        ids = str(self._participant.domain), self._participant.zid, str(self._id), str(number)
+        return Entity(*ids, kind, self.name)
+
+    def _endpoint(
+        self, kind: Kind, name: str, type_: TopicType | ServiceType, qos: Qos
+    ) -> tuple[Entity, str]:
+        full = self.name.resolve(name)
+        key = key_expression(self._participant.domain, full, type_.name, type_.hash)
+        entity = self._entity(kind, self._participant.next_id())
+        made = replace(entity, topic=full, type=type_.name, type_hash=type_.hash, qos=qos)
+        return made, key
+
+    def _kept(self, made: C) -> C:
+        self._open.append(made)
+        return made
+
+    def _topic(self, type_: str | TopicType) -> TopicType:
+        return self.context.interfaces.topic(type_) if isinstance(type_, str) else type_
+
+    def _service(self, type_: str | ServiceType) -> ServiceType:
+        return self.context.interfaces.service(type_) if isinstance(type_, str) else type_
+
+    def publisher(self, topic: str, type_: str | TopicType, qos: Qos = DEFAULT) -> Publisher:
+        """Return a new publisher.
+
+        Raises:
+            ConfigError: if the name is none of ROS 2.
+            MessageError: if there is no such type.
+        """
+        kind = self._topic(type_)
+        entity, key = self._endpoint(Kind.PUBLISHER, topic, kind, qos)
+        return self._kept(Publisher(self._participant, entity, key, kind))
+
+    def subscription(
+        self,
+        topic: str,
+        type_: str | TopicType,
+        callback: Callback,
+        qos: Qos = DEFAULT,
+        *,
+        longest: int = LONGEST,
+    ) -> Subscription:
+        """Return a new subscription.
+
+        Args:
+            topic: Name of the topic.
+            type_: Its type.
+            callback: Called in the event loop with one message after the other; what it returns is
+                awaited if it can be. When it is slow, the oldest messages beyond the QoS's depth
+                are dropped.
+            qos: The QoS.
+            longest: Longest message that is taken [bytes].
+
+        Raises:
+            ConfigError: if the name is none of ROS 2.
+            MessageError: if there is no such type.
+        """
+        kind = self._topic(type_)
+        entity, key = self._endpoint(Kind.SUBSCRIPTION, topic, kind, qos)
+        return self._kept(Subscription(self._participant, entity, key, kind, callback, longest))
+
+    def service(
+        self,
+        name: str,
+        type_: str | ServiceType,
+        handler: Handler,
+        qos: Qos = DEFAULT,
+        *,
+        at_once: int = AT_ONCE,
+    ) -> Service:
+        """Return a new service.
+
+        Args:
+            name: Its name.
+            type_: Its type.
+            handler: Answers a request; it may take as long as it likes. When it raises, the client
+                gets no answer: ROS 2 knows no other.
+            qos: The QoS.
+            at_once: How many requests are handled at once. A hundred more wait, others are dropped.
+
+        Raises:
+            ConfigError: if the name is none of ROS 2.
+            MessageError: if there is no such type.
+        """
+        kind = self._service(type_)
+        entity, key = self._endpoint(Kind.SERVICE, name, kind, qos)
+        return self._kept(Service(self._participant, entity, key, kind, handler, at_once))
+
+    def client(self, name: str, type_: str | ServiceType, qos: Qos = DEFAULT) -> Client:
+        """Return a new client of a service.
+
+        Raises:
+            ConfigError: if the name is none of ROS 2.
+            MessageError: if there is no such type.
+        """
+        kind = self._service(type_)
+        entity, key = self._endpoint(Kind.CLIENT, name, kind, qos)
+        return self._kept(Client(self._participant, entity, key, kind))
+
+    def discard(self, made: _Closable) -> None:
+        """Close a publisher, subscription, service or client of this node."""
+        self._open.remove(made)
+        made.close()
+
+    def close(self) -> None:
+        """Leave the graph with all that belongs to the node."""
+        while self._open:
+            self._open.pop().close()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Context:
+    """A program's part in a ROS 2 domain; made by `Context.open`.
+
+    Its methods are called in the thread of the event loop in which it was opened.
+
+    Attributes:
+        settings: What it was opened with.
+        participant: The session with what all nodes share.
+        domain: The domain.
+        interfaces: The interfaces of the distribution.
+        graph: The ROS graph.
+        complaints: What was dropped of what others sent.
+        log: Where it tells what goes wrong.
+    """
+
+    def __init__(self, settings: Ros2Settings, participant: Participant) -> None:
+        self.settings, self.participant = settings, participant
+        self.domain, self.interfaces = participant.domain, participant.interfaces
+        self.graph, self.complaints = participant.graph, participant.complaints
+        self.log = log
+        self._nodes: list[Node] = []
+
+    @classmethod
+    @asynccontextmanager
+    async def open(
+        cls,
+        settings: Ros2Settings,
+        environment: Mapping[str, str] | None = None,
+        *,
+        insecure: bool = False,
+        router_needed: bool = False,
+    ) -> AsyncIterator[Context]:
+        """Open a session; it and all nodes are closed at the end.
+
+        A router that is not there is told once and tried again. A program on the router's computer
+        need not wait for it, others must; `rtee.ros2.session.ROUTER_CHECK` says how long to look
+        for it here.
+
+        Args:
+            settings: Domain, distribution and router.
+            environment: Variables as rmw_zenoh reads them; unless given, those of the process.
+            insecure: Allow a router on another computer without certificates.
+            router_needed: Raise `NoRouter` if the router is not there instead of going on.
+
+        Raises:
+            ConfigError: if a setting or variable cannot be used.
+            MissingExtra: if the extra ``ros2`` is not installed.
+            NoRouter: if it is needed and does not answer.
+        """
+        with needing_extra("ROS 2", "ros2"):
+            import xxhash  # noqa: F401 - for the identifiers
+
+        environment = os.environ if environment is None else environment
+        domain, attempts = domain_of(settings, environment), router_attempts(environment)
+        config = configuration(settings, environment, insecure=insecure)
+        missing = (
+            f"no router of ROS 2 at {settings.router}: nobody is found until it runs"
+            " (ros2 run rmw_zenoh_cpp rmw_zenohd, or rtee ros2 router)"
+        )
+        session = await _opened(config, attempts if router_needed else 0, missing)
+        try:
+            context = cls(settings, Participant(session, domain, settings.distro.value))
+            await context._look_for_router(attempts, missing)
+            if router_needed and attempts >= 0 and not context.connected:
+                raise NoRouter(missing)
+            context.participant.start(context._watch(missing))
+            try:
+                yield context
+            finally:
+                with anyio.CancelScope(shield=True):
+                    await context._close()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await anyio.to_thread.run_sync(close_session, session)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a router is connected."""
+        return bool(self.participant.session.info.routers_zid())
+
+    async def _look_for_router(self, attempts: int, missing: str) -> None:
+        if attempts == 0 and not self.connected:
+            log.warning("%s; waiting for it", missing)
+        with anyio.move_on_after(_WATCH * attempts if attempts else math.inf):
+            while attempts >= 0 and not self.connected:  # noqa: ASYNC110 - Zenoh tells only this
+                await anyio.sleep(_WATCH / 20)
+
+    async def _watch(self, missing: str) -> None:
+        """Tell once when the router is lost, and when it is back."""
+        was: bool | None = None
+        while True:
+            disable_linger()  # a frozen node must not hold up Zenoh's thread when it is dropped
+            now = self.connected
+            if now and was is False:
+                log.info("the router of ROS 2 at %s is there", self.settings.router)
+            elif not now and was is not False:
+                log.warning("%s", missing)
+            was = now
+            await anyio.sleep(_WATCH)
+
+    def node(self, name: str, namespace: str = "") -> Node:
+        """Return a new node.
+
+        Raises:
+            ConfigError: if ROS 2 would refuse the name or namespace.
+        """
+        node = Node(self, node_name(name, namespace))
+        self._nodes.append(node)
+        return node
+
+    def discard(self, node: Node) -> None:
+        """Close a node."""
+        self._nodes.remove(node)
+        node.close()
+
+    def start(self, work: Coroutine[Any, Any, None]) -> None:
+        """Run a coroutine until it or the context ends."""
+        self.participant.start(work)
+
+    async def _close(self) -> None:
+        while self._nodes:
+            self._nodes.pop().close()
+        await self.participant.close()
+
+
+async def _opened(config: zenoh.Config, attempts: int, missing: str) -> zenoh.Session:
+    """Open a session, of a client as soon as its router answers.
+
+    Args:
+        config: Its configuration.
+        attempts: How often to try; 0: for ever.
+        missing: What to say when the router does not answer.
+
+    Raises:
+        NoRouter: if the router does not answer.
+        ConfigError: if an endpoint cannot be used.
+    """
+    for attempt in itertools.count(1):
+        try:
+            return await anyio.to_thread.run_sync(open_session, config)
+        except NoRouter:
+            if attempt == max(attempts, 1) and attempts != 0:
+                raise NoRouter(missing) from None
+            if attempt == 1:
+                log.warning("%s", missing)
+        await anyio.sleep(_WATCH)
+    raise AssertionError  # the attempts never end

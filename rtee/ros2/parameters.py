@@ -1,0 +1,305 @@
+"""Parameters of a node: the six services that read, change and describe them, and their events."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import time
+import typing
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtee.errors import RteeError
+from rtee.ros2.message import Message
+from rtee.ros2.node import Node
+from rtee.ros2.qos import PARAMETERS
+
+Value = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str]
+"""What a parameter can be."""
+
+_KINDS: tuple[tuple[type, int, str], ...] = (
+    # A bool is an int in Python, so that it stands first.
+    (bool, 1, "bool"),
+    (int, 2, "integer"),
+    (float, 3, "double"),
+    (str, 4, "string"),
+)
+_NOT_SET, _DOUBLE, _DOUBLES, _BYTES = 0, 3, 8, 5
+_TO_ARRAY = 5
+"""What an array's kind is above that of its elements."""
+
+_FIELDS = (
+    "",
+    "bool_value",
+    "integer_value",
+    "double_value",
+    "string_value",
+    "byte_array_value",
+    "bool_array_value",
+    "integer_array_value",
+    "double_array_value",
+    "string_array_value",
+)
+_NAMES = ("not set", *(name for _, _, name in _KINDS), "byte_array", "bool_array")
+_NAMES += ("integer_array", "double_array", "string_array")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of a node.
+
+    Attributes:
+        name: Its name; dots part it into groups.
+        value: Its value at the start; its type never changes.
+        description: What it is, with its unit.
+        lower: Least value of a number, or of each in an array.
+        upper: Greatest value.
+        step: Numbers that differ from ``lower`` by other than multiples are refused; 0: none are.
+        read_only: It cannot be changed.
+        change: Called with a new value before it is kept; refuses it by raising `RteeError`. What
+            it returns is awaited if it can be.
+    """
+
+    name: str
+    value: Value
+    description: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    step: float = 0.0
+    read_only: bool = False
+    change: Callable[[Any], Awaitable[None] | None] | None = None
+
+    @property
+    def kind(self) -> int:
+        """Its type, as in ``rcl_interfaces/msg/ParameterType``."""
+        return kind_of(self.value)
+
+    def refusal(self, value: Value | None) -> str:
+        """Return why it cannot take a value; empty if it can."""
+        if self.read_only:
+            return f"parameter '{self.name}' cannot be set because it is read-only"
+        if value is None or kind_of(value) != self.kind:
+            given = "not set" if value is None else _NAMES[kind_of(value)]
+            return (
+                f"Wrong parameter type, parameter '{self.name}' is of type"
+                f" '{_NAMES[self.kind]}', setting it to '{given}' is not allowed."
+            )
+        numbers = value if isinstance(value, list) else [value]
+        for number in numbers:
+            if isinstance(number, (int, float)) and not self._within(number):
+                lower, upper = (
+                    "-inf" if self.lower is None else f"{self.lower:g}",
+                    "inf" if self.upper is None else f"{self.upper:g}",
+                )
+                steps = f" in steps of {self.step:g}" if self.step else ""
+                return f"Parameter '{self.name}' is {number:g}, outside {lower} to {upper}{steps}"
+        return ""
+
+    def _within(self, number: float) -> bool:
+        if self.lower is None and self.upper is None:
+            return True
+        lower = -math.inf if self.lower is None else self.lower
+        upper = math.inf if self.upper is None else self.upper
+        if not (math.isfinite(number) and lower <= number <= upper):
+            return False
+        if not self.step or number in {lower, upper}:
+            return True
+        steps = (number - lower) / self.step if math.isfinite(lower) else number / self.step
+        return math.isclose(steps, round(steps), rel_tol=0, abs_tol=1e-9 * max(1.0, abs(steps)))
+
+
+def kind_of(value: Value) -> int:
+    """Return a value's type, as in ``rcl_interfaces/msg/ParameterType``."""
+    if isinstance(value, bytes):
+        return _BYTES
+    # An empty list is one of doubles: those are the arrays that a hand's parameters are.
+    one = (value[0] if value else 0.0) if isinstance(value, list) else value
+    kind = next(number for type_, number, _ in _KINDS if isinstance(one, type_))
+    return kind + _TO_ARRAY if isinstance(value, list) else kind
+
+
+class Parameters:
+    """The parameters of a node, with the services and the topic that ROS 2's tools use.
+
+    Args:
+        node: The node.
+        declared: Its parameters.
+    """
+
+    def __init__(self, node: Node, declared: Iterable[Parameter]) -> None:
+        self._node = node
+        self._declared = {one.name: one for one in declared}
+        self._values: dict[str, Value] = {one.name: one.value for one in self._declared.values()}
+        self._messages = node.context.interfaces
+        self._events = node.publisher(
+            "/parameter_events", "rcl_interfaces/msg/ParameterEvent", PARAMETERS
+        )
+        for name, kind, handler in (
+            ("get_parameters", "GetParameters", self._get),
+            ("get_parameter_types", "GetParameterTypes", self._types),
+            ("set_parameters", "SetParameters", self._set),
+            ("set_parameters_atomically", "SetParametersAtomically", self._set_atomically),
+            ("describe_parameters", "DescribeParameters", self._describe),
+            ("list_parameters", "ListParameters", self._list),
+        ):
+            # One at a time, so that changes come in an order that everybody sees.
+            kind = f"rcl_interfaces/srv/{kind}"
+            node.service(f"~/{name}", kind, handler, PARAMETERS, at_once=1)
+        self._publish("new_parameters", self._values)
+
+    @property
+    def values(self) -> Mapping[str, Value]:
+        """The values, by name."""
+        return self._values
+
+    def update(self, values: Mapping[str, Value]) -> None:
+        """Keep values that the hand itself has changed, and tell of those that are new."""
+        changed = {name: value for name, value in values.items() if self._values[name] != value}
+        if changed:
+            self._values |= changed
+            self._publish("changed_parameters", changed)
+
+    def _message(self, name: str) -> Any:
+        return self._messages.message(f"rcl_interfaces/msg/{name}")
+
+    def _publish(self, field: str, values: Mapping[str, Value]) -> None:
+        seconds, nanoseconds = divmod(time.time_ns(), 10**9)
+        event = self._message("ParameterEvent")(node=self._node.name.full)
+        event.stamp.sec, event.stamp.nanosec = seconds, nanoseconds
+        parameter = self._message("Parameter")
+        told = [parameter(name=name, value=self._value(value)) for name, value in values.items()]
+        setattr(event, field, told)
+        self._events.publish(event)
+
+    def _value(self, value: Value | None) -> Message:
+        made = self._message("ParameterValue")()
+        if value is not None:
+            made.type = kind_of(value)
+            setattr(made, _FIELDS[made.type], value)
+        return typing.cast("Message", made)
+
+    async def _get(self, request: Any) -> Message:
+        values = [self._value(self._values.get(name)) for name in request.names]
+        return self._messages.service("rcl_interfaces/srv/GetParameters").response(values=values)
+
+    async def _types(self, request: Any) -> Message:
+        kinds = [
+            self._declared[name].kind if name in self._declared else _NOT_SET
+            for name in request.names
+        ]
+        return self._messages.service("rcl_interfaces/srv/GetParameterTypes").response(types=kinds)
+
+    async def _describe(self, request: Any) -> Message:
+        descriptors = [self._descriptor(name) for name in request.names]
+        service = self._messages.service("rcl_interfaces/srv/DescribeParameters")
+        return service.response(descriptors=descriptors)
+
+    def _descriptor(self, name: str) -> Any:
+        made = self._message("ParameterDescriptor")(name=name)
+        one = self._declared.get(name)
+        if one is not None:
+            made.type, made.description, made.read_only = one.kind, one.description, one.read_only
+            if one.lower is not None or one.upper is not None:
+                lower = -math.inf if one.lower is None else one.lower
+                upper = math.inf if one.upper is None else one.upper
+                if one.kind in {_DOUBLE, _DOUBLES}:
+                    made.floating_point_range = [
+                        self._message("FloatingPointRange")(
+                            from_value=lower, to_value=upper, step=one.step
+                        )
+                    ]
+                else:
+                    most = (1 << 63) - 1
+                    made.integer_range = [
+                        self._message("IntegerRange")(
+                            from_value=int(max(lower, -most)) if math.isfinite(lower) else -most,
+                            to_value=int(upper) if math.isfinite(upper) else most,
+                            step=int(one.step),
+                        )
+                    ]
+        return made
+
+    async def _list(self, request: Any) -> Message:
+        def asked(name: str) -> bool:
+            if not request.prefixes:
+                return not request.depth or name.count(".") < request.depth
+            return any(
+                name == prefix
+                or (
+                    name.startswith(prefix + ".")
+                    and (not request.depth or name[len(prefix) :].count(".") <= request.depth)
+                )
+                for prefix in request.prefixes
+            )
+
+        names = [name for name in sorted(self._declared) if asked(name)]
+        prefixes = sorted({name.rpartition(".")[0] for name in names if "." in name})
+        result = self._message("ListParametersResult")(names=names, prefixes=prefixes)
+        return self._messages.service("rcl_interfaces/srv/ListParameters").response(result=result)
+
+    async def _set(self, request: Any) -> Message:
+        results = [await self._change([one]) for one in request.parameters]
+        return self._messages.service("rcl_interfaces/srv/SetParameters").response(results=results)
+
+    async def _set_atomically(self, request: Any) -> Message:
+        service = self._messages.service("rcl_interfaces/srv/SetParametersAtomically")
+        return service.response(result=await self._change(request.parameters))
+
+    async def _change(self, asked: Sequence[Any]) -> Message:
+        """Change all of some parameters or none; return a ``SetParametersResult``."""
+        result = self._message("SetParametersResult")
+        wanted: dict[str, Value] = {}
+        for each in asked:
+            value = self._taken(each.name, _content(each.value))
+            declared = self._declared.get(each.name)
+            if declared is None:
+                return _result(result, f"parameter '{each.name}' cannot be set: not declared")
+            if refusal := declared.refusal(value):
+                return _result(result, refusal)
+            if value is not None:
+                wanted[each.name] = value
+        before: dict[str, Value] = {}
+        for name, value in wanted.items():
+            try:
+                await self._tell(name, value)
+            except RteeError as error:
+                for done, old in before.items():
+                    await self._tell(done, old)
+                return _result(result, str(error))
+            before[name] = self._values[name]
+        self.update(wanted)
+        return _result(result, "")
+
+    def _taken(self, name: str, value: Value | None) -> Value | None:
+        """Return a value as its parameter takes it: a whole number may stand for a double."""
+        declared = self._declared.get(name)
+        if declared is None or value is None or isinstance(value, bool):
+            return value
+        if declared.kind == _DOUBLE and isinstance(value, int):
+            return float(value)
+        if isinstance(value, list) and not value and isinstance(declared.value, list):
+            return value if declared.kind == _DOUBLES else None
+        return value
+
+    async def _tell(self, name: str, value: Value) -> None:
+        change = self._declared[name].change
+        if change is not None:
+            done = change(value)
+            if inspect.isawaitable(done):
+                await done
+
+
+def _content(value: Any) -> Value | None:
+    """Return what a ``ParameterValue`` holds; ``None`` if nothing, or a type that is not known."""
+    if not 0 < value.type < len(_FIELDS):
+        return None
+    content: Value | np.ndarray = getattr(value, _FIELDS[value.type])
+    return content.tolist() if isinstance(content, np.ndarray) else content
+
+
+def _result(result: Any, reason: str) -> Message:
+    made: Message = result(successful=not reason, reason=reason)
+    return made

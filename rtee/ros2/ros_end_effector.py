@@ -1,0 +1,243 @@
+"""The services of ROS End-Effector's ROS 2 packages, for programs that were written for it.
+
+Names, fields and numbers are those of its package ``rosee_msg`` and of its node: services in the
+namespace of the node, such as ``/grasping_actions_available``. Primitives are called as there:
+``pinchTight``, ``trig``, ``multiplePinchTight_3``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rtee.actions.naming import normalise
+from rtee.actions.types import Action, ActionKind, Posture, Primitive, PrimitiveKind, Timed
+from rtee.errors import RteeError
+from rtee.remote.client import RemoteHand
+from rtee.ros2.message import Message
+from rtee.ros2.node import Node
+from rtee.ros2.types import Interfaces
+
+PRIMITIVES: dict[PrimitiveKind, str] = {
+    PrimitiveKind.PINCH_TIGHT: "pinchTight",
+    PrimitiveKind.PINCH_LOOSE: "pinchLoose",
+    PrimitiveKind.MULTI_PINCH_TIGHT: "multiplePinchTight",
+    PrimitiveKind.TRIG: "trig",
+    PrimitiveKind.TIP_FLEX: "tipFlex",
+    PrimitiveKind.FING_FLEX: "fingFlex",
+    PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS: "singleJointMultipleTips",
+}
+"""The kinds of primitives as they are called there; their places are their numbers."""
+
+_NUMBERS = {kind: number for number, kind in enumerate(PRIMITIVES)}
+_NO_PRIMITIVE = len(PRIMITIVES)
+
+_ACTIONS = {
+    ActionKind.PRIMITIVE: 0,
+    ActionKind.GENERIC: 1,
+    ActionKind.COMPOSED: 2,
+    ActionKind.TIMED: 3,
+}
+_ASKED = (
+    {ActionKind.PRIMITIVE},
+    {ActionKind.GENERIC, ActionKind.COMPOSED},
+    {ActionKind.TIMED},
+)
+"""The kinds of actions that a request of the actions asks for, by its number."""
+
+_MSG, _SRV = "rosee_msg/msg", "rosee_msg/srv"
+
+
+def name_there(action: Action) -> str:
+    """Return what an action is called in ROS End-Effector."""
+    if not isinstance(action, Primitive):
+        return action.name
+    name = PRIMITIVES[action.kind]
+    return f"{name}_{action.tips}" if action.kind.counted else name
+
+
+def name_here(name: str) -> str:
+    """Return what an action of ROS End-Effector is called here."""
+    for kind, there in PRIMITIVES.items():
+        begin, _, tips = name.partition("_")
+        if normalise(begin) == normalise(there) and (tips.isdigit() or not tips):
+            return f"{kind}_{tips}" if tips else str(kind)
+    return name
+
+
+class RosEndEffector:
+    """Offers the services.
+
+    Args:
+        node: The hand's node.
+        hand: The hand.
+    """
+
+    def __init__(self, node: Node, hand: RemoteHand) -> None:
+        self._hand, self._interfaces = hand, node.context.interfaces
+        offered: tuple[tuple[str, str, Callable[[Any], Awaitable[dict[str, Any]]]], ...] = (
+            ("grasping_actions_available", "GraspingActionsAvailable", self._actions),
+            (
+                "primitives_aggregated_available",
+                "GraspingPrimitiveAggregatedAvailable",
+                self._aggregated,
+            ),
+            ("selectable_finger_pair_info", "SelectablePairInfo", self._partners),
+            ("new_generic_grasping_action", "NewGenericGraspingActionSrv", self._new_generic),
+            ("hand_info", "HandInfo", self._info),
+        )
+        for name, kind, handler in offered:
+            service = self._interfaces.service(f"{_SRV}/{kind}")
+            node.service(name, service, partial(_answer, service.response, handler))
+
+    async def _actions(self, request: Any) -> dict[str, Any]:
+        if request.action_type >= len(_ASKED):
+            return {}
+        kinds = _ASKED[request.action_type]
+        found = [one for one in await self._hand.actions() if one.action_kind in kinds]
+        if ActionKind.PRIMITIVE in kinds:
+            found = list(_filtered(found, request))
+        elif request.action_name:
+            found = [one for one in found if _same(one, request.action_name)]
+        return {"grasping_actions": [_described(self._interfaces, one) for one in found]}
+
+    async def _aggregated(self, request: Any) -> dict[str, Any]:
+        actions = await self._hand.actions(kind=ActionKind.PRIMITIVE)
+        made = self._interfaces.message(f"{_MSG}/GraspingPrimitiveAggregated")
+        groups: dict[str, list[Primitive]] = {}
+        for one in _filtered(actions, request):
+            if isinstance(one, Primitive):
+                groups.setdefault(name_there(one), []).append(one)
+        return {
+            "primitives_aggregated": [
+                made(
+                    action_name=name,
+                    primitive_type=_NUMBERS[group[0].kind],
+                    selectable_names=sorted({each for one in group for each in one.elements}),
+                    max_selectable=len(group[0].elements),
+                )
+                for name, group in groups.items()
+            ]
+        }
+
+    async def _partners(self, request: Any) -> dict[str, Any]:
+        name, element = name_here(request.action_name), request.element_name
+        try:
+            return {"pair_elements": list(await self._hand.partners(name, element))}
+        except RteeError:
+            return {}  # as there: nothing is paired with what does not exist
+
+    async def _new_generic(self, request: Any) -> dict[str, Any]:
+        asked = request.new_action
+        positions = asked.action_motor_position
+        if len(positions.name) != len(positions.position):
+            return {"error_msg": "action_motor_position has more names than positions, or fewer"}
+        where = dict(zip(positions.name, positions.position.tolist(), strict=True))
+        counts = dict(
+            zip(asked.action_motor_count.name, asked.action_motor_count.count, strict=False)
+        )
+        # Without a mask, motors at 0 are those that are not meant.
+        where = {
+            name: value
+            for name, value in where.items()
+            if (counts.get(name, 0) if counts else value != 0.0)
+        }
+        try:
+            await self._hand.add_generic(asked.action_name, where, store=request.emit_yaml)
+        except RteeError as error:
+            return {"error_msg": str(error)}
+        return {"accepted": True, "emitted": request.emit_yaml}
+
+    async def _info(self, request: Any) -> dict[str, Any]:
+        known = await self._hand.info()
+        positions = request.motor_positions.tolist()
+        if len(positions) == len(known.actuators):
+            posture = dict(zip(known.actuator_names, positions, strict=True))
+            known = await self._hand.info(posture)
+        return {
+            "fingers_names": [finger.name for finger in known.fingers],
+            "motors_names": list(known.actuator_names),
+            "transmission_matrix": self._matrix(known.transmission, ("joints", "motors")),
+            "motors_stiffness": [one.stiffness for one in known.actuators],
+            "tips_frictions": [one.friction for one in known.fingers],
+            "motors_torque_limits": [one.effort for one in known.actuators],
+        }
+
+    def _matrix(self, values: Any, labels: tuple[str, str]) -> Message:
+        """Return a matrix, row by row."""
+        package = "example_interfaces/msg"
+        rows, columns = np.shape(values)
+        dimension = self._interfaces.message(f"{package}/MultiArrayDimension")
+        layout = self._interfaces.message(f"{package}/MultiArrayLayout")(
+            dim=[
+                dimension(label=labels[0], size=rows, stride=rows * columns),
+                dimension(label=labels[1], size=columns, stride=columns),
+            ]
+        )
+        made: Message = self._interfaces.message(f"{package}/Float32MultiArray")(
+            layout=layout, data=np.ravel(values).astype(np.float32)
+        )
+        return made
+
+
+async def _answer(
+    response: type[Message], handler: Callable[[Any], Awaitable[dict[str, Any]]], request: Any
+) -> Message:
+    return response(**await handler(request))
+
+
+def _same(action: Action, name: str) -> bool:
+    return normalise(name) in (normalise(name_there(action)), normalise(action.name))
+
+
+def _filtered(actions: Iterable[Action], request: Any) -> Iterable[Action]:
+    """Yield the primitives that a request asks for; its number 0 stands for all kinds."""
+    for one in actions:
+        if not isinstance(one, Primitive):
+            continue
+        # As there: where a kind is asked for, the name does not count.
+        if request.primitive_type:
+            wanted = _NUMBERS[one.kind] + 1 == request.primitive_type
+        else:
+            wanted = not request.action_name or _same(one, request.action_name)
+        if wanted and set(request.elements_involved) in (set(), set(one.elements)):
+            yield one
+
+
+def _described(known: Interfaces, action: Action) -> Message:
+    """Return a ``GraspingAction``."""
+    primitive = isinstance(action, Primitive)
+    postures = action.postures if isinstance(action, Primitive) else action.waypoints
+    steps = action.steps if isinstance(action, Timed) else ()
+    made: Message = known.message(f"{_MSG}/GraspingAction")(
+        action_type=_ACTIONS[action.action_kind],
+        primitive_type=_NUMBERS[action.kind] if isinstance(action, Primitive) else _NO_PRIMITIVE,
+        action_name=name_there(action),
+        elements_involved=list(action.elements if primitive else action.fingers),
+        action_motor_count=_counted(known, postures),
+        action_motor_positions=[
+            known.message(f"{_MSG}/MotorPosition")(
+                name=list(one.position), position=list(one.position.values())
+            )
+            for one in postures
+        ],
+        inner_actions=[step.alias for step in steps] or [use.action for use in action.uses],
+        before_time_margins=[step.before for step in steps],
+        after_time_margins=[step.after for step in steps],
+    )
+    return made
+
+
+def _counted(known: Interfaces, postures: Iterable[Posture]) -> Message:
+    """Return how many of some postures move each actuator."""
+    counts: dict[str, int] = {}
+    for one in postures:
+        for name in one.position:
+            counts[name] = max(counts.get(name, 0), int(name in one.involved))
+    made: Message = known.message(f"{_MSG}/JointsInvolvedCount")(
+        name=list(counts), count=bytes(counts.values())
+    )
+    return made

@@ -1,0 +1,95 @@
+"""The action of ROS End-Effector's ROS 2 packages, for programs that were written for it.
+
+Its name is that of its node's parameter: ``/action_command``, in the namespace of the hand's node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from rtee.actions.types import ActionKind
+from rtee.errors import GoalRejected
+from rtee.ros2.action_server import ActionServer, Offer
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.ros_end_effector import name_here
+from rtee.types import Feedback, Goal, Result
+
+COMMAND = "action_command"
+"""Name of the action."""
+
+_TOLERANCE = 0.01
+"""Error norm that counts where a goal gives 0 [rad | m], as there."""
+
+_FULL = 100.0
+"""What its feedback calls a completed action: percent, while its goals have a fraction."""
+
+
+class ActionCommand:
+    """Offers the action.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
+        self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return none: a goal says all."""
+        return ()
+
+    async def run(self) -> None:
+        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        await self._server.run()
+
+    async def _accept(self, message: Any) -> HandJob:
+        asked = message.goal_action
+        running = await self._face.hand.start_goal(goal_of(asked))
+
+        def ended(_: Result) -> Message:
+            return self._type.result(completed_action=asked)
+
+        def now(feedback: Feedback) -> dict[str, Any]:
+            return {
+                "completation_percentage": _FULL * feedback.progress,
+                "action_name_current": feedback.inner or asked.action_name,
+            }
+
+        return HandJob(running, ended, now)
+
+
+def goal_of(asked: Any) -> Goal:
+    """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
+
+    Args:
+        asked: The message. Its percentage is a fraction, 0 to 1, and does not count for a timed
+            action, as there.
+
+    Raises:
+        GoalRejected: if it is of no type, or has commands for single motors.
+    """
+    if any(asked.optional_motors_commands):
+        raise GoalRejected(
+            "'optional_motors_commands' are not taken: they have no unit; rtee_msgs/action/Grasp"
+            " takes efforts by actuator"
+        )
+    tolerance = asked.error_norm or _TOLERANCE
+    if asked.action_type == asked.PRIMITIVE:
+        return Goal(
+            name_here(asked.action_name),
+            tuple(asked.selectable_items),
+            kind=ActionKind.PRIMITIVE,
+            intensity=asked.percentage,
+            tolerance=tolerance,
+        )
+    if asked.action_type in (asked.GENERIC, asked.COMPOSED):  # one kind there
+        return Goal(asked.action_name, intensity=asked.percentage, tolerance=tolerance)
+    if asked.action_type == asked.TIMED:
+        return Goal(asked.action_name, kind=ActionKind.TIMED, tolerance=tolerance)
+    raise GoalRejected(f"action_type {asked.action_type} is none: there are 0 to 3")

@@ -1,0 +1,258 @@
+"""Services and clients of a node."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any
+
+import anyio
+import zenoh
+
+from rtee.errors import MessageError, RteeError
+from rtee.remote.session import direct
+from rtee.ros2 import attachments
+from rtee.ros2.attachments import Attachment
+from rtee.ros2.endpoints import LONGEST
+from rtee.ros2.inbox import Inbox, Limit
+from rtee.ros2.keys import Entity, Kind
+from rtee.ros2.message import Message
+from rtee.ros2.participant import Participant
+from rtee.ros2.types import ServiceType
+
+log = logging.getLogger(__name__)
+
+_MOST_WAITING = 100
+"""Requests that wait for their turn; further ones are dropped, and their clients time out."""
+
+_MOST_A_SECOND = 200
+"""Requests of a service that are taken in a second: tools send some dozen, and each takes 0.2 ms of
+the one interpreter that the hand's loop needs, too."""
+
+FOREVER = 86_400.0 * 365
+"""Time after which a query without a timeout ends [s]: Zenoh has no infinite one."""
+
+Handler = Callable[[Any], Awaitable[Any]]
+"""What answers a request of a service: takes the request and returns the response."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request as it came: it is answered through its query, which ends when it is dropped."""
+
+    query: zenoh.Query
+    payload: bytes
+    attachment: Attachment
+
+
+class Service:
+    """A service; made by `rtee.ros2.node.Node.service`.
+
+    Attributes:
+        type: Its type.
+        name: Its fully qualified name.
+    """
+
+    def __init__(
+        self,
+        participant: Participant,
+        entity: Entity,
+        key: str,
+        kind: ServiceType,
+        handler: Handler,
+        at_once: int,
+    ) -> None:
+        self.type, self.name = kind, entity.topic
+        self._participant, self._key, self._handler, self._most = participant, key, handler, at_once
+        self._under_way: set[tuple[bytes, int]] = set()
+        self._waiting: deque[_Asked] = deque()
+        self._closed = False
+        self._limit = Limit(_MOST_A_SECOND)
+        self._inbox: Inbox[_Asked] = Inbox(
+            self._take, _MOST_WAITING, keep_newest=False, dropped=self._too_many
+        )
+        self._queryable = participant.session.declare_queryable(
+            key, direct(self._on_query), complete=True
+        )
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    def _tell(self, why: str) -> None:
+        self._participant.complaints.tell(f"a request of {self.name} is dropped", why)
+
+    def _too_many(self) -> None:
+        self._participant.complaints.tell(
+            f"requests of {self.name} are dropped", "too many at once"
+        )
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        if not self._limit.passes():
+            self._too_many()
+            return
+        try:
+            attachment = attachments.decode(query.attachment)
+            payload = query.payload
+            if payload is None or not 0 < len(payload) <= LONGEST:
+                length = 0 if payload is None else len(payload)
+                raise MessageError(f"{length} bytes are no {self.type.request.STRUCTURE.name}")
+        except MessageError as error:
+            self._tell(str(error))
+            return
+        self._inbox.put(_Asked(query, bytes(payload), attachment))
+
+    def _take(self, asked: _Asked) -> None:
+        if len(self._under_way) >= self._most:
+            if len(self._waiting) >= _MOST_WAITING:
+                self._too_many()
+            else:
+                self._waiting.append(asked)
+            return
+        self._begin(asked)
+
+    def _begin(self, asked: _Asked) -> None:
+        number = (asked.attachment.gid, asked.attachment.sequence)
+        if number in self._under_way:
+            self._tell("its number is that of a request which is not answered yet")
+            return
+        try:
+            request = self.type.request.decode(asked.payload)
+        except MessageError as error:
+            self._tell(str(error))
+            return
+        self._under_way.add(number)
+        self._participant.start(self._answer(asked, number, request))
+
+    async def _answer(self, asked: _Asked, number: tuple[bytes, int], request: Any) -> None:
+        try:
+            response = await self._handler(request)
+            if not self._closed:
+                self._reply(asked, response)
+        except RteeError as error:
+            # A ROS service can only answer with its response: its client times out.
+            self._participant.complaints.tell(f"a request of {self.name} fails", str(error))
+        except Exception:
+            log.exception("the service %s failed", self.name)
+        finally:
+            self._under_way.discard(number)
+            while self._waiting and len(self._under_way) < self._most:
+                self._begin(self._waiting.popleft())
+
+    def _reply(self, asked: _Asked, response: Any) -> None:
+        if not isinstance(response, self.type.response):
+            raise MessageError(f"{self.type.response.STRUCTURE.name} expected, not {response!r}")
+        attachment = attachments.encode(
+            asked.attachment.sequence, time.time_ns(), asked.attachment.gid
+        )
+        with asked.query as query:
+            query.reply(self._key, response.encode(), attachment=attachment)
+
+    def close(self) -> None:
+        """Answer nothing more, and leave the graph."""
+        self._closed = True
+        self._inbox.close()
+        self._waiting.clear()
+        self._token.undeclare()  # type: ignore[no-untyped-call]
+        self._queryable.undeclare()  # type: ignore[no-untyped-call]
+
+
+class Client:
+    """A client of a service; made by `rtee.ros2.node.Node.client`.
+
+    Attributes:
+        type: Type of the service.
+        name: Fully qualified name of the service.
+    """
+
+    def __init__(
+        self, participant: Participant, entity: Entity, key: str, kind: ServiceType
+    ) -> None:
+        self.type, self.name = kind, entity.topic
+        self._participant, self._key = participant, key
+        self._gid = attachments.gid(entity.token)
+        self._asked = 0
+        self._lock = threading.Lock()
+        self._token = participant.session.liveliness().declare_token(entity.token)
+
+    @property
+    def available(self) -> bool:
+        """Whether somebody offers the service."""
+        return bool(self._participant.graph.of(Kind.SERVICE, self.name, self.type.name))
+
+    async def wait(self, timeout: float = math.inf) -> None:
+        """Wait until somebody offers the service.
+
+        Args:
+            timeout: Longest time [s].
+
+        Raises:
+            TimeoutError: if nobody does.
+        """
+        with anyio.move_on_after(timeout) as scope:
+            await self._participant.graph.wait_until(lambda: self.available)
+        if scope.cancelled_caught:
+            raise TimeoutError(f"nobody offers the service {self.name} ({self.type.name})")
+
+    async def call(self, request: Message, timeout: float = 5.0) -> Any:
+        """Ask the service and return its response.
+
+        Args:
+            request: The request.
+            timeout: Longest time until the response [s]; may be infinite.
+
+        Raises:
+            TimeoutError: if nobody answers.
+            MessageError: if a field of the request holds what its type cannot, or the response is
+                none.
+        """
+        if not isinstance(request, self.type.request):
+            raise MessageError(f"{self.type.request.STRUCTURE.name} expected, not {request!r}")
+        loop = asyncio.get_running_loop()
+        answer: asyncio.Future[bytes] = loop.create_future()
+
+        def settle(payload: bytes | None) -> None:
+            if answer.done():
+                return
+            if payload is None:
+                answer.set_exception(TimeoutError(f"the service {self.name} does not answer"))
+            else:
+                answer.set_result(payload)
+
+        def hand_over(payload: bytes | None) -> None:
+            try:
+                loop.call_soon_threadsafe(settle, payload)
+            except RuntimeError:  # the event loop is closed
+                pass
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None and len(reply.ok.payload) <= LONGEST:
+                hand_over(bytes(reply.ok.payload))
+
+        payload, token = request.encode(), zenoh.CancellationToken()
+        with self._lock:
+            self._asked += 1
+            attachment = attachments.encode(self._asked, time.time_ns(), self._gid)
+        self._participant.session.get(
+            self._key,
+            direct(on_reply, lambda: hand_over(None)),
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=min(timeout, FOREVER),
+            payload=payload,
+            attachment=attachment,
+            cancellation_token=token,
+        )
+        try:
+            with anyio.move_on_after(timeout):
+                return self.type.response.decode(await answer)
+            raise TimeoutError(f"the service {self.name} does not answer")
+        finally:
+            token.cancel()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._token.undeclare()  # type: ignore[no-untyped-call]

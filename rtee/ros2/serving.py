@@ -1,0 +1,244 @@
+"""Hands as nodes of ROS 2, for as long as they run."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import anyio
+
+from rtee.errors import ConfigError, MessageError, RemoteError, UserError
+from rtee.hand.config_schema import Distro, Ros2Settings, ThermalSettings
+from rtee.hand.model import Hand
+from rtee.remote.client import RemoteHand, connect
+from rtee.remote.model import model_of
+from rtee.ros2.diagnostics import Diagnostics
+from rtee.ros2.face import Face, Part
+from rtee.ros2.grasp_action import Grasp
+from rtee.ros2.grip_actions import Gripper
+from rtee.ros2.hand_services import Services
+from rtee.ros2.keys import node_name
+from rtee.ros2.node import Context
+from rtee.ros2.ros_end_effector import RosEndEffector
+from rtee.ros2.ros_end_effector_action import ActionCommand
+from rtee.ros2.setpoints import Setpoints
+from rtee.ros2.topics import Topics, ros_name
+from rtee.ros2.type_descriptions import TypeDescriptions
+
+log = logging.getLogger(__name__)
+
+_AGAIN = 0.5
+"""Time until a hand that has gone is looked for again [s]."""
+
+_AFTER_FAILURE = 10.0
+"""Time until a node that has failed for an unknown reason is made anew [s]: it may fail again, and
+each time is logged."""
+
+PARTS: tuple[Callable[[Face], Part], ...] = (
+    Topics,
+    Diagnostics,
+    Setpoints,
+    Gripper,
+    Grasp,
+    ActionCommand,
+)
+"""The parts of a node besides its services, which need to know the actions first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A hand to be shown.
+
+    Attributes:
+        name: Its name.
+        settings: Domain, distribution, router, namespace.
+        insecure: A router on another computer needs no certificates.
+        configured: Its model as it is configured here; ``None``: it is not.
+        thermal: At which temperatures it warns.
+        endpoint: Where it runs; ``None``: on this computer.
+    """
+
+    name: str
+    settings: Ros2Settings
+    insecure: bool = False
+    configured: Hand | None = None
+    thermal: ThermalSettings = field(default_factory=ThermalSettings)
+    endpoint: str | None = None
+
+    @property
+    def node(self) -> str:
+        """The fully qualified name of its node."""
+        return node_name(ros_name(self.name), self.settings.namespace).full
+
+
+def warnings(hands: Sequence[Shown]) -> list[str]:
+    """Return what a person should know before hands are shown, one sentence each.
+
+    Raises:
+        ConfigError: if a namespace is none, or two hands would be the same node.
+    """
+    found = [
+        f"whoever reaches the router of ROS 2 at {router} can move {_listed(names)}: ROS 2 knows no"
+        " identities"
+        for router, names in _grouped((hand.settings.router, hand.name) for hand in hands).items()
+    ]
+    nodes = _grouped((hand.node, hand.name) for hand in hands)
+    for node, names in nodes.items():
+        if len(names) > 1:
+            raise ConfigError(
+                f"{_listed(names)} would both be the node {node}; give each a namespace of its own"
+                " under 'ros2' in its hand.yaml"
+            )
+    spaces = _grouped((hand.settings.namespace.strip("/"), hand.name) for hand in hands)
+    found += [
+        f"{_listed(names)} share the topics joint_states and robot_description; a namespace of its"
+        " own under 'ros2' in each hand.yaml parts them"
+        for names in spaces.values()
+        if len(names) > 1
+    ]
+    return found
+
+
+def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
+    """Return settings with those that a command line gives; ``None`` gives nothing.
+
+    Raises:
+        ConfigError: if one cannot be used.
+    """
+    found = {name: value for name, value in given.items() if value is not None}
+    distro = found.get("distro")
+    if distro is not None:
+        if distro not in list(Distro):
+            known = ", ".join(one.value for one in Distro)
+            raise ConfigError(f"--distro {distro}: there are {known}")
+        found["distro"] = Distro(distro)
+    try:
+        return replace(settings, **found)
+    except ValueError as error:
+        raise ConfigError(f"the command line: {error}") from None
+
+
+async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = None) -> None:
+    """Show hands as nodes of ROS 2 until cancelled; each while it runs.
+
+    Hands with the same domain, distribution and router share a session.
+
+    Args:
+        hands: The hands.
+        environment: Variables as rmw_zenoh reads them; unless given, those of the process.
+
+    Raises:
+        ConfigError: if a setting cannot be used.
+        MissingExtra: if the extra ``ros2`` is not installed.
+    """
+    sessions: dict[tuple[int, Distro, str, bool], list[Shown]] = {}
+    for hand in hands:
+        of = hand.settings
+        key = of.domain, of.distro, of.router, hand.insecure
+        sessions.setdefault(key, []).append(hand)
+    async with anyio.create_task_group() as group:
+        for together in sessions.values():
+            group.start_soon(_serve_together, together, environment)
+
+
+async def _serve_together(hands: Sequence[Shown], environment: Mapping[str, str] | None) -> None:
+    first = hands[0]
+    opened = Context.open(first.settings, environment, insecure=first.insecure)
+    async with opened as context, anyio.create_task_group() as group:
+        for hand in hands:
+            group.start_soon(_keep_showing, context, hand)
+
+
+async def _keep_showing(context: Context, hand: Shown) -> None:
+    """Show a hand whenever it runs."""
+
+    def waiting(reason: str) -> None:
+        log.info("%s is no node of ROS 2 yet: %s", hand.name, reason)
+
+    while True:
+        try:
+            opened = connect(
+                hand.name, endpoint=hand.endpoint, client="ros2", wait=math.inf, on_wait=waiting
+            )
+            async with (
+                opened as remote,
+                shown(context, hand, remote) as parts,
+                anyio.create_task_group() as group,
+            ):
+                for part in parts:
+                    group.start_soon(part.run)
+        except* (RemoteError, MessageError) as errors:
+            log.warning("%s has left ROS 2: %s", hand.name, _first(errors))
+        except* UserError:
+            raise
+        except* Exception:  # the nodes of other hands go on
+            log.exception("the node of %s has failed; it is made anew", hand.name)
+            await anyio.sleep(_AFTER_FAILURE)
+        await anyio.sleep(_AGAIN)
+
+
+@asynccontextmanager
+async def shown(
+    context: Context, hand: Shown, remote: RemoteHand
+) -> AsyncIterator[Collection[Part]]:
+    """Make the node of a running hand; it leaves the graph at the end of the context.
+
+    Args:
+        context: The part in the domain.
+        hand: The hand.
+        remote: The same, running.
+
+    Yields:
+        The parts of the node, which are to run.
+    """
+    model = await model_of(remote, hand.configured)
+    info, openings, latest = await remote.info(), await remote.openings(), await remote.state()
+    actions, status = await remote.actions(), await remote.status()
+    node = context.node(ros_name(hand.name), hand.settings.namespace)
+    try:
+        face = Face(
+            hand=remote,
+            model=model,
+            info=info,
+            openings=tuple(openings),
+            node=node,
+            settings=hand.settings,
+            latest=latest,
+            thermal=hand.thermal,
+        )
+        parts: list[Part] = [make(face) for make in PARTS]
+        gains = {
+            (device.name, gain): value
+            for device in status.devices
+            for gain, value in zip(device.gains, device.gain_values, strict=False)
+        }
+        parts.append(Services(face, actions, gains, status.grip_effort))
+        RosEndEffector(node, remote)
+        TypeDescriptions(node)
+        face.declare(one for part in parts for one in part.parameters())
+        log.info("%s is the node %s of ROS 2", hand.name, node.name.full)
+        yield parts
+    finally:
+        context.discard(node)
+
+
+def _grouped(pairs: Collection[tuple[str, str]] | Any) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for key, name in pairs:
+        found.setdefault(key, []).append(name)
+    return found
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names)
+
+
+def _first(errors: BaseExceptionGroup[Any]) -> str:
+    found: BaseException = errors
+    while isinstance(found, BaseExceptionGroup):
+        found = found.exceptions[0]
+    return str(found)

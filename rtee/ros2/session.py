@@ -1,0 +1,188 @@
+"""Zenoh sessions as rmw_zenoh opens them."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from rtee.errors import ConfigError, NoRouter
+from rtee.hand.config_schema import Ros2Settings
+from rtee.remote.credentials import identity
+from rtee.remote.session import TLS, check_endpoints, is_safe
+
+log = logging.getLogger(__name__)
+
+DOMAIN = "ROS_DOMAIN_ID"
+SESSION_CONFIG = "ZENOH_SESSION_CONFIG_URI"
+CONFIG_OVERRIDE = "ZENOH_CONFIG_OVERRIDE"
+ROUTER_CHECK = "ZENOH_ROUTER_CHECK_ATTEMPTS"
+
+_LARGEST_DOMAIN = 232
+"""Largest domain of ROS 2."""
+
+_LARGEST = 1 << 26
+"""Largest message that is assembled [bytes]: those of cameras have some 10 MB. Zenoh allows 1 GiB
+for each peer."""
+
+_CONNECT_WITHIN = 1000
+"""Time until a router must answer a client [ms]; then it is tried again."""
+
+_SETTINGS: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": True,
+    "scouting/gossip/multihop": False,
+    "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
+    "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
+    "scouting/gossip/autoconnect_strategy": {
+        "peer": {"to_router": "always", "to_peer": "greater-zid"}
+    },
+    # The samples kept for those who come later are told apart by their time.
+    "timestamping/enabled": True,
+    "queries_default_timeout": 600_000,
+    "routing/router/peers_failover_brokering": True,
+    "transport/link/rx/max_message_size": _LARGEST,
+    "transport/shared_memory/enabled": False,
+    "adminspace/enabled": False,
+}
+"""Settings of rmw_zenoh's sessions; see ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` there."""
+
+_PEER: dict[str, Any] = {
+    "mode": "peer",
+    "listen/endpoints": ["tcp/localhost:0"],
+    # A hand does not end because the router does not run yet: Zenoh keeps trying.
+    "connect/timeout_ms": -1,
+    "connect/exit_on_failure": False,
+}
+"""Sessions on the router's own computer: nodes exchange messages directly."""
+
+_CLIENT: dict[str, Any] = {
+    "mode": "client",
+    "listen/endpoints": [],
+    "connect/timeout_ms": _CONNECT_WITHIN,
+    "connect/exit_on_failure": True,
+}
+"""Sessions whose messages all go through the router: those of another computer, since a router does
+not pass on messages between peers, and those with certificates, which it checks."""
+
+
+def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
+    """Return the domain: of the environment if it says one.
+
+    Raises:
+        ConfigError: if it is none.
+    """
+    environment = os.environ if environment is None else environment
+    text = environment.get(DOMAIN, "").strip()
+    if not text:
+        return settings.domain
+    if not (text.isascii() and text.isdigit() and int(text[:9]) <= _LARGEST_DOMAIN):
+        raise ConfigError(f"{DOMAIN}={text} is no domain: a whole number, 0 to {_LARGEST_DOMAIN}")
+    return int(text)
+
+
+def router_attempts(environment: Mapping[str, str] | None = None) -> int:
+    """Return how often a router is looked for at the start: 0 for ever, below 0 not at all.
+
+    Raises:
+        ConfigError: if the environment says something else than a whole number.
+    """
+    environment = os.environ if environment is None else environment
+    text = environment.get(ROUTER_CHECK, "").strip() or "1"
+    try:
+        return int(text)
+    except ValueError:
+        raise ConfigError(f"{ROUTER_CHECK}={text} should be a whole number") from None
+
+
+def configuration(
+    settings: Ros2Settings,
+    environment: Mapping[str, str] | None = None,
+    *,
+    insecure: bool = False,
+) -> zenoh.Config:
+    """Return the configuration of a session.
+
+    Args:
+        settings: Where the router is.
+        environment: Variables of rmw_zenoh, by name; unless given, those of the process.
+        insecure: Allow a router on another computer without certificates.
+
+    Raises:
+        ConfigError: if the router, a variable or the file that it names cannot be used, or
+            everybody in the network could reach the router.
+    """
+    environment = os.environ if environment is None else environment
+    if file := environment.get(SESSION_CONFIG, ""):
+        config = _from_file(file)
+    else:
+        config, router = zenoh.Config(), settings.router
+        check_endpoints([router])
+        if not insecure and not is_safe(router):
+            raise ConfigError(
+                f"whoever reaches {router} could move the hand: use a router on this computer or"
+                " one with certificates (tls/HOST:PORT), or allow it with 'insecure: true' in"
+                " remote.security",
+                key="ros2.router",
+            )
+        near = is_safe(router) and not router.startswith(TLS)
+        found = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
+        if router.startswith(TLS):
+            found |= identity().settings()
+        for key, value in found.items():
+            _insert(config, key, json.dumps(value), f"the router '{settings.router}'")
+    for entry in environment.get(CONFIG_OVERRIDE, "").split(";"):
+        if entry.strip():
+            key, equals, value = entry.partition("=")
+            if not equals:
+                raise ConfigError(f"{CONFIG_OVERRIDE}: '{entry}' should be PATH/KEY=VALUE")
+            _insert(config, key.strip(), value.strip(), CONFIG_OVERRIDE)
+    return config
+
+
+def _from_file(file: str) -> zenoh.Config:
+    path = Path(file.removeprefix("file://"))
+    try:
+        path.read_bytes()
+        return zenoh.Config.from_file(str(path))
+    except (OSError, zenoh.ZError) as error:
+        words = error.strerror if isinstance(error, OSError) else str(error).partition(" at /")[0]
+        raise ConfigError(f"{SESSION_CONFIG}: {words}", path=path) from None
+
+
+def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
+    try:
+        config.insert_json5(key, value)
+    except zenoh.ZError as error:
+        words = str(error).partition(" at /")[0]
+        raise ConfigError(f"{source}: {key}={value} is no setting of Zenoh: {words}") from None
+
+
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session; blocks for some milliseconds, or until a router that a client needs answers.
+
+    Raises:
+        NoRouter: if a client's router does not answer.
+        ConfigError: if an endpoint cannot be used.
+    """
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        words = str(error).partition(" at /")[0]
+        if words.startswith("Unable to connect"):
+            raise NoRouter(words) from None
+        raise ConfigError(f"the ROS 2 session cannot be opened: {words}") from None
+
+
+def close_session(session: zenoh.Session) -> None:
+    """Close a session; blocks for some milliseconds, and for 10 s at most."""
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as error:
+        # What it had declared is gone for others as soon as their links end with the process.
+        log.warning("the ROS 2 session did not close: %s", str(error).partition(" at /")[0])

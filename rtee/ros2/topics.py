@@ -1,0 +1,247 @@
+"""What a hand's node publishes: joints, transforms, openings, forces, goals, events."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import AsyncIterator, Callable, Iterable
+from typing import Any, TypeVar
+
+import anyio
+import numpy as np
+
+from rtee.errors import ModelError
+from rtee.hand.embedded_meshes import with_mesh_addresses
+from rtee.hand.frames import JointFrames
+from rtee.hand.meshes import resolve_mesh
+from rtee.hand.model import Hand
+from rtee.loop.contact import TIP_FORCE, tip_forces
+from rtee.messages import (
+    JointStateEncoder,
+    encode_event,
+    encode_feedback,
+    encode_result,
+    encode_string,
+)
+from rtee.messages.layout import TransformsEncoder
+from rtee.messages.state import State
+from rtee.ros2.endpoints import Publisher
+from rtee.ros2.face import Face
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.qos import LATCHED, Qos
+
+T = TypeVar("T")
+
+RATE = "rate"
+"""Name of the parameter with the rate at which states are published."""
+
+_TRANSFORMS = Qos(depth=100)
+"""QoS of ``/tf``, as tf2_ros has it."""
+
+_NANO = 1_000_000_000
+"""Nanoseconds of a second."""
+
+
+def ros_name(name: str) -> str:
+    """Return a name as ROS 2 allows it: letters, digits and underscores, and no digit first."""
+    made = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return made if made[:1].isalpha() or made[:1] == "_" else f"_{made}"
+
+
+def description(model: Hand, urdf: str) -> str:
+    """Return a URDF with the absolute addresses of the meshes that are found here.
+
+    Args:
+        model: The hand: where its meshes are looked up.
+        urdf: The text, of the running hand.
+    """
+    addresses = {}
+    links = model.urdf.links.values()
+    for shape in (each for link in links for each in (*link.visuals, *link.collisions)):
+        if shape.kind == "mesh" and shape.mesh not in addresses:
+            try:
+                path = resolve_mesh(shape.mesh, model.urdf.path, model.package_dirs)
+            except ModelError:
+                continue  # it may be found where the description is read
+            addresses[shape.mesh] = path.resolve().as_uri()
+    return with_mesh_addresses(urdf, addresses)
+
+
+class JointStates:
+    """Encodes ``sensor_msgs/msg/JointState`` of all moving joints of a hand.
+
+    Velocities and efforts that are not measured are ``NaN``, as joint_state_broadcaster has them;
+    efforts are those of the actuators.
+
+    Args:
+        model: The hand.
+    """
+
+    def __init__(self, model: Hand) -> None:
+        self._transmission = model.transmission
+        self._encoder = JointStateEncoder(model.joint_names)
+        self._rows = np.array([model.joint_index(name) for name in model.actuator_names], np.intp)
+        self._effort = np.full(len(model.joint_names), math.nan)
+
+    def encode(self, state: State) -> bytes:
+        """Return the CDR bytes of a state's message."""
+        self._effort[self._rows] = state.effort
+        velocity = self._transmission.velocities(state.position, state.velocity)
+        return self._encoder.encode(state.wall_ns, state.joint_position, velocity, self._effort)
+
+
+class Topics:
+    """Publishes the states of a hand, its description, and what happens to its goals.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face, node, model = face, face.node, face.model
+        self._again = anyio.CancelScope()
+        self._joint_states = JointStates(model)
+        self._joints = node.publisher("joint_states", "sensor_msgs/msg/JointState")
+        urdf = description(model, face.info.urdf)
+        node.publisher("robot_description", "std_msgs/msg/String", LATCHED).publish(
+            encode_string(urdf)
+        )
+        self._transforms = self._tf = None
+        if face.settings.tf:
+            self._transforms = JointFrames(model)
+            self._moving = TransformsEncoder(*_ends(self._transforms.moving))
+            self._tf = node.publisher("/tf", "tf2_msgs/msg/TFMessage", _TRANSFORMS)
+            fixed = TransformsEncoder(*_ends(self._transforms.fixed))
+            node.publisher("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).publish(
+                fixed.encode(face.latest.wall_ns, *self._transforms.still())
+            )
+        number = "std_msgs/msg/Float64"
+        self._opening = self._force = None
+        if face.openings:
+            self._opening = node.publisher("~/opening", number)
+            self._force = node.publisher("~/force", number)
+        self._number = face.message(number)
+        self._tips: list[tuple[str, Publisher]] = []
+        if any(name.endswith(f"/{TIP_FORCE}") for name in face.latest.channels):
+            kind = "geometry_msgs/msg/WrenchStamped"
+            self._tips = [
+                (finger.tip or finger.base, node.publisher(f"~/tip_forces/{ros_name(name)}", kind))
+                for name, finger in zip(model.finger_names, model.fingers, strict=True)
+            ]
+        self._control = ControllerStates(face)
+        self._feedback = node.publisher("~/feedback", "rtee_msgs/msg/Feedback")
+        self._results = node.publisher("~/results", "rtee_msgs/msg/Result")
+        self._events = node.publisher("~/events", "rtee_msgs/msg/Event")
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return the rate."""
+        yield Parameter(
+            RATE,
+            float(self._face.settings.rate),
+            "Rate of joint_states and of the other topics with what is measured [Hz]; the nearest"
+            " one that divides the rate of the loop is taken.",
+            lower=1.0,
+            upper=1000.0,
+            change=lambda _: self._again.cancel(),
+        )
+
+    async def run(self) -> None:
+        """Publish until the hand goes."""
+        hand = self._face.hand
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._relay, hand.feedback(), self._feedback, encode_feedback)
+            group.start_soon(self._relay, hand.results(), self._results, encode_result)
+            group.start_soon(self._relay, hand.events(), self._events, encode_event)
+            while True:
+                with anyio.CancelScope() as self._again:
+                    # After a change of the rate, which is kept once it has been told.
+                    await anyio.lowlevel.checkpoint()
+                    async for state in hand.states(self._face.number(RATE)):
+                        self._face.latest = state
+                        self.publish(state)
+
+    @staticmethod
+    async def _relay(
+        messages: AsyncIterator[T], publisher: Publisher, encode: Callable[[T], bytes]
+    ) -> None:
+        async for message in messages:
+            publisher.publish(encode(message))
+
+    def publish(self, state: State) -> None:
+        """Publish what a state tells, on the topics that somebody listens to."""
+        if self._joints.heard:
+            self._joints.publish(self._joint_states.encode(state))
+        if self._tf is not None and self._transforms is not None and self._tf.heard:
+            where = self._transforms.at(state.joint_position)
+            self._tf.publish(self._moving.encode(state.wall_ns, *where))
+        for publisher, value in ((self._opening, state.opening), (self._force, state.force)):
+            if publisher is not None and not math.isnan(value) and publisher.heard:
+                publisher.publish(self._number(data=value))
+        if any(publisher.heard for _, publisher in self._tips):
+            self._publish_forces(state)
+        self._control.publish(state)
+
+    def _publish_forces(self, state: State) -> None:
+        felt = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+        header = stamped(self._face, state.wall_ns)
+        wrench = self._face.message("geometry_msgs/msg/WrenchStamped")
+        for (frame, publisher), force in zip(self._tips, tip_forces(felt), strict=False):
+            if not math.isnan(force):
+                message = wrench(header=header)
+                header.frame_id, message.wrench.force.z = frame, force
+                publisher.publish(message)
+
+
+class ControllerStates:
+    """Publishes ``~/controller_state`` as the joint_trajectory_controller of ros2_control does.
+
+    It tells what is sent to the actuators, what they measure, and the difference.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        kind = "control_msgs/msg/JointTrajectoryControllerState"
+        self._face = face
+        self._kind = face.message(kind)
+        self._point = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
+        self._publisher = face.node.publisher("~/controller_state", kind)
+
+    def publish(self, state: State) -> None:
+        """Publish a state if somebody listens."""
+        if self._publisher.heard:
+            self._publisher.publish(self._message(state))
+
+    def _message(self, state: State) -> Message:
+        point = self._point
+        reference = point(positions=state.reference_position, velocities=state.reference_velocity)
+        message: Message = self._kind(
+            header=stamped(self._face, state.wall_ns),
+            joint_names=list(state.names),
+            reference=reference,
+            feedback=point(
+                positions=state.position, velocities=state.velocity, effort=state.effort
+            ),
+            error=point(
+                positions=state.reference_position - state.position,
+                velocities=state.reference_velocity - state.velocity,
+            ),
+            output=reference,
+            speed_scaling_factor=1.0,
+        )
+        return message
+
+
+def stamped(face: Face, wall_ns: int) -> Any:
+    """Return a ``std_msgs/msg/Header`` with a time since 1970 [ns]."""
+    header = face.message("std_msgs/msg/Header")()
+    header.stamp.sec, header.stamp.nanosec = divmod(wall_ns, _NANO)
+    return header
+
+
+def _ends(frames: Iterable[tuple[str, str]]) -> tuple[list[str], list[str]]:
+    """Return the parents and the children of pairs of both."""
+    pairs = list(frames)
+    return [parent for parent, _ in pairs], [child for _, child in pairs]

@@ -1,0 +1,351 @@
+"""Set-points over time as ROS 2 sends them: trajectories of joints, jogging, single postures.
+
+Time is CLOCK_MONOTONIC of this computer [s]; the stamps of messages, which are of ROS's clock, are
+brought to it when a message arrives.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple, Protocol
+
+from rtee.errors import MessageError, suggestion
+from rtee.hand.model import Hand
+
+_BEYOND = 0.01
+"""Share of a joint's range by which a position may be beyond its limits: planners round."""
+
+_LONGEST = 600.0
+"""Longest trajectory or jog that is taken [s]: no hand moves for ten minutes."""
+
+_MOST_POINTS = 10_000
+"""Most points of a trajectory: far more than a planner sends."""
+
+_STILL = 1e-6
+"""Velocity at the end of a trajectory that is none [rad/s | m/s]: planners round."""
+
+Where = Callable[[str], float]
+"""Returns where a joint is [rad | m]."""
+
+
+class OldTrajectory(MessageError):
+    """A trajectory was over before it arrived."""
+
+
+class SetPoint(NamedTuple):
+    """Where joints should be at a moment.
+
+    Attributes:
+        position: By joint [rad | m].
+        velocity: How fast there, for those where it is known [rad/s | m/s].
+    """
+
+    position: Mapping[str, float]
+    velocity: Mapping[str, float]
+
+
+class Motion(Protocol):
+    """Set-points over time."""
+
+    @property
+    def end(self) -> float:
+        """When the last set-point is reached [s]."""
+
+    def at(self, now: float) -> SetPoint:
+        """Return the set-point at a time [s]; after the end, the last one."""
+
+
+class Range(NamedTuple):
+    """The range of a joint.
+
+    Attributes:
+        lower: Lower limit [rad | m], ``-inf`` for none.
+        upper: Upper limit [rad | m], ``inf`` for none.
+    """
+
+    lower: float
+    upper: float
+
+    def clamped(self, value: float) -> float:
+        """Return a position inside the limits."""
+        return min(max(value, self.lower), self.upper)
+
+
+def movable_joints(model: Hand) -> dict[str, Range]:
+    """Return the joints that set-points may name: the actuators, and what follows one of them."""
+    found = {actuator.name: Range(actuator.lower, actuator.upper) for actuator in model.actuators}
+    for row, joint in enumerate(model.joints):
+        if joint.name not in found and model.transmission.moves(row) is not None:
+            found[joint.name] = Range(joint.lower, joint.upper)
+    return found
+
+
+def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
+    """Check the joints of a message.
+
+    Raises:
+        MessageError: if there are none, one is unknown, or one is named twice.
+    """
+    if not names:
+        raise MessageError("it names no joints")
+    for name in names:
+        if name not in joints:
+            raise MessageError(f"there is no joint '{name[:100]}'; {suggestion(name, joints)}")
+    if len(set(names)) < len(names):
+        raise MessageError("it names a joint twice")
+
+
+def checked_position(name: str, value: float, limits: Range) -> float:
+    """Return a position inside the limits; raises `MessageError` if it is none, or far beyond."""
+    slack = limits.upper - limits.lower
+    slack = _BEYOND * slack if math.isfinite(slack) else 0.0
+    if not limits.lower - slack <= value <= limits.upper + slack:  # NaN compares as false
+        raise MessageError(
+            f"{value:g} of '{name}' is not inside its limits {limits.lower:g} to {limits.upper:g}"
+        )
+    return limits.clamped(value)
+
+
+def seconds(duration: Any) -> float:
+    """Return a ``builtin_interfaces/Duration`` or ``Time`` in seconds."""
+    return float(duration.sec) + 1e-9 * float(duration.nanosec)
+
+
+def began(stamp: Any, now: float, ros_now: float) -> float:
+    """Return when a message with a stamp begins, by CLOCK_MONOTONIC [s]; without one, now.
+
+    Args:
+        stamp: The stamp in its header.
+        now: CLOCK_MONOTONIC [s].
+        ros_now: The time since 1970 at the same moment [s].
+    """
+    given = seconds(stamp)
+    return now if given == 0.0 else now + (given - ros_now)
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """One set-point, to be reached at once.
+
+    Attributes:
+        position: By joint [rad | m].
+        end: When it is meant [s].
+    """
+
+    position: Mapping[str, float]
+    end: float
+
+    def at(self, now: float) -> SetPoint:
+        """Return it."""
+        return SetPoint(self.position, {})
+
+
+class Trajectory:
+    """A trajectory through points, which begins where the joints are.
+
+    Between two points a joint follows the cubic polynomial through their positions and velocities,
+    or the straight line if the points have no velocities, as the joint_trajectory_controller of
+    ros2_control does.
+
+    Args:
+        names: The joints.
+        times: When the points are to be reached, rising [s].
+        positions: Where the joints are then, by point and joint [rad | m].
+        velocities: How fast they are then [rad/s | m/s]; ``None``: not given.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        times: Sequence[float],
+        positions: Sequence[Sequence[float]],
+        velocities: Sequence[Sequence[float]] | None,
+    ) -> None:
+        self.names, self._times = tuple(names), list(times)
+        self._positions, self._velocities = positions, velocities
+
+    @property
+    def begin(self) -> float:
+        """When it begins [s]."""
+        return self._times[0]
+
+    @property
+    def end(self) -> float:
+        """When the last point is to be reached [s]."""
+        return self._times[-1]
+
+    @property
+    def goal(self) -> dict[str, float]:
+        """The positions of the last point, by joint [rad | m]."""
+        return dict(zip(self.names, self._positions[-1], strict=True))
+
+    def at(self, now: float) -> SetPoint:
+        """Return the set-point at a time [s]; before the first point that, after the end the last.
+
+        After the end all velocities are zero, whatever the last point says: a hand stays there.
+        """
+        if now >= self.end:
+            return SetPoint(self.goal, dict.fromkeys(self.names, 0.0))
+        after = bisect.bisect_right(self._times, now)
+        if after == 0:
+            first = dict(zip(self.names, self._positions[0], strict=True))
+            return SetPoint(first, dict.fromkeys(self.names, 0.0))
+        before = after - 1
+        span = self._times[after] - self._times[before]
+        s = (now - self._times[before]) / span
+        position, velocity = {}, {}
+        for k, name in enumerate(self.names):
+            p, q = self._positions[before][k], self._positions[after][k]
+            if self._velocities is None:
+                position[name], velocity[name] = p + s * (q - p), (q - p) / span
+                continue
+            # The cubic Hermite polynomial, with velocities for a unit of s.
+            v, w = self._velocities[before][k] * span, self._velocities[after][k] * span
+            b, c = 3.0 * (q - p) - 2.0 * v - w, 2.0 * (p - q) + v + w
+            position[name] = p + s * (v + s * (b + s * c))
+            velocity[name] = (v + s * (2.0 * b + s * 3.0 * c)) / span
+        return SetPoint(position, velocity)
+
+
+def trajectory_of(
+    message: Any, joints: Mapping[str, Range], where: Where, now: float, ros_now: float
+) -> Trajectory:
+    """Return the trajectory in a ``trajectory_msgs/msg/JointTrajectory``.
+
+    Points that are over when it arrives are passed over, as ros2_control does. Accelerations and
+    efforts are not used.
+
+    Args:
+        message: The message.
+        joints: The joints that may be named.
+        where: Returns where a joint is now.
+        now: CLOCK_MONOTONIC [s].
+        ros_now: The time since 1970 at the same moment [s].
+
+    Raises:
+        OldTrajectory: if it was over before it arrived.
+        MessageError: if it cannot be followed, with the reason.
+    """
+    names = list(message.joint_names)
+    checked_names(names, joints)
+    points = message.points
+    if not 0 < len(points) <= _MOST_POINTS:
+        raise MessageError(f"a trajectory has 1 to {_MOST_POINTS} points, not {len(points)}")
+    begin = began(message.header.stamp, now, ros_now)
+    times = [seconds(point.time_from_start) for point in points]
+    if times[0] < 0.0 or any(b <= a for a, b in pairwise(times)):
+        raise MessageError("the times of its points do not rise from 0")
+    if times[-1] > _LONGEST or begin - now > _LONGEST:
+        raise MessageError(f"it begins late or takes more than {_LONGEST:g} s")
+    if begin + times[-1] < now:
+        raise OldTrajectory(f"it was over {now - begin - times[-1]:.3g} s ago")
+    positions, velocities = [], []
+    for point in points:
+        if len(point.positions) != len(names) or len(point.velocities) not in (0, len(names)):
+            raise MessageError(
+                f"each point needs {len(names)} positions, and as many velocities or none; one has"
+                f" {len(point.positions)} and {len(point.velocities)}"
+            )
+        pairs = zip(names, map(float, point.positions), strict=True)
+        positions.append([checked_position(name, value, joints[name]) for name, value in pairs])
+        velocities.append([float(value) for value in point.velocities])
+        if not all(map(math.isfinite, velocities[-1])):
+            raise MessageError("its velocities are not all finite")
+    given = all(velocities)
+    if not given and any(velocities):
+        raise MessageError("some of its points have velocities and others none")
+    if any(abs(value) > _STILL for value in velocities[-1]):
+        raise MessageError("its last point has a velocity, and a hand stays where it ends")
+    # It begins where the joints are, at rest: what is between there and its first point counts.
+    first = next((k for k, time in enumerate(times) if begin + time > now), len(times) - 1)
+    start = max(begin, now)
+    if begin + times[first] <= start:  # a single point for now: as fast as the limits allow
+        start = begin + times[first] - 1e-3
+    moments = [start, *(begin + time for time in times[first:])]
+    here = [joints[name].clamped(where(name)) for name in names]
+    rest = [0.0] * len(names)
+    return Trajectory(
+        names,
+        moments,
+        [here, *positions[first:]],
+        [rest, *velocities[first:]] if given else None,
+    )
+
+
+class Jog:
+    """Joints that move at a velocity for a while, inside their limits.
+
+    Args:
+        begin: When it begins [s].
+        end: When it ends [s].
+        start: Where the joints are then [rad | m].
+        velocity: How fast they move [rad/s | m/s].
+        joints: Their limits.
+    """
+
+    def __init__(
+        self,
+        begin: float,
+        end: float,
+        start: Mapping[str, float],
+        velocity: Mapping[str, float],
+        joints: Mapping[str, Range],
+    ) -> None:
+        self.end = end
+        self._begin, self._start, self._velocity, self._joints = begin, start, velocity, joints
+
+    def at(self, now: float) -> SetPoint:
+        """Return the set-point at a time [s]."""
+        moving = now < self.end
+        time = min(max(now, self._begin), self.end) - self._begin
+        position, velocity = {}, {}
+        for name, start in self._start.items():
+            limits, wanted = self._joints[name], start + self._velocity[name] * time
+            position[name] = limits.clamped(wanted)
+            inside = moving and position[name] == wanted
+            velocity[name] = self._velocity[name] if inside else 0.0
+        return SetPoint(position, velocity)
+
+
+def jog_of(
+    message: Any,
+    joints: Mapping[str, Range],
+    where: Where,
+    now: float,
+    unsaid: float,
+) -> Motion:
+    """Return the motion in a ``control_msgs/msg/JointJog``.
+
+    Args:
+        message: The message: velocities for its duration, or displacements, at once unless it has
+            a duration.
+        joints: The joints that may be named.
+        where: Returns where a joint is now, or where the last jog has brought it.
+        now: CLOCK_MONOTONIC [s].
+        unsaid: Duration of velocities without one [s].
+
+    Raises:
+        MessageError: if it cannot be followed, with the reason.
+    """
+    names, duration = list(message.joint_names), float(message.duration)
+    checked_names(names, joints)
+    if not 0.0 <= duration <= _LONGEST:
+        raise MessageError(f"its duration should be 0 to {_LONGEST:g} s, not {duration:g}")
+    moves, speeds = list(message.displacements), list(message.velocities)
+    if bool(moves) == bool(speeds):
+        raise MessageError("it needs either displacements or velocities")
+    values = [float(value) for value in moves or speeds]
+    if len(values) != len(names) or not all(map(math.isfinite, values)):
+        raise MessageError(f"it needs {len(names)} finite numbers, one for each of its joints")
+    start = {name: joints[name].clamped(where(name)) for name in names}
+    if moves and not duration:
+        pairs = zip(names, values, strict=True)
+        return Posture({name: joints[name].clamped(start[name] + v) for name, v in pairs}, now)
+    duration = duration or unsaid
+    scale = duration if moves else 1.0
+    velocity = {name: value / scale for name, value in zip(names, values, strict=True)}
+    return Jog(now, now + duration, start, velocity, joints)

@@ -1,0 +1,404 @@
+"""The action of trajectories: ``control_msgs/action/FollowJointTrajectory``.
+
+As the joint_trajectory_controller of ros2_control serves it, with its error codes; what is refused
+has no result there either, hence the log says why, beginning with the code's name. A trajectory may
+leave joints out, and one without points stops the hand where it is, as in ROS 1.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum
+from functools import partial
+from itertools import count
+from typing import Any, Final, NamedTuple
+
+import anyio
+
+from rtee.errors import MessageError, RteeError
+from rtee.messages.state import State
+from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
+from rtee.ros2.actions import GoalState, Outcome, time_fields
+from rtee.ros2.face import Face
+from rtee.ros2.message import Message
+from rtee.ros2.parameters import Parameter
+from rtee.ros2.player import SETTLED, Play, Player
+from rtee.ros2.trajectory import (
+    Motion,
+    OldTrajectory,
+    SetPoint,
+    checked_names,
+    seconds,
+    trajectory_of,
+)
+
+ACTION = "~/follow_joint_trajectory"
+GOAL_TIME = "constraints.goal_time"
+"""Name of the parameter with the time that a hand may be late, as in ros2_control."""
+
+_RATE = 50.0
+"""Times a second that tolerances are looked at [Hz]."""
+
+_EVERY = 2
+"""Feedback is published every so many times: 25 Hz, where ros2_control has 20 by default."""
+
+_LAG = "stream/lag"
+"""The channel of the state with the lag of the stream [s]."""
+
+_ERASED = -1.0
+"""A tolerance that says that there is none, whatever the default."""
+
+_ANSWERED_WITHIN = 1.0
+"""Time to tell clients that their goals are aborted, when the hand leaves [s]."""
+
+_TOLD_WITHIN = 0.05
+"""Time in which those who wait for the result of an ended goal are sent it [s]."""
+
+_Joints = dict[str, tuple[float, float]]
+"""Positions [rad | m] and velocities [rad/s | m/s] by joint."""
+
+
+class Code(IntEnum):
+    """Error codes of the action's results."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class Tolerance(NamedTuple):
+    """How far a joint may be from where it should be; infinite: any distance.
+
+    Attributes:
+        position: Distance [rad | m].
+        velocity: Difference of velocities [rad/s | m/s].
+    """
+
+    position: float
+    velocity: float
+
+
+def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Tolerance]:
+    """Return tolerances by joint, of those joints that have one.
+
+    Accelerations are not measured; their tolerances are not looked at.
+
+    Args:
+        given: Messages ``control_msgs/msg/JointTolerance``.
+        names: The joints of the trajectory.
+
+    Raises:
+        MessageError: if one makes no sense, beginning with the name of the error code.
+    """
+    found = {}
+    for one in given:
+        if one.name not in names:
+            raise _refusal(
+                Code.INVALID_JOINTS,
+                f"there is a tolerance for '{one.name[:100]}', which is not in the trajectory",
+            )
+        values = float(one.position), float(one.velocity)
+        for value in values:
+            if not (value >= 0.0 or value == _ERASED):
+                raise _refusal(
+                    Code.INVALID_GOAL,
+                    f"a tolerance of '{one.name}' is {value:g}; it should be positive, 0 for the"
+                    " default, or -1 for none",
+                )
+        if max(values) > 0.0:
+            found[one.name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
+    return found
+
+
+class TrajectoryAction:
+    """Serves the action.
+
+    Args:
+        face: The hand and its node.
+        player: Has the hand follow trajectories, also those of topics.
+    """
+
+    def __init__(self, face: Face, player: Player) -> None:
+        self.face, self.player = face, player
+        self.type: Final = face.node.context.interfaces.action(
+            "control_msgs/action/FollowJointTrajectory"
+        )
+        self.point: type[Message] = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
+        self.header: type[Message] = face.message("std_msgs/msg/Header")
+        self.time: type[Message] = face.message("builtin_interfaces/msg/Time")
+        self.duration: type[Message] = face.message("builtin_interfaces/msg/Duration")
+        self._server = ActionServer(face.node, ACTION, Offer(self.type, self._accept))
+        self._following: set[_Following] = set()
+
+    def parameters(self) -> Iterable[Parameter]:
+        """Return how late the hand may be."""
+        yield Parameter(
+            GOAL_TIME,
+            2.0,
+            f"How long after its end a trajectory of {ACTION} may reach its goal tolerance [s],"
+            " where it does not say.",
+            lower=0.01,
+            upper=600.0,
+        )
+
+    async def end(self, reason: str) -> None:
+        """Abort all goals, wait until that is told, and leave the graph."""
+        for one in tuple(self._following):
+            one.fail(reason)
+        with anyio.move_on_after(_ANSWERED_WITHIN, shield=True):
+            for goal in self._server.goals:
+                await asyncio.shield(goal.ended)
+            await anyio.sleep(_TOLD_WITHIN)
+        self._server.close()
+
+    async def _accept(self, message: Any) -> Job:
+        made = self._looked_at(message)
+        self._following.add(made)
+        return made
+
+    def forget(self, job: _Following) -> None:
+        """Forget a goal that has ended."""
+        self._following.discard(job)
+
+    def _looked_at(self, message: Any) -> _Following:
+        """Return what a goal asks for; raises `MessageError`, with an error code first."""
+        multi, names = message.multi_dof_trajectory, list(message.trajectory.joint_names)
+        parts = (
+            multi.joint_names,
+            message.component_path_tolerance,
+            message.component_goal_tolerance,
+        )
+        if any(map(len, parts)) or multi.points:
+            raise _refusal(Code.INVALID_GOAL, "a hand has no joints of several degrees of freedom")
+        goal_time = seconds(message.goal_time_tolerance)
+        if goal_time == 0.0:
+            goal_time = self.face.number(GOAL_TIME)
+        elif goal_time < 0.0:
+            if goal_time != _ERASED:
+                raise _refusal(
+                    Code.INVALID_GOAL,
+                    f"the goal time tolerance is {goal_time:g} s; it should be positive, 0 for the"
+                    " default, or -1 for any time",
+                )
+            goal_time = math.inf
+        if not message.trajectory.points:
+            names = names or list(self.face.actuators)
+        self._check_joints(names)
+        limits = _Limits(
+            tolerances_of(message.path_tolerance, names),
+            tolerances_of(message.goal_tolerance, names),
+            goal_time,
+        )
+        times = [seconds(point.time_from_start) for point in message.trajectory.points]
+        if not times:
+            return _Following(self, self.player.here(names), names, limits, times)
+        now, ros_now = time.monotonic(), time.time()
+        try:
+            motion = trajectory_of(
+                message.trajectory, self.player.joints, self.player.where, now, ros_now
+            )
+        except OldTrajectory as error:
+            raise _refusal(Code.OLD_HEADER_TIMESTAMP, str(error)) from None
+        except MessageError as error:
+            raise _refusal(Code.INVALID_GOAL, str(error)) from None
+        return _Following(self, motion, names, limits, times)
+
+    def _check_joints(self, names: Sequence[str]) -> None:
+        try:
+            checked_names(names, self.player.joints)
+        except MessageError as error:
+            raise _refusal(Code.INVALID_JOINTS, str(error)) from None
+        model, by_actuator = self.face.model, dict[int | None, str]()
+        for name in names:
+            if name in self.face.actuators:
+                actuator: int | None = self.face.actuators.index(name)
+            else:
+                actuator = model.transmission.moves(model.joint_names.index(name))
+            other = by_actuator.setdefault(actuator, name)
+            if other != name:
+                raise _refusal(
+                    Code.INVALID_JOINTS, f"'{other}' and '{name}' are moved by the same actuator"
+                )
+
+    def measured(self, state: State) -> _Joints:
+        """Return where joints and actuators are measured to be, and how fast they are."""
+        rates = self.face.model.transmission.velocities(state.position, state.velocity)
+        names = self.face.model.joint_names
+        found = {
+            name: (state.joints[name], rate)
+            for name, rate in zip(names, rates.tolist(), strict=True)
+        }
+        pairs = zip(state.position.tolist(), state.velocity.tolist(), strict=True)
+        return found | dict(zip(state.names, pairs, strict=True))
+
+
+class _Limits(NamedTuple):
+    """What a goal allows: tolerances by joint, and how late it may be [s]."""
+
+    path: Mapping[str, Tolerance]
+    goal: Mapping[str, Tolerance]
+    time: float
+
+
+class _Following:
+    """A goal: has the hand follow a trajectory, and watches it."""
+
+    def __init__(
+        self,
+        action: TrajectoryAction,
+        motion: Motion,
+        names: Sequence[str],
+        limits: _Limits,
+        times: Sequence[float],
+    ) -> None:
+        self._action, self._motion, self._names, self._limits = action, motion, names, limits
+        self._times = times
+        self._begin = time.monotonic()
+        self._outcome: Outcome | None = None
+        self._changed = anyio.Event()
+        self._play = Play(
+            motion, f"a goal of {ACTION}", math.inf, failed=self.fail, replaced=self._replaced
+        )
+
+    async def run(self, goal: ServerGoal) -> Outcome:
+        """Follow it until it ends, one way or the other."""
+        try:
+            if self._outcome is None:
+                self._action.player.play(self._play)
+                async with anyio.create_task_group() as group:
+                    group.start_soon(self._watch, goal)
+                    await self._changed.wait()
+                    group.cancel_scope.cancel()
+            if self._outcome is None:
+                raise RuntimeError("a goal has ended without an outcome")
+            return self._outcome
+        finally:
+            if math.isinf(self._play.until):
+                self._play.until = time.monotonic()
+            self._action.forget(self)
+
+    async def cancel(self) -> None:
+        """Hold the joints where they are."""
+        if self._end(GoalState.CANCELED, Code.SUCCESSFUL, "it was cancelled"):
+            self._hold()
+
+    def fail(self, reason: str) -> None:
+        """Abort it: the hand does not follow it, or no more."""
+        self._end(GoalState.ABORTED, Code.INVALID_GOAL, reason)
+
+    def _replaced(self, source: str) -> None:
+        self.fail(f"it was pre-empted by {source}")
+
+    def _hold(self) -> None:
+        def failed(reason: str) -> None:
+            self._action.face.node.context.log.warning("%s is not held: %s", ACTION, reason)
+
+        self._action.player.hold(self._names, f"the end of a goal of {ACTION}", failed)
+
+    def _violated(self, code: Code, text: str) -> None:
+        if self._end(GoalState.ABORTED, code, text):
+            self._hold()
+
+    def _end(self, state: GoalState, code: Code, text: str) -> bool:
+        """End the goal; return whether it had not ended before, thus was what the hand follows."""
+        first = self._outcome is None
+        if first:
+            result = self._action.type.result(error_code=code, error_string=text)
+            reason = f"{code.name}: {text}" if state is GoalState.ABORTED else ""
+            self._outcome = Outcome(state, result, reason)
+            self._changed.set()
+        return first
+
+    async def _watch(self, goal: ServerGoal) -> None:
+        """Look at the hand until the goal is reached, or violated."""
+        try:
+            for_feedback = partial(next, count())
+            async for state in self._action.face.hand.states(_RATE):
+                now = time.monotonic()
+                lag = state.channels.get(_LAG)
+                # What the hand is meant to do now was sent a lag ago.
+                at = now - (0.0 if lag is None else float(lag[0]))
+                desired, actual = self._motion.at(at), self._action.measured(state)
+                if for_feedback() % _EVERY == 0 and goal.heard:
+                    self._tell(goal, at, desired, actual)
+                if lag is not None or now > self._motion.end:
+                    self._judge(now, at, desired, actual)
+        except RteeError as error:
+            self.fail(str(error))
+
+    def _judge(self, now: float, at: float, desired: SetPoint, actual: _Joints) -> None:
+        """End the goal if it is reached, or its tolerances are violated."""
+        end, limits = self._motion.end, self._limits
+        if at < end:
+            outside = _outside(limits.path, desired, actual)
+            if outside:
+                self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
+            return
+        outside = _outside(limits.goal, desired, actual)
+        if not outside and (limits.goal or now >= end + SETTLED):
+            self._play.until = end + SETTLED
+            self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
+        elif outside and now > end + limits.time:
+            late = f"{now - end:.3g} s after its end {outside}"
+            self._violated(Code.GOAL_TOLERANCE_VIOLATED, late)
+
+    def _tell(self, goal: ServerGoal, at: float, desired: SetPoint, actual: _Joints) -> None:
+        """Publish feedback."""
+        wanted = [desired.position[name] for name in self._names]
+        speeds = [desired.velocity.get(name, 0.0) for name in self._names]
+        found = [actual[name] for name in self._names]
+        since = at - self._begin
+        duration = self._action.duration(**time_fields(round(max(0.0, since) * 1e9)))
+
+        def point(positions: list[float], velocities: list[float]) -> Message:
+            return self._action.point(
+                positions=positions, velocities=velocities, time_from_start=duration
+            )
+
+        goal.feedback(
+            header=self._action.header(stamp=self._action.time(**time_fields(time.time_ns()))),
+            joint_names=list(self._names),
+            desired=point(wanted, speeds),
+            actual=point([p for p, _ in found], [v for _, v in found]),
+            error=point(
+                [p - q for p, (q, _) in zip(wanted, found, strict=True)],
+                [v - w for v, (_, w) in zip(speeds, found, strict=True)],
+            ),
+            index=max(0, bisect.bisect_right(self._times, since) - 1),
+        )
+
+
+def _outside(
+    tolerances: Mapping[str, Tolerance],
+    desired: SetPoint,
+    actual: Mapping[str, tuple[float, float]],
+) -> str:
+    """Return which joint is outside its tolerance, in words; empty: none is."""
+    for name, tolerance in tolerances.items():
+        position, velocity = actual[name]
+        error = abs(desired.position[name] - position)
+        if not error <= tolerance.position:
+            return f"'{name}' was off by {error:.3g}, more than {tolerance.position:g}"
+        error = abs(desired.velocity.get(name, 0.0) - velocity)
+        if not error <= tolerance.velocity:
+            return (
+                f"the velocity of '{name}' was off by {error:.3g}, more than {tolerance.velocity:g}"
+            )
+    return ""
+
+
+def _farthest(desired: SetPoint, actual: Mapping[str, tuple[float, float]]) -> str:
+    """Return how far the joint farthest from its goal is from it, in words."""
+    error, name = max((abs(q - actual[name][0]), name) for name, q in desired.position.items())
+    return f"the goal is reached; '{name}' is off by {error:.3g}"
+
+
+def _refusal(code: Code, reason: str) -> MessageError:
+    return MessageError(f"{code.name}: {reason}")

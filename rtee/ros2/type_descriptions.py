@@ -1,0 +1,74 @@
+"""The service that tells others what a type of this node looks like."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rtee.errors import MessageError
+from rtee.ros2.hashes import Description, referred
+from rtee.ros2.message import Message
+from rtee.ros2.node import Node
+from rtee.ros2.notation import full_name
+
+_SERVICE = "type_description_interfaces/srv/GetTypeDescription"
+_MESSAGES = "type_description_interfaces/msg"
+
+NO_SERVICE = frozenset({"humble"})
+"""Distributions whose nodes do not have it."""
+
+
+class TypeDescriptions:
+    """Answers ``~/get_type_description`` of a node.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._interfaces = node.context.interfaces
+        self._type = self._interfaces.service(_SERVICE)
+        if self._interfaces.distro not in NO_SERVICE:
+            node.service("~/get_type_description", self._type, self._answer)
+
+    async def _answer(self, request: Any) -> Message:
+        try:
+            name = full_name(request.type_name)
+            if request.type_hash not in {"", self._interfaces.hash(name)}:
+                raise MessageError(f"'{name}' has another hash here: {self._interfaces.hash(name)}")
+            tree = self._interfaces.description(name)
+        except MessageError as error:
+            return self._type.response(failure_reason=str(error))
+        others = tree["referenced_type_descriptions"]
+        described = self._interfaces.message(f"{_MESSAGES}/TypeDescription")(
+            type_description=self._individual(tree["type_description"]),
+            referenced_type_descriptions=[self._individual(one) for one in others],
+        )
+        sources = self._sources(name) if request.include_type_sources else []
+        return self._type.response(
+            successful=True, type_description=described, type_sources=sources
+        )
+
+    def _individual(self, description: Description) -> Message:
+        field, kind = (
+            self._interfaces.message(f"{_MESSAGES}/{one}") for one in ("Field", "FieldType")
+        )
+        made: Message = self._interfaces.message(f"{_MESSAGES}/IndividualTypeDescription")(
+            type_name=description["type_name"],
+            fields=[
+                field(name=one["name"], type=kind(**one["type"])) for one in description["fields"]
+            ],
+        )
+        return made
+
+    def _sources(self, name: str) -> list[Message]:
+        structure = self._interfaces.structure(name)
+        source = self._interfaces.message(f"{_MESSAGES}/TypeSource")
+        found = []
+        for one in (structure, *referred(structure, self._interfaces.structure)):
+            text = self._interfaces.texts.get(one.name)
+            # What is derived from a service or action has no text of its own.
+            encoding = one.name.split("/")[1] if text is not None else "implicit"
+            found.append(
+                source(type_name=one.name, encoding=encoding, raw_file_contents=text or "")
+            )
+        return found

@@ -1,0 +1,268 @@
+"""What others may send: junk of every kind, and far too much of it."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import anyio.lowlevel
+import pytest
+import zenoh
+
+from rtee.hand.config_schema import Ros2Settings
+from rtee.ros2 import Context, attachments, graph, services
+from rtee.ros2.endpoints import LONGEST
+from rtee.ros2.inbox import Complaints, Inbox, Limit
+
+from .test_ros2_nodes import STRING, TRIGGER, until
+
+pytestmark = pytest.mark.anyio
+
+Peer = Callable[[], zenoh.Session]
+
+GID = bytes(16)
+
+
+def numbered(number: int) -> bytes:
+    return attachments.encode(number, time.time_ns(), GID)
+
+
+def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [one.getMessage() for one in caplog.records if one.name.startswith("rtee.ros2")]
+
+
+async def test_messages_that_make_no_sense_are_dropped_and_told_once(
+    settings: Ros2Settings, peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Context.open(settings, {}) as context:
+        got: list[Any] = []
+        kind = context.interfaces.topic(STRING)
+        context.node("hand").subscription("/a", kind, lambda message: got.append(message.data))
+        publisher = peer().declare_publisher(f"0/a/std_msgs::msg::dds_::String_/{kind.hash}")
+        good = kind.message(data="good").encode()
+        await until(lambda: publisher.matching_status.matching)
+        for payload, attachment in (
+            (good, None),
+            (good, b""),
+            (good, numbered(1)[:-1]),
+            (good, numbered(1) + b"0"),
+            (good, bytes(1_000_000)),
+            (good[:-3], numbered(1)),
+            (b"", numbered(1)),
+            (good + bytes(20), numbered(1)),
+            (b"\x00\x00" + good[2:], numbered(1)),
+            (bytes(LONGEST + 1), numbered(1)),
+        ):
+            for _ in range(5):
+                publisher.put(payload, attachment=attachment)
+        publisher.delete()
+        publisher.put(good, attachment=numbered(2))
+        await until(lambda: bool(got))
+        assert got == ["good"]
+        assert context.complaints.count["a message on /a is dropped"] >= 10
+    assert len([text for text in warnings(caplog) if "/a is dropped" in text]) == 1
+
+
+async def test_requests_that_make_no_sense_are_dropped(
+    settings: Ros2Settings, peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Context.open(settings, {}) as context:
+        trigger = context.interfaces.service(TRIGGER)
+        calls: list[Any] = []
+        held = anyio.Event()
+
+        async def stop(request: Any) -> Any:
+            calls.append(request)
+            await held.wait()
+            return trigger.response(success=True)
+
+        context.node("hand").service("/stop", trigger, stop)
+        key = f"0/stop/std_srvs::srv::dds_::Trigger_/{trigger.hash}"
+        other, replies = peer(), []
+        good = trigger.request().encode()
+
+        def ask(payload: bytes | None, attachment: bytes | None) -> None:
+            other.get(
+                key,
+                lambda reply: replies.append(reply.ok is not None),
+                payload=payload,
+                attachment=attachment,
+                timeout=30,
+                target=zenoh.QueryTarget.ALL_COMPLETE,
+            )
+
+        with other.declare_querier(key) as querier:
+            await until(lambda: querier.matching_status.matching)
+        for payload, attachment in (
+            (good, None),
+            (good, bytes(1_000_000)),
+            (None, numbered(1)),
+            (b"", numbered(1)),
+            (b"\xff" * 9, numbered(1)),
+            (bytes(LONGEST + 1), numbered(1)),
+        ):
+            ask(payload, attachment)
+        ask(good, numbered(7))
+        ask(good, numbered(7))  # the same number again, while it is not answered
+        ask(good, numbered(8))
+        await until(lambda: len(calls) == 2)
+        held.set()
+        await until(lambda: replies.count(True) == 2)
+        assert len(calls) == 2
+        assert context.complaints.count["a request of /stop is dropped"] == 7
+    assert len([text for text in warnings(caplog) if "/stop is dropped" in text]) == 1
+
+
+async def test_too_many_requests_are_dropped_and_told_once(
+    settings: Ros2Settings, peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Context.open(settings, {}) as context:
+        trigger = context.interfaces.service(TRIGGER)
+        running: list[int] = []
+        most: list[int] = []
+
+        async def slow(request: Any) -> Any:
+            running.append(1)
+            most.append(len(running))
+            await anyio.sleep(0.001)
+            running.pop()
+            return trigger.response(success=True)
+
+        context.node("hand").service("/slow", trigger, slow, at_once=3)
+        key = f"0/slow/std_srvs::srv::dds_::Trigger_/{trigger.hash}"
+        other, ended = peer(), []
+        with other.declare_querier(key) as querier:
+            await until(lambda: querier.matching_status.matching)
+        asked = 1000
+        for number in range(asked):
+            other.get(
+                key,
+                zenoh.handlers.Callback(
+                    lambda reply: None, lambda: ended.append(1), indirect=False
+                ),
+                payload=trigger.request().encode(),
+                attachment=numbered(number),
+                timeout=30,
+            )
+        await until(lambda: len(ended) == asked)  # dropped ones end at once: nothing is kept
+        assert max(most) <= 3
+        assert context.complaints.count["requests of /slow are dropped"] >= asked - len(most) - 1
+        assert len(most) >= services._MOST_WAITING
+    assert len([text for text in warnings(caplog) if "too many at once" in text]) == 1
+
+
+async def test_nodes_that_come_and_go_leave_nothing(
+    settings: Ros2Settings,
+    peer: Peer,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with Context.open(settings, {}) as context:
+        assert context.graph.entities() == []
+        liveliness = peer().liveliness()
+        for burst in range(5):
+            tokens = [
+                liveliness.declare_token(f"@ros2_lv/0/a/{node}/{node}/NN/%/%/node_{burst}_{node}")
+                for node in range(100)
+            ]
+            tokens += [liveliness.declare_token(f"@ros2_lv/0/junk/{n}/x") for n in range(50)]
+            await context.graph.wait_until(lambda: len(context.graph.entities()) == 100)
+            while tokens:
+                tokens.pop().undeclare()
+            await context.graph.wait_until(lambda: not context.graph._tokens)
+        monkeypatch.setattr(graph, "MOST", 10)
+        tokens = [liveliness.declare_token(f"@ros2_lv/0/b/{n}/{n}/NN/%/%/n") for n in range(50)]
+        await until(lambda: "entities of the ROS graph are left out" in context.complaints.count)
+        assert len(context.graph._tokens) == 10
+    assert len([text for text in warnings(caplog) if "not understood" in text]) == 1
+
+
+async def test_a_callback_that_fails_or_is_slow_harms_nobody(
+    settings: Ros2Settings, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Context.open(settings, {}) as context:
+        node = context.node("hand")
+        got: list[str] = []
+        woken: list[str] = []
+        asleep: list[int] = []
+
+        def fail(message: Any) -> None:
+            raise ValueError(message.data)
+
+        async def sleepy(message: Any) -> None:
+            asleep.append(1)
+            assert len(asleep) == 1  # one message after the other
+            await anyio.sleep(0.01)
+            asleep.pop()
+            woken.append(message.data)
+            raise ValueError(message.data)
+
+        for callback in (fail, sleepy, lambda message: got.append(message.data)):
+            node.subscription("/a", STRING, callback)
+        publisher = node.publisher("/a", STRING)
+        for number in range(50):  # more than the QoS keeps: the newest are taken
+            publisher.publish(publisher.type.message(data=str(number)))
+        await until(lambda: got[-1:] == ["49"] and woken[-1:] == ["49"])
+        assert len(woken) <= 11
+    assert "could not be handled" in caplog.text
+
+
+async def test_boxes_keep_the_newest_or_the_oldest() -> None:
+    newest: list[int] = []
+    oldest: list[int] = []
+    dropped: list[int] = []
+    keeps = Inbox(newest.append, 3)
+    refuses = Inbox(oldest.append, 3, keep_newest=False, dropped=lambda: dropped.append(1))
+    for number in range(10):
+        keeps.put(number)
+        refuses.put(number)
+    await until(lambda: bool(newest) and bool(oldest))
+    assert (newest, oldest, len(dropped)) == ([7, 8, 9], [0, 1, 2], 7)
+    keeps.close()
+    keeps.put(1)
+    await anyio.lowlevel.checkpoint()
+    assert newest == [7, 8, 9]
+    limit = Limit(5)
+    assert 5 <= sum(limit.passes() for _ in range(10)) < 10
+
+
+def test_complaints_are_bounded(caplog: pytest.LogCaptureFixture) -> None:
+    complaints = Complaints(logging.getLogger("rtee.ros2.test"))
+    for number in range(1000):
+        complaints.tell(f"thing {number}")
+    assert len(complaints.count) == Complaints.MOST == len(warnings(caplog))
+
+
+async def test_an_answer_may_take_for_ever_and_be_given_up(settings: Ros2Settings) -> None:
+    async with Context.open(settings, {}) as hand, Context.open(settings, {}) as user:
+        trigger = hand.interfaces.service(TRIGGER)
+        asked: list[Any] = []
+        ended = anyio.Event()
+
+        async def hold(request: Any) -> Any:
+            asked.append(request)
+            await ended.wait()
+            return trigger.response(message="at last")
+
+        hand.node("hand").service("/hold", trigger, hold)
+        client = user.node("user").client("/hold", trigger)
+        await client.wait(10)
+        with pytest.raises(TimeoutError):
+            await client.call(trigger.request(), 0.05)
+        with anyio.move_on_after(0.05) as scope:
+            await client.call(trigger.request(), math.inf)
+        assert scope.cancelled_caught
+        answers: list[Any] = []
+
+        async def wait() -> None:
+            answers.append(await client.call(trigger.request(), math.inf))
+
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(wait)
+            await until(lambda: len(asked) == 3)
+            ended.set()
+        assert [one.message for one in answers] == ["at last"]
