@@ -213,6 +213,24 @@ def softhand(devices: Sequence[int]) -> Probe:
     return Probe("qb SoftHand", ask)
 
 
+def ability_hand() -> Probe:
+    """Return a probe for the Ability Hand with the address and the rate from the factory."""
+    from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
+        except (BusTimeout, FrameError):
+            return []
+        return [Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("PSYONIC Ability Hand", ask)
+
+
 def rh56(units: Sequence[int]) -> Probe:
     """Return a probe for the RH56's own frames, with these numbers."""
     from rtee.drivers.inspire_rh56.codec import BAUDRATES, Register

@@ -66,6 +66,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
     """
     return (
         probes.svh(),
+        probes.ability_hand(),
         probes.softhand(range(1, 10)),
         probes.rh56(range(1, 5)),
         probes.modbus(115200, "N", units or (*range(1, 17),), name="Robotiq"),
