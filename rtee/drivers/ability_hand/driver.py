@@ -196,7 +196,9 @@ class AbilityHandDriver(Driver):
         now = time.monotonic()
         if not self._plausible(reply, now):
             self._doubted = reply
-            raise FrameError(self.options.port, "a finger would have jumped; is the line disturbed?")
+            raise FrameError(
+                self.options.port, "a finger would have jumped; is the line disturbed?"
+            )
         self._reply, self._doubted, self._stamp = reply, None, now
         return reply
 

@@ -222,7 +222,9 @@ def ability_hand() -> Probe:
             await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
         except (BusTimeout, FrameError):
             return []
-        return [Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})]
+        return [
+            Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
+        ]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
         bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
