@@ -22,6 +22,8 @@ from rtee.drivers.ability_hand.codec import (
     API_TIME,
     COUNT,
     MOTORS,
+    SITES,
+    TOUCHING,
     Command,
     Header,
     Reply,
@@ -36,6 +38,7 @@ from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.errors import BusTimeout, DeviceFault, FrameError, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
+from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
 
 PATIENCE = 0.5
@@ -52,6 +55,11 @@ _SENT = 17 + 1
 """Bytes of set-points on the wire, and one for a byte that is escaped."""
 _RECEIVED = {1: 74 + 2, 2: 74 + 2, 3: 41 + 1}
 """The same for replies, by their variant."""
+_FORCES: FloatArray = np.array([codec.touch_force(word) for word in range(4096)])
+"""Force of each word of a touch sensor [N]."""
+_SENSORS = tuple(
+    TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095)) for finger in TOUCHING
+)
 _GAINS = {"velocity": ("approach",), "current": ("stiffness", "damping")}
 
 
@@ -104,6 +112,7 @@ class AbilityHandDriver(Driver):
             refuses=refuses,
             recoverable=True,
             gains=_GAINS.get(options.mode, ()),
+            touch=_SENSORS if options.touch and options.variant != 3 else (),
         )
 
     def _told(self) -> tuple[str, ...]:
@@ -251,6 +260,9 @@ class AbilityHandDriver(Driver):
         if reply.currents:
             effort = [sign * codec.effort(reply.currents[m], m) for m, sign in both]
             current = [abs(reply.currents[m]) / codec.AMPERE for m, _ in both]
+        touch = None
+        if reply.touch and self.capabilities.touch:
+            touch = TouchReading(_FORCES[list(reply.touch)], self._stamp)
         limited = [MOTORS[m] for m in self._motors if reply.limited[m]]
         warnings = (f"limited by the hand (heat or contact): {', '.join(limited)}",)
         return ActuatorState.measured(
@@ -260,6 +272,7 @@ class AbilityHandDriver(Driver):
             effort=effort,
             current=current,
             warnings=warnings if limited else (),
+            touch=touch,
         )
 
     async def move(self, reference: Reference) -> None:

@@ -37,6 +37,9 @@ class AbilityHandOptions(DeviceOptions):
         description="what it answers: 1 positions, currents, touch (default); 2 positions, "
         "velocities, touch (default with `mode: current`); 3 positions, currents, velocities",
     )
+    touch: bool = Field(
+        True, description="whether it has touch sensors; one without tells that nothing touches"
+    )
     motors: dict[str, Motor] = Field(
         default_factory=dict,
         description="the motor that drives each actuator; by default by its name",

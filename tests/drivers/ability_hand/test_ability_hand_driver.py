@@ -255,3 +255,31 @@ async def test_a_stopped_hand_holds_by_positions_and_a_disabled_one_has_no_volta
         await session.driver.disable()
         assert wire.sent(Header.DUTY) == [(0,) * 6]
         assert not any(axis.enabled for axis in session.emulator.axes)
+
+
+# --- touch ---------------------------------------------------------------------------------------
+
+
+async def test_what_the_fingertips_feel_is_told_in_newtons() -> None:
+    async with Session(case(emulator={"object": "0.5:0.2"})) as session:
+        state = await session.start()
+        assert [(s.name, s.taxels, s.unit) for s in session.driver.capabilities.touch] == [
+            (finger, 6, "N") for finger in ("index", "middle", "ring", "pinky", "thumb")
+        ]
+        assert state.touch is not None
+        assert state.touch.values.tolist() == [0.0] * 30
+        await session.reach([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        touch = (await session.sense()).touch
+        assert touch is not None
+        words = session.emulator.reply(1).touch
+        assert touch.values.tolist() == [codec.touch_force(word) for word in words]
+        assert touch.values[1] > 0.1
+        assert touch.values[6:].tolist() == [0.0] * 24
+
+
+@pytest.mark.parametrize("options", [{"reply": 3}, {"touch": False}])
+async def test_a_hand_without_touch_tells_none(options: dict[str, Any]) -> None:
+    async with Session(case(**options)) as session:
+        state = await session.start()
+        assert session.driver.capabilities.touch == ()
+        assert state.touch is None
