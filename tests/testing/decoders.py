@@ -17,6 +17,7 @@ from rtee.drivers.dynamixel.codec import InstructionParser
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
+from rtee.drivers.linkerhand import codec as linkerhand
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
@@ -258,6 +259,12 @@ DECODERS = [
         [bytes.fromhex("01 F4 02 EE 00 00 00 01")],
         decode=registers(4, onrobot.Command.from_registers),
         errors=(FrameError,),
+    ),
+    Decoder(
+        "LinkerHand version",
+        [bytes.fromhex("00 06 00 01 00 01 00 52 00 10 00 10")],
+        decode=registers(6, linkerhand.Version.from_registers),
+        errors=(linkerhand.LinkerFrameError,),
     ),
     Decoder("SCHUNK SVH packets", SVH, parser=svh.Parser, prefix=svh.SYNC, limit=svh.Parser.LIMIT),
     Decoder(

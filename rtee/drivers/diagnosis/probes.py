@@ -26,6 +26,8 @@ _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 
+_LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -167,6 +169,33 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
     except FrameError:
         return Found("", f"a Modbus slave with registers at 2000, unit {unit}", options)
     return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
+
+
+def linkerhand() -> Probe:
+    """Return a probe for LinkerHands on RS-485, right and left ones."""
+    from rtee.drivers.linkerhand.codec import BAUDRATE, LEFT, MODELS, RIGHT
+    from rtee.drivers.linkerhand.link import ModbusLink
+
+    async def listen(bus: ModbusBus, address: str) -> list[Found]:
+        found = []
+        for unit in (RIGHT, LEFT):
+            for name, model in MODELS.items():
+                link = ModbusLink(bus, model, unit, _LINKER_ANSWER, 0, model.spacing)
+                try:
+                    version = await link.version()
+                except (BusTimeout, FrameError, ModbusRefusal):
+                    continue
+                if version is not None and version.motors == model.count:
+                    options = {"port": address, "model": name, "unit": unit}
+                    what = f"LinkerHand {model.name}, unit {unit}"
+                    found.append(Found("linkerhand", what, options))
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.modbus(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("LinkerHand", ask)
 
 
 # --- serial protocols --------------------------------------------------------------------------
