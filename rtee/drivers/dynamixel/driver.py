@@ -19,19 +19,14 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.dynamixel import setup, table
-from rtee.drivers.dynamixel.calibration import (
-    Calibrated,
-    differences,
-    read_calibration,
-    write_calibration,
-)
 from rtee.drivers.dynamixel.cycle import ServoCycle
 from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
+from rtee.drivers.servo_lines import Calibrated, write_calibration, zeros_of
 from rtee.drivers.wiring import check_names
-from rtee.errors import CalibrationError, RteeError
+from rtee.errors import RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -105,26 +100,12 @@ class DynamixelDriver(Driver):
         await link.run(cycle.find, _SLOW)
         # After finding: the calibration belongs to these very servos, or it is refused.
         if options.calibration is not None:
-            self._adopt_calibration(cycle, options.calibration)
+            zeros = zeros_of(options.calibration, self.spec.name, _as_calibrated(cycle))
+            for scale, zero in zip(cycle.scales, zeros, strict=True):
+                scale.zero = zero
         await link.run(partial(link.choose_read, options.fast), _ONE_SERVO)
         self._describe(cycle)
         await link.run(cycle.unwrap, _SLOW)
-
-    def _adopt_calibration(self, cycle: ServoCycle, path: Path) -> None:
-        """Take the zeros of a calibration, if its servos are these; raises `CalibrationError`."""
-        stored = read_calibration(path, self.spec.name)
-        for scale, now in zip(cycle.scales, _as_calibrated(cycle), strict=True):
-            then = stored.get(now.actuator)
-            if then is None:
-                raise CalibrationError(self.spec.name, f"'{now.actuator}' is not calibrated")
-            changed = differences(then, now)
-            if changed:
-                raise CalibrationError(
-                    self.spec.name,
-                    f"'{now.actuator}' is not as it was calibrated: {'; '.join(changed)}; "
-                    "calibrate again, or set it back",
-                )
-            scale.zero = then.zero
 
     def _describe(self, cycle: ServoCycle) -> None:
         """Refine the capabilities by what was found."""
