@@ -1,4 +1,4 @@
-"""Lines of Feetech servos pass the suite of all drivers: every family, each its joint or in pairs."""
+"""Lines of Feetech servos pass the suite of all drivers: every family, alone and in pairs."""
 
 from __future__ import annotations
 
