@@ -1,4 +1,4 @@
-"""What drivers of servos on a line share: who must be there, and the calibration of who was there.
+"""What drivers of servos on a line share: options, who must be there, and the calibration.
 
 A calibration is the reading of each servo at 0 rad, and the identity of the servo.
 """
@@ -6,12 +6,54 @@ A calibration is the reading of each servo at 0 rad, and the identity of the ser
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
+from pydantic import BaseModel, ConfigDict
+
+from rtee.drivers.base import Driver
+from rtee.drivers.options import Positive
 from rtee.errors import CalibrationError, HandshakeError, NotConnected
 from rtee.hand.files import make_folder, write_atomically
+from rtee.sample import FloatArray
+
+
+class ServoOptions(BaseModel):
+    """Options that one servo has of every kind.
+
+    Attributes:
+        direction: +1 or -1: sense of its positions with the angle.
+        gear: Its turns per turn of the angle.
+        model: Model number expected; else any that is known.
+        torque_per_ampere: Torque per current [N·m/A]; else that of the line, or of the model.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    direction: Literal[1, -1] = 1
+    gear: Positive = 1.0
+    model: int | None = None
+    torque_per_ampere: Positive | None = None
+
+
+def check_line(baudrate: int, rates: Collection[int], ids: Sequence[int]) -> None:
+    """Check the options of a line.
+
+    Args:
+        baudrate: Its rate [baud].
+        rates: Rates that its servos know [baud].
+        ids: Their ids.
+
+    Raises:
+        ValueError: if they do not know the rate, or two have the same id.
+    """
+    if baudrate not in rates:
+        raise ValueError(f"baudrate is one of {', '.join(str(rate) for rate in rates)}")
+    if len(set(ids)) != len(ids):
+        raise ValueError("two servos have the same id")
 
 
 def check_present(
@@ -145,3 +187,31 @@ def _differences(then: Calibrated, now: Calibrated) -> list[str]:
         if before != after:
             found.append(f"{name.replace('_', ' ')} is {after}, was {before}")
     return found
+
+
+class CalibratesServos(Driver):
+    """A driver of servos whose zeros are found by putting the hand into its rest posture."""
+
+    @abstractmethod
+    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
+        """Take the present positions for a posture [rad]; raises `BusError`."""
+
+    async def calibrate(
+        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
+    ) -> list[Calibrated]:
+        """Take the pose that the user puts the hand into for its rest posture; store the zeros.
+
+        Args:
+            path: File to write.
+            rest: Angles of the rest posture [rad], in the order of the actuators.
+            ready: Called with what to do; returns when it is done.
+
+        Raises:
+            BusError: if the line fails.
+            ConfigError: if the file cannot be written.
+        """
+        await self.deactivate()
+        await ready("Put every joint into the rest posture; the servos are without torque.")
+        found = await self.take_zeros(rest)
+        write_calibration(path, found)
+        return found

@@ -278,8 +278,8 @@ def feetech(baudrate: int) -> Probe:
     """Return a probe for Feetech servos at one rate.
 
     All answer to a broadcast ping at once, which tells only whether there is somebody; then every
-    id is asked. A line that carries every rate alike has servos answer at all of them; they are then
-    found at the rate that they report.
+    id is asked. A line that carries every rate alike has servos answer at all of them; they are
+    then found at the rate that they report.
     """
     from rtee.drivers.feetech.codec import (
         BROADCAST,
@@ -294,7 +294,7 @@ def feetech(baudrate: int) -> Probe:
     def recognised(data: bytes) -> tuple[str, str]:
         """Return the model and the family that the bytes of a model number tell."""
         for order in ("little", "big"):
-            one = MODELS.get(int.from_bytes(data, order))  # type: ignore[arg-type]
+            one = MODELS.get(int.from_bytes(data, order))
             if one is not None and FAMILIES[one.family].order == order:
                 return one.name, one.family
         return f"servo with model bytes {data.hex(' ').upper()}", ""

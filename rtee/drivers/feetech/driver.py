@@ -5,17 +5,15 @@ from __future__ import annotations
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import ClassVar
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
 from rtee.capabilities import Capabilities
-from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.feetech import table
@@ -26,7 +24,7 @@ from rtee.drivers.feetech.options import FeetechOptions
 from rtee.drivers.feetech.setup import POWERED
 from rtee.drivers.feetech.table import FAMILIES, model_name
 from rtee.drivers.options import read_options
-from rtee.drivers.servo_lines import Calibrated, write_calibration, zeros_of
+from rtee.drivers.servo_lines import Calibrated, CalibratesServos, zeros_of
 from rtee.errors import RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
@@ -44,7 +42,7 @@ _REFUSES: Mapping[str, str] = {
 """Why an effort limit is not accepted, by how the family limits torques."""
 
 
-class FeetechDriver(Driver):
+class FeetechDriver(CalibratesServos):
     """SCS, STS, SMS or HLS servos on one line.
 
     A cycle reads position, speed, load, voltage, temperature and current, by one request for all
@@ -206,25 +204,9 @@ class FeetechDriver(Driver):
 
     # --- calibration -------------------------------------------------------------------------
 
-    async def calibrate(
-        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
-    ) -> list[Calibrated]:
-        """Take the pose that the user puts the hand into for its rest posture; store the zeros.
-
-        Args:
-            path: File to write.
-            rest: Positions of the rest posture [rad], in the order of the actuators.
-            ready: Called with what to do; returns when it is done.
-
-        Raises:
-            BusError: if the line fails.
-            ConfigError: if the file cannot be written.
-        """
+    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
+        """Take the present positions for a posture [rad]; raises `BusError`."""
         cycle = self.connection.link
-        await self.deactivate()
-        await ready("Put every joint into the rest posture; the servos are without torque.")
         with cycle.link.unhurried():
             cycle.set_zeros(await patiently(cycle.states), rest)
-        found = cycle.calibrated()
-        write_calibration(path, found)
-        return found
+        return cycle.calibrated()

@@ -29,6 +29,7 @@ from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, FamilyName
 from rtee.drivers.feetech.units import Scale
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, read_properties
+from rtee.drivers.servo_emulator import ServoLine
 
 _ERRORS = {
     "voltage": Status.VOLTAGE,
@@ -66,7 +67,7 @@ class LineProperties:
     echo: bool = False
 
 
-class FeetechEmulator(Emulator, Grasps):
+class FeetechEmulator(ServoLine[Servo], Grasps):
     """Servos on one line; all receive every request, each answers for itself.
 
     Args:
@@ -74,8 +75,7 @@ class FeetechEmulator(Emulator, Grasps):
 
     Attributes:
         properties: See above.
-        servos: The servos.
-        moves: Goals that were different from those before.
+        family: The servos' family.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
@@ -84,14 +84,14 @@ class FeetechEmulator(Emulator, Grasps):
     baudrate = table.BAUD_RATES[0]
 
     def __init__(self, properties: LineProperties | None = None) -> None:
-        super().__init__()
-        made = self.properties = properties or LineProperties()
-        self.family = FAMILIES[made.family]
-        self.servos = [
-            Servo(self.family, number, made.special.get(number, made.servo)) for number in made.ids
-        ]
-        self._models = [servo.get(table.MODEL) for servo in self.servos]
-        self._parser = RequestParser()
+        made = properties or LineProperties()
+        family, self._parser = FAMILIES[made.family], RequestParser()
+        super().__init__(
+            [Servo(family, number, made.special.get(number, made.servo)) for number in made.ids],
+            self._parser,
+        )
+        self.properties, self.family = made, family
+        self._models = [servo.get(table.MODEL) for servo in self.ordered]
         self._shown_rate = 0
 
     @classmethod
@@ -113,32 +113,17 @@ class FeetechEmulator(Emulator, Grasps):
         made.baudrate = int(options.get("baudrate") or made.baudrate)
         return made
 
-    @property
-    def by_id(self) -> dict[int, Servo]:
-        """The servos by id."""
-        return {servo.number: servo for servo in self.servos}
-
-    def power_cycle(self, now: float) -> None:
-        """Cut the supply of all servos and bring it back."""
-        for servo in self.servos:
-            servo.reboot(now)
-        self._parser.reset()
-
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete request."""
-        self._parser.reset()
-
     def inject(self, fault: str) -> None:
         """Put a fault into the first servo (its errors) or all (the rest)."""
         super().inject(fault)
         if fault in _ERRORS:
-            self.servos[0].fail(_ERRORS[fault])
+            self.ordered[0].fail(_ERRORS[fault])
 
     def on_faults(self) -> None:
         """Block the servos while they are stuck, and have them answer as the model they are."""
         causes = [bit for name, bit in _ERRORS.items() if name in self.faults]
-        self.servos[0].cause = Status(sum(causes))
-        for servo, model in zip(self.servos, self._models, strict=True):
+        self.ordered[0].cause = Status(sum(causes))
+        for servo, model in zip(self.ordered, self._models, strict=True):
             servo.axis.stuck = "stuck" in self.faults
             servo.set(table.MODEL, _WRONG if "wrong_device" in self.faults else model)
             servo.memory.store()
@@ -149,7 +134,7 @@ class FeetechEmulator(Emulator, Grasps):
         """Return how the servos close: from where they stood at power-up."""
         quarter = self.family.counts / self.family.span * 1.57
         found = []
-        for servo in self.servos:
+        for servo in self.ordered:
             made = servo.properties
             start = self.family.center if made.start < 0.0 else made.start
             opened = start + made.offset
@@ -161,15 +146,9 @@ class FeetechEmulator(Emulator, Grasps):
         self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
     ) -> None:
         """Put an object in a servo's way, met at a position; stiffness in 0.1 % per count."""
-        self.by_id[number].axis.obstacle = VirtualObject(position, stiffness, closing)
+        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     # --- the line ----------------------------------------------------------------------------
-
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; servos send nothing without a request."""
-        for servo in self.servos:
-            servo.step(now)
-        return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes from the host and return the answers."""
@@ -185,22 +164,16 @@ class FeetechEmulator(Emulator, Grasps):
         """Set the register of the baud rate to the rate of the line."""
         if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
             self._shown_rate = self.baudrate
-            for servo in self.servos:
+            for servo in self.ordered:
                 servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
                 servo.memory.store()
-
-    def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
-        """Return the servos of these ids that can answer, in this order."""
-        servos = self.by_id
-        found = [servos[n] for n in numbers if n in servos]
-        return [servo for servo in found if now >= servo.silent_until]
 
     def _answers(self, request: Frame, now: float) -> list[bytes]:
         params = request.params
         if request.code == Instruction.SYNC_WRITE and len(params) > 2:
             address, size = params[0], params[1]
             for at in range(2, len(params) - size, size + 1):
-                for servo in self._listening([params[at]], now):
+                for servo in self.listening([params[at]], now):
                     servo.write(address, params[at + 1 : at + 1 + size])
             return []
         if request.code == Instruction.SYNC_READ and len(params) > 2:
@@ -208,11 +181,11 @@ class FeetechEmulator(Emulator, Grasps):
             if not (self.family.sync_read if knows is None else knows):
                 return []
             # Each waits for its turn; one that is missing leaves a gap.
-            found = self._listening(params[2:], now)
+            found = self.listening(params[2:], now)
             replies = [self._reply(servo, servo.read(params[0], params[1])) for servo in found]
             return self._delayed(replies, found)
         everybody = request.device == BROADCAST
-        found = self._listening(sorted(self.by_id) if everybody else [request.device], now)
+        found = self.listening(sorted(self.servos) if everybody else [request.device], now)
         replies = []
         for servo in found:
             reply = self._single(servo, request, now)

@@ -9,43 +9,35 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from rtee.drivers import servo_lines
 from rtee.drivers.feetech.codec import LARGEST_ID
 from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, LATENCY, FamilyName
 from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.servo_lines import check_line
 
 Gain = Annotated[int, Field(ge=0, le=254)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 Points = Annotated[list[tuple[float, float]], Field(min_length=2)]
 
 
-class ServoOptions(BaseModel):
+class ServoOptions(servo_lines.ServoOptions):
     """Options of one servo.
 
     Attributes:
         id: Its id on the line.
         zero: Its position where its angle is 0; else the middle of its range.
-        direction: +1 or -1: sense of its positions with the angle.
-        gear: Its turns per turn of the angle.
-        model: Model number expected; else any that is known to be of the family.
         p: Proportional gain; else that of the line.
         i: Integral gain.
         d: Derivative gain.
         stall_torque: Largest torque at this supply [N·m]; else that of the line, or of the model.
-        torque_per_ampere: Torque per current [N·m/A]; else that of the line.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: Annotated[int, Field(ge=0, le=LARGEST_ID)]
     zero: Annotated[float, Field(ge=0.0)] | None = None
-    direction: Literal[1, -1] = 1
-    gear: Positive = 1.0
-    model: int | None = None
     p: Gain | None = None
     i: Gain | None = None
     d: Gain | None = None
     stall_torque: Positive | None = None
-    torque_per_ampere: Positive | None = None
 
 
 class PairOptions(BaseModel):
@@ -153,11 +145,7 @@ class FeetechOptions(DeviceOptions):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.baudrate not in BAUD_RATES:
-            raise ValueError(f"baudrate is one of {', '.join(str(b) for b in BAUD_RATES)}")
-        ids = [servo.id for servo in self.servos.values()]
-        if len(set(ids)) != len(ids):
-            raise ValueError("two servos have the same id")
+        check_line(self.baudrate, BAUD_RATES, [servo.id for servo in self.servos.values()])
         counts = FAMILIES[self.family].counts
         for name, servo in self.servos.items():
             if servo.zero is not None and servo.zero >= counts:

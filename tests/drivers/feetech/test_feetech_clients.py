@@ -29,7 +29,7 @@ def settle(line: SimulatedLine, seconds: float = 2.0) -> None:
     """Let the servos get where they are going, without waiting for it."""
     for emulator in line.emulators:
         assert isinstance(emulator, FeetechEmulator)
-        for servo in emulator.servos:
+        for servo in emulator.ordered:
             line.call(lambda servo=servo: servo.axis.advance(seconds))
 
 
@@ -61,7 +61,7 @@ def test_the_amazing_hands_own_client_opens_it() -> None:
             assert found == pytest.approx(angle, abs=0.006)
         together = client.sync_read_present_position(ids)
         assert list(together) == pytest.approx(list(OPEN.values()), abs=0.006)
-        one, two = hand.servos[:2]
+        one, two = hand.ordered[:2]
         assert (one.get(table.GOAL_POSITION), two.get(table.GOAL_POSITION)) == (391, 630)
         assert one.get(table.GOAL_SPEED) == 1368
         client.sync_write_torque_enable(ids, [0] * 8)

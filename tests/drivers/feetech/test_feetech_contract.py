@@ -36,7 +36,7 @@ DIFFERENTIAL = {
 
 def held(emulator: Any) -> None:
     """Have every servo push against something a little beyond where it stands."""
-    for servo in emulator.servos:
+    for servo in emulator.ordered:
         counts = emulator.family.counts / 4096
         here = float(servo.axis.position)
         emulator.grip_object(servo.number, here + 12.0 * counts, stiffness=50.0 / counts)
@@ -49,17 +49,17 @@ def held(emulator: Any) -> None:
 
 def moves(emulator: Any) -> int:
     """Return how far the goals are from where the servos started."""
-    goals = [servo.axis.target - servo.properties.start for servo in emulator.servos]
+    goals = [servo.axis.target - servo.properties.start for servo in emulator.ordered]
     return round(sum(abs(goal) for goal in goals))
 
 
 def limits(emulator: Any) -> list[float]:
     register = table.TORQUE_LIMIT
-    return [servo.get(register) / FULL * TORQUE for servo in emulator.servos]
+    return [servo.get(register) / FULL * TORQUE for servo in emulator.ordered]
 
 
 def currents(emulator: Any) -> list[float]:
-    return [servo.get(table.GOAL_TIME) * table.CURRENT_UNIT * 0.5 for servo in emulator.servos]
+    return [servo.get(table.GOAL_TIME) * table.CURRENT_UNIT * 0.5 for servo in emulator.ordered]
 
 
 CASE = DeviceCase(

@@ -212,11 +212,11 @@ async def test_powering_sets_up_what_differs_and_stores_nothing() -> None:
         # Lock, P, the return delay, the acceleration, the goal, torque: D and mode were right.
         assert registers == [55, 21, 7, 41, 42, 40]
         assert wire.written(7) == [bytes([7, 1, 1, 0])]
-        for servo in session.emulator.servos:
+        for servo in session.emulator.ordered:
             assert servo.get(table.GOAL_POSITION) == servo.position
             assert servo.get(table.TORQUE_LIMIT) == 1000
         session.wire.power_cycle()
-        first = session.emulator.servos[0]
+        first = session.emulator.ordered[0]
         assert (first.get(table.P), first.get(table.RETURN_DELAY)) == (32, 250)
 
 
@@ -228,24 +228,24 @@ async def test_powering_again_after_the_supply_was_cut_sets_up_again() -> None:
         assert (found.code, found.name[:19]) == (256, "torque lost: servo ")
         await session.driver.recover()
         await session.driver.activate()
-        assert [servo.get(table.P) for servo in session.emulator.servos] == [20] * 3
+        assert [servo.get(table.P) for servo in session.emulator.ordered] == [20] * 3
 
 
 async def test_a_largest_torque_keeps_scs_servos_from_switching_off() -> None:
     async with Session(case(family="scs", torque=0.75)) as session:
         await session.start()
-        assert [s.get(table.MAX_TORQUE) for s in session.emulator.servos] == [750] * 3
-        assert session.emulator.servos[0].memory._stored[16:18] == b"\x03\xe8"
+        assert [s.get(table.MAX_TORQUE) for s in session.emulator.ordered] == [750] * 3
+        assert session.emulator.ordered[0].memory._stored[16:18] == b"\x03\xe8"
     async with Session(case(torque=0.75)) as session:
         await session.start()
         await session.reach([0.5] * 3)
-        assert [s.get(table.TORQUE_LIMIT) for s in session.emulator.servos] == [750] * 3
+        assert [s.get(table.TORQUE_LIMIT) for s in session.emulator.ordered] == [750] * 3
 
 
 async def test_a_servo_that_takes_no_torque_is_a_fault() -> None:
     async with Session(case()) as session:
         await session.connect()
-        second = session.emulator.servos[1]
+        second = session.emulator.ordered[1]
         session.wire.call(lambda: setattr(second, "_act", lambda: second.set(table.TORQUE, 0)))
         with pytest.raises(DeviceFault, match=r"torque lost: servo 2 \(j1\)"):
             await session.driver.activate()
@@ -302,7 +302,7 @@ async def test_direction_gear_and_zero_are_those_of_the_servo() -> None:
         await session.start()
         state = await settled(session, [0.5, 0.5, 0.5])
         assert state.position.tolist() == pytest.approx([0.5] * 3, abs=2e-3)
-        positions = [servo.position for servo in session.emulator.servos]
+        positions = [servo.position for servo in session.emulator.ordered]
         assert positions == [1000 - 326, 2000 + 652, 2048 + 326]
 
 
@@ -361,7 +361,7 @@ async def test_servos_that_answer_to_reading_alone_are_driven_as_well(level: int
         await session.start()
         await session.reach([0.7] * 3)
         await session.driver.disable()
-        assert [servo.get(table.TORQUE) for servo in session.emulator.servos] == [0] * 3
+        assert [servo.get(table.TORQUE) for servo in session.emulator.ordered] == [0] * 3
 
 
 async def test_gains_are_written_and_not_stored() -> None:
@@ -369,7 +369,7 @@ async def test_gains_are_written_and_not_stored() -> None:
         await session.start()
         await session.driver.set_gains({"p": 12.4, "i": 3.0, "d": 999.0})
         await session.sense()
-        for servo in session.emulator.servos:
+        for servo in session.emulator.ordered:
             gains = [servo.get(register) for register in (table.P, table.I, table.D)]
             assert gains == [12, 3, 254]
             assert servo.memory._stored[21:24] == bytes([32, 32, 0])
@@ -383,7 +383,7 @@ async def test_two_servos_bend_and_tilt_a_finger() -> None:
         await session.start()
         state = await settled(session, [0.8, 0.1, 0.3, -0.2])
         assert state.position.tolist() == pytest.approx([0.8, 0.1, 0.3, -0.2], abs=0.02)
-        one, two, *_ = (servo.axis.position for servo in session.emulator.servos)
+        one, two, *_ = (servo.axis.position for servo in session.emulator.ordered)
         per_rad = 1024 / math.radians(300)
         # Their difference bends, their sum tilts: flexion 0.8 is met at 0.44 rad of the servos.
         assert (one - two) / 2 / per_rad == pytest.approx(0.4408, abs=0.01)
@@ -434,7 +434,7 @@ async def test_a_tilt_that_gives_way_is_told() -> None:
             "index_tilt gives way to index_flexion: its servos are at their limit",
         )
         assert state.position[1] < 0.15
-        assert abs(session.emulator.servos[0].position - 511) <= 308
+        assert abs(session.emulator.ordered[0].position - 511) <= 308
 
 
 async def test_one_actuator_of_a_pair_moves_alone() -> None:
@@ -453,7 +453,7 @@ async def test_one_actuator_of_a_pair_moves_alone() -> None:
 async def test_the_hotter_servo_of_a_pair_counts_for_both() -> None:
     async with Session(paired()) as session:
         await session.start()
-        session.wire.call(lambda: setattr(session.emulator.servos[1].axis, "temperature", 50.0))
+        session.wire.call(lambda: setattr(session.emulator.ordered[1].axis, "temperature", 50.0))
         state = await session.sense()
         assert state.temperature.tolist() == pytest.approx([50.0, 50.0, 25.0, 25.0], abs=1.0)
 
@@ -465,7 +465,7 @@ async def test_a_stop_leaves_servos_without_torque_without() -> None:
     async with Session(case()) as session:
         await session.connect()
         await session.driver.stop()
-        assert [servo.get(table.TORQUE) for servo in session.emulator.servos] == [0] * 3
+        assert [servo.get(table.TORQUE) for servo in session.emulator.ordered] == [0] * 3
 
 
 @pytest.mark.parametrize(
@@ -493,12 +493,12 @@ async def test_an_overload_by_pushing_on_is_recovered_from() -> None:
         session.wire.call(lambda: session.emulator.grip_object(2, 2100.0, stiffness=50.0))
         goal = Reference.at([1.0] * 3)
         assert (await fault_of(session, goal)).name == "overload in servo 2 (j1)"
-        assert session.emulator.servos[1].get(table.TORQUE) == 0
+        assert session.emulator.ordered[1].get(table.TORQUE) == 0
         await session.driver.recover()
         await session.driver.activate()
         state = await session.sense()
         assert state.position[1] == pytest.approx(0.11, abs=0.02)
-        assert session.emulator.servos[1].get(table.TORQUE) == 1
+        assert session.emulator.ordered[1].get(table.TORQUE) == 1
 
 
 # --- calibration -----------------------------------------------------------------------------

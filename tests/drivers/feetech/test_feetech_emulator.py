@@ -51,7 +51,7 @@ def test_it_answers_as_published(family: str, request_: str, answer: str) -> Non
 
 def test_the_state_of_a_servo_is_as_published() -> None:
     servos = line("scs", servo={"voltage": 5.0})
-    servos.servos[0].axis.temperature = 30.0
+    servos.ordered[0].axis.temperature = 30.0
     assert ask(servos, "FF FF 01 04 02 38 0B B5") == [
         "FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1"
     ]
@@ -60,7 +60,7 @@ def test_the_state_of_a_servo_is_as_published() -> None:
 def test_several_answer_a_sync_read_one_after_the_other_where_their_family_does() -> None:
     special = {1: ServoProperties(voltage=7.4), 2: ServoProperties(voltage=7.4, start=1000.0)}
     servos = line(ids=(1, 2), special=special)
-    for servo in servos.servos:
+    for servo in servos.ordered:
         servo.axis.temperature = 30.0
     together = "FF FF FE 06 82 38 0F 01 02 2F"
     state = "FF FF 01 11 00 00 08 00 00 00 00 4A 1E 00 00 00 {}"
@@ -80,12 +80,12 @@ def test_what_is_sent_to_all_is_obeyed_by_all_and_answered_by_none() -> None:
     servos = line("scs", tuple(range(1, 9)))
     torque = "FF FF FE 14 83 28 01 01 01 02 01 03 01 04 01 05 01 06 01 07 01 08 01 15"
     assert ask(servos, torque) == []
-    assert [servo.get(table.TORQUE) for servo in servos.servos] == [1] * 8
+    assert [servo.get(table.TORQUE) for servo in servos.ordered] == [1] * 8
     assert ask(servos, "FF FF FE 04 03 28 00 D2") == []
-    assert [servo.get(table.TORQUE) for servo in servos.servos] == [0] * 8
+    assert [servo.get(table.TORQUE) for servo in servos.ordered] == [0] * 8
     goals = "01 01 87 02 02 76 03 01 87 04 02 76 05 01 87 06 02 76 07 01 87 08 02 76"
     ask(servos, f"FF FF FE 1C 83 2A 02 {goals} 12")
-    assert [servo.get(table.GOAL_POSITION) for servo in servos.servos] == [391, 630] * 4
+    assert [servo.get(table.GOAL_POSITION) for servo in servos.ordered] == [391, 630] * 4
 
 
 def test_a_ping_to_all_is_answered_by_one_and_garbled_by_two() -> None:
@@ -104,23 +104,23 @@ def test_a_servo_of_another_id_or_a_wrong_checksum_gets_silence() -> None:
 def test_settings_are_stored_only_when_unlocked() -> None:
     servos = line("scs", (1,), servo={"reboot_time": 0.0})
     write(servos, 1, table.P, 20)
-    assert servos.servos[0].get(table.P) == 20
+    assert servos.ordered[0].get(table.P) == 20
     servos.power_cycle(0.0)
-    assert servos.servos[0].get(table.P) == 15
+    assert servos.ordered[0].get(table.P) == 15
     # Unlock, give it the id 5, lock under the new one.
     for text in ("FF FF 01 04 03 30 00 C7", "FF FF 01 04 03 05 05 ED", "FF FF 05 04 03 30 01 C2"):
         assert len(ask(servos, text)) == 1
     servos.power_cycle(0.0)
-    assert servos.servos[0].number == 5
-    assert servos.servos[0].get(FAMILIES["scs"].lock) == 1
+    assert servos.ordered[0].number == 5
+    assert servos.ordered[0].get(FAMILIES["scs"].lock) == 1
     assert ask(servos, "FF FF 05 02 06 F2") == ["FF FF 05 02 00 F8"]  # factory values, id kept
-    assert servos.servos[0].number == 5
+    assert servos.ordered[0].number == 5
 
 
 def test_a_write_waits_for_action() -> None:
     servos = line("scs")
     assert ask(servos, "FF FF 01 05 04 2A 01 FF CB") == ["FF FF 01 02 00 FC"]
-    servo = servos.servos[0]
+    servo = servos.ordered[0]
     write(servos, 1, table.GOAL_POSITION, 600)
     assert (servo.get(table.PENDING), servo.get(table.GOAL_POSITION)) == (1, 600)
     assert ask(servos, "FF FF FE 02 05 FA") == []
@@ -131,7 +131,7 @@ def test_it_answers_to_reading_alone_where_its_level_says_so() -> None:
     servos = line(servo={"level": 0})
     assert ask(servos, "FF FF 01 04 03 28 01 CE") == []
     assert ask(servos, "FF FF 01 02 01 FB") == ["FF FF 01 02 00 FC"]
-    assert servos.servos[0].get(table.TORQUE) == 1
+    assert servos.ordered[0].get(table.TORQUE) == 1
 
 
 @pytest.mark.parametrize(
@@ -145,9 +145,9 @@ def test_it_answers_to_reading_alone_where_its_level_says_so() -> None:
 def test_the_present_position_becomes_what_it_is_told(text: str, position: int) -> None:
     servos = line(servo={"start": 1234.0})
     assert ask(servos, text) == ["FF FF 01 02 00 FC"]
-    assert servos.servos[0].position == position
+    assert servos.ordered[0].position == position
     servos.power_cycle(0.0)
-    assert servos.servos[0].position == position
+    assert servos.ordered[0].position == position
 
 
 def test_a_reboot_takes_a_while() -> None:
@@ -161,7 +161,7 @@ def test_it_goes_to_its_goal_at_its_speed_within_its_limits() -> None:
     servos = line()
     # Acceleration 50, position 2048, time 0, speed 1000; then 600 counts on.
     ask(servos, "FF FF 01 0A 03 29 32 00 08 00 00 E8 03 A3")
-    servo = servos.servos[0]
+    servo = servos.ordered[0]
     assert servo.get(table.TORQUE) == 1  # a goal switches it on
     write(servos, 1, table.GOAL_POSITION, 2648)
     servos.step(0.3)
@@ -174,7 +174,7 @@ def test_it_goes_to_its_goal_at_its_speed_within_its_limits() -> None:
     ask(slow, "FF FF 01 09 03 2A D0 07 00 00 04 00 ED")
     slow.step(0.1)
     # 4 counts of 0.732 rpm are 200 steps a second.
-    assert slow.servos[0].axis.position == pytest.approx(2028, abs=1.5)
+    assert slow.ordered[0].axis.position == pytest.approx(2028, abs=1.5)
 
 
 def test_a_speed_mode_turns_on_and_on() -> None:
@@ -183,13 +183,13 @@ def test_a_speed_mode_turns_on_and_on() -> None:
     write(servos, 1, table.TORQUE, 1)
     ask(servos, "FF FF 01 05 03 2E E8 83 5D")  # -1000
     servos.step(5.0)
-    assert servos.servos[0].position == pytest.approx(2048 - 5000, abs=10)
+    assert servos.ordered[0].position == pytest.approx(2048 - 5000, abs=10)
 
 
 @pytest.mark.parametrize(("family", "after"), [("scs", 4.0), ("sts", 2.0)])
 def test_a_servo_that_pushes_on_switches_off(family: str, after: float) -> None:
     servos = line(family)
-    servo = servos.servos[0]
+    servo = servos.ordered[0]
     servos.grip_object(1, servo.axis.position + 10, stiffness=100.0)
     write(servos, 1, table.GOAL_POSITION, round(servo.axis.position) + 400)
     for step in range(1, 12):
@@ -206,7 +206,7 @@ def test_a_servo_that_pushes_on_switches_off(family: str, after: float) -> None:
 
 def test_an_overload_leaves_the_protective_torque_where_its_mask_keeps_it_on() -> None:
     servos = line("sts", servo={"unload": 0})
-    servo = servos.servos[0]
+    servo = servos.ordered[0]
     servos.grip_object(1, 2060.0, stiffness=50.0)
     write(servos, 1, table.GOAL_POSITION, 2400)
     for step in range(1, 60):
@@ -222,15 +222,15 @@ def test_a_smaller_torque_is_no_overload() -> None:
     write(servos, 1, table.GOAL_POSITION, 2400)
     for step in range(1, 100):
         servos.step(step * 0.05)
-    servo = servos.servos[0]
+    servo = servos.ordered[0]
     assert (servo.status, servo.axis.effort) == (Status(0), 750.0)
 
 
 def test_it_gets_hot() -> None:
     servos = line("scs")
-    servos.servos[0].axis.temperature = 81.0
+    servos.ordered[0].axis.temperature = 81.0
     servos.step(0.1)
-    assert servos.servos[0].status == Status.OVERHEATING
+    assert servos.ordered[0].status == Status.OVERHEATING
 
 
 def test_the_servos_of_a_hand_begin_with_their_actuators_at_zero() -> None:
@@ -247,7 +247,7 @@ def test_the_servos_of_a_hand_begin_with_their_actuators_at_zero() -> None:
         },
     )
     assert isinstance(made, FeetechEmulator)
-    starts = {servo.number: servo.axis.position for servo in made.servos}
+    starts = {servo.number: servo.axis.position for servo in made.ordered}
     # Half a radian is 98 counts.
     assert starts == {3: 511.0, 4: 402.0, 5: 609.0}
     closings = made.closings()
