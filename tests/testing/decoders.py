@@ -13,6 +13,9 @@ from rtee.drivers.allegro import codec as allegro
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
 from rtee.drivers.dynamixel.codec import InstructionParser
+from rtee.drivers.feetech import codec as feetech
+from rtee.drivers.feetech.table import FAMILIES
+from rtee.drivers.feetech.table import State as FeetechState
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
@@ -197,6 +200,22 @@ RH56_REPLIES = [
     )
 ]
 
+FEETECH_REQUESTS = [
+    bytes.fromhex(text)
+    for text in (
+        "FF FF 01 02 01 FB",
+        "FF FF 01 09 03 2A 01 FF 00 00 03 E8 DD",
+        "FF FF FE 06 82 38 0F 01 02 2F",
+    )
+]
+FEETECH_REPLIES = [
+    bytes.fromhex(text)
+    for text in (
+        "FF FF 01 04 20 01 FF DA",
+        "FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1",
+    )
+]
+
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
     Decoder("Modbus TCP requests", NETWORK, parser=TcpRequests, limit=260, lost=0),
@@ -271,6 +290,25 @@ DECODERS = [
         parser=InstructionParser,
         prefix=b"\xff\xff\xfd\x00",
         limit=InstructionParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech requests",
+        FEETECH_REQUESTS,
+        parser=feetech.RequestParser,
+        prefix=feetech.HEADER,
+        limit=feetech.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech replies",
+        FEETECH_REPLIES,
+        parser=feetech.ReplyParser,
+        prefix=feetech.HEADER,
+        limit=feetech.ReplyParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech state",
+        [bytes.fromhex("00 08 00 00 00 00 4A 1E 00 00 00 00 08 00 00")],
+        decode=lambda data: FeetechState.from_bytes(FAMILIES["sts"], data, 0x20),
     ),
     Decoder(
         "qb parameter list",

@@ -176,6 +176,13 @@ async def test_another_device_is_found_out() -> None:
             "overload",
             "32: overload in servo 1 (jaw)",
         ),
+        (
+            "feetech",
+            "jaw",
+            {"family": "sts", "servos": {"jaw": {"id": 1}}},
+            "overload",
+            "32: overload in servo 1 (jaw)",
+        ),
         ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
         ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
