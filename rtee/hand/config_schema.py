@@ -396,6 +396,45 @@ class Ros2Settings(Section):
             )
 
 
+Vector = Annotated[tuple[float, float, float], _Converted()]
+Vectors = Annotated[tuple[Vector, ...], _Converted()]
+Cells = Annotated[int, Interval(ge=1, le=100)]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSection(Section):
+    """Where a touch sensor is on the hand, and what its values mean."""
+
+    link: str
+    """The link that it is on."""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    """Origin of its frame in the link's [m]."""
+    rpy: Vector = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of its frame in the link's [rad]; z leads out of the surface."""
+    grid: Annotated[tuple[Cells, Cells], _Converted()] | None = None
+    """Rows along x and columns along y of its taxels, which come row by row; the origin is in the
+    middle."""
+    pitch: Annotated[tuple[Positive, Positive], _Converted()] = (0.004, 0.004)
+    """Distance from row to row and from column to column [m]."""
+    positions: Vectors = ()
+    """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With
+    neither it has one taxel, at the origin."""
+    normals: Vectors = ()
+    """Directions out of the surface at the ``positions``; z unless given."""
+    scale: Positive | None = None
+    """Newtons that one unit of a taxel's value stands for, where the device does not measure in
+    newtons itself; only forces make a finger feel a contact."""
+
+    def __post_init__(self) -> None:
+        """Check that the taxels are given in one way."""
+        if self.grid is not None and self.positions:
+            raise ValueError("should have a grid or positions, not both")
+        if self.normals and len(self.normals) != len(self.positions):
+            raise ValueError("should have as many normals as positions")
+        if any(not any(normal) for normal in self.normals):
+            raise ValueError("should have normals that are longer than 0")
+
+
 @dataclass(frozen=True, slots=True)
 class DeviceSection(Section):
     """A physical thing on a bus."""

@@ -28,6 +28,8 @@ _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 _SERVO = 0.02
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
 
+_LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -171,6 +173,33 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
     return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
 
 
+def linkerhand() -> Probe:
+    """Return a probe for LinkerHands on RS-485, right and left ones."""
+    from rtee.drivers.linkerhand.codec import BAUDRATE, LEFT, MODELS, RIGHT
+    from rtee.drivers.linkerhand.link import ModbusLink
+
+    async def listen(bus: ModbusBus, address: str) -> list[Found]:
+        found = []
+        for unit in (RIGHT, LEFT):
+            for name, model in MODELS.items():
+                link = ModbusLink(bus, model, unit, _LINKER_ANSWER, 0, model.spacing)
+                try:
+                    version = await link.version()
+                except (BusTimeout, FrameError, ModbusRefusal):
+                    continue
+                if version is not None and version.motors == model.count:
+                    options = {"port": address, "model": name, "unit": unit}
+                    what = f"LinkerHand {model.name}, unit {unit}"
+                    found.append(Found("linkerhand", what, options))
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.modbus(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("LinkerHand", ask)
+
+
 # --- serial protocols --------------------------------------------------------------------------
 
 
@@ -213,6 +242,26 @@ def softhand(devices: Sequence[int]) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("qb SoftHand", ask)
+
+
+def ability_hand() -> Probe:
+    """Return a probe for the Ability Hand with the address and the rate from the factory."""
+    from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
+        except (BusTimeout, FrameError):
+            return []
+        return [
+            Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
+        ]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("PSYONIC Ability Hand", ask)
 
 
 def rh56(units: Sequence[int]) -> Probe:

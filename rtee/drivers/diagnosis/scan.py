@@ -69,8 +69,10 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
     """
     return (
         probes.svh(),
+        probes.ability_hand(),
         probes.softhand(range(1, 10)),
         probes.rh56(range(1, 5)),
+        probes.linkerhand(),
         probes.modbus(115200, "N", units or (*range(1, 17),), name="Robotiq"),
         probes.modbus(1_000_000, "E", units or (65, 66, 67), name="OnRobot"),
         *(probes.feetech(rate) for rate in FEETECH_RATES),

@@ -15,6 +15,7 @@ from rtee.drivers.mujoco.pairs import rest_position
 from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
+from rtee.drivers.mujoco.taxels import Taxels
 from rtee.hand.model import Hand
 from rtee.sample import BoolArray, FloatArray
 
@@ -30,6 +31,7 @@ class Simulation:
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
         notes: What was assumed about the hand, one sentence each.
         object_description: What the object looks like, if there is one.
+        taxels: The touch sensors.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class Simulation:
         self._bias = model.actuator_biasprm[self._motor].copy()
         self._integral: FloatArray = np.array([servos[name].ki for name in actuators])
         self._forces = FingerForces(model, hand)
+        self.taxels = Taxels(model, hand, options)
         self._couplings = Couplings(model, hand)
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)

@@ -184,6 +184,7 @@ async def test_another_device_is_found_out() -> None:
             "32: overload in servo 1 (jaw)",
         ),
         ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
+        ("linkerhand", "index_bend", {}, "encoder", "3: index: encoder error"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
         ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
     ],

@@ -39,6 +39,9 @@ def device(name: str, **properties: object) -> Emulator:
         ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
         ("schunk_svh", {}, "SCHUNK SVH, firmware"),
         ("inspire_rh56", {"unit": 3}, "Inspire RH56, unit 3"),
+        ("linkerhand", {}, "LinkerHand O6, unit 39"),
+        ("linkerhand", {"model": "l10", "unit": 40}, "LinkerHand L10, unit 40"),
+        ("ability_hand", {}, "PSYONIC Ability Hand, address 80"),
     ],
 )
 async def test_a_device_on_a_line_is_found_with_its_options(
