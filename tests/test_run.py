@@ -295,7 +295,7 @@ def calls(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[str]:
     environment = os.environ | {
         "RTEE_CONFIG_PATH": str(folder),
-        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
         "PYTHONUNBUFFERED": "1",
     }
     command = [sys.executable, "-c", "from rtee.cli import main; main()", "run", hand, *arguments]
@@ -307,6 +307,18 @@ def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[
         env=environment,
         cwd=folder,
     )
+
+
+def test_the_gui_of_a_run_that_is_killed_ends_with_it(folder: Path) -> None:
+    pytest.importorskip("viser")
+    process = start(folder, "--no-log", "--gui")
+    assert process.stdout is not None
+    while "rtee: GUI at" not in (line := process.stdout.readline()):
+        assert line, process.stderr
+    process.kill()
+    # Read to its end: the GUI has ended, too, or it would hold the pipe open.
+    _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
