@@ -301,7 +301,8 @@ class _Trace:
 def _log_words(recorder: Recorder) -> str:
     status = recorder.status()
     if not status.recording:
-        return "off"
+        folder = recorder.flight_folder
+        return "off" if folder is None else f"off, but faults go to {folder}"
     return str(status.path) if status.path else f"not written: {status.problem}"
 
 

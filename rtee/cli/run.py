@@ -105,7 +105,14 @@ def run(
     log: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the recordings.")
     ] = None,
-    no_log: Annotated[bool, typer.Option("--no-log", help="Write no recordings.")] = False,
+    no_log: Annotated[
+        bool,
+        typer.Option(
+            "--no-log",
+            help="Write no recordings; a fault's last minute only to a folder given with --log or"
+            " in hand.yaml.",
+        ),
+    ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Show the hands as nodes of ROS 2.")] = False,
     duration: Annotated[

@@ -14,6 +14,7 @@ from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.playback import Playback, open_playback, timeline
 from rtee.gui.wording import NOTHING, offer
+from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log.rotation import recordings
@@ -32,9 +33,9 @@ _REDRAW = 0.1
 def configured_folder(hand: str) -> Path:
     """Return the folder of a hand's recordings: that of its configuration, if it has one here."""
     try:
-        return Path(load_configured(hand)[1].log.directory)
+        return load_configured(hand)[1].log.folder
     except RteeError:
-        return Path("logs")
+        return LogSection().folder
 
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
