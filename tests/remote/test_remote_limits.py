@@ -285,7 +285,7 @@ def test_who_was_interrupted_comes_back_with_its_token() -> None:
         IncomingRequest(request, question, lambda data, _: answers.append(data), ""), "here"
     )
     signer = Signer("one")
-    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"])
+    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"].split()[0])
 
     def ask() -> str:
         proof = signer.attachment(signer.number(), "status", b"").encode()

@@ -18,6 +18,7 @@ from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log.rotation import recordings
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
@@ -92,6 +93,7 @@ class RecordingsPanel:
                 "Go to", (NOTHING,), hint="Start of an action, or a mark, in the recording"
             )
         self._places: dict[str, float] = {}
+        bridge.need(Role.MAINTAINER, record, self._text, mark)
         record.on_click(lambda event: bridge.call(lambda: self._record(str(event.target.value))))
         mark.on_click(lambda _: bridge.call(self._mark))
         self._folder.on_update(lambda _: self._refresh())
