@@ -337,16 +337,9 @@ def feetech(baudrate: int) -> Probe:
         Instruction,
         ReplyParser,
     )
+    from rtee.drivers.feetech.identity import recognise
     from rtee.drivers.feetech.link import FeetechLink
-    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES, MODELS
-
-    def recognised(data: bytes) -> tuple[str, str]:
-        """Return the model and the family that the bytes of a model number tell."""
-        for order in ("little", "big"):
-            one = MODELS.get(int.from_bytes(data, order))
-            if one is not None and FAMILIES[one.family].order == order:
-                return one.name, one.family
-        return f"servo with model bytes {data.hex(' ').upper()}", ""
+    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES
 
     async def anybody(bus: SerialBus) -> bool:
         ping = Frame(BROADCAST, Instruction.PING).to_bytes()
@@ -367,7 +360,10 @@ def feetech(baudrate: int) -> Probe:
                 about = (await link.read(number, 0, 7)).params
             except (BusTimeout, FrameError):
                 continue
-            name, family = recognised(about[3:5])
+            model = recognise(about[3:5])
+            family = "" if model is None else model.family
+            what = f"servo with model bytes {about[3:5].hex(' ').upper()}"
+            name = what if model is None else model.name
             told = about[BAUD_RATE.address]
             rate = BAUD_RATES[told] if told < len(BAUD_RATES) else baudrate
             found.append(

@@ -205,6 +205,17 @@ async def test_what_keeps_a_device_from_being_active_is_told(
     assert "recover" in check.remedy
 
 
+async def test_a_zero_that_cannot_be_right_is_told_with_what_to_do() -> None:
+    servo = {"id": 1, "zero": 4000}
+    with SimulatedLine([make_emulator("feetech", {})], wire_time=False) as line:
+        spec = gripper(options={"port": line.address, "family": "sts", "servos": {"jaw": servo}})
+        spec = replace(spec, driver="feetech", actuators=(actuator("jaw", 0.0, 0.8),))
+        async with BusPool() as pool:
+            check = named(await check_device(spec, pool), "fault")
+    assert "would have to go from 4000 to 4522, but takes 0 to 4095" in check.text
+    assert check.remedy == "correct its options in hand.yaml, or calibrate it"
+
+
 async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:
     hand = make_emulator("inspire_rh56", {"protocol": "modbus"})
     with SimulatedLine([hand], wire_time=False) as line:
