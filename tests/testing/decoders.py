@@ -17,6 +17,7 @@ from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
 from rtee.drivers.onrobot_3fg import codec as onrobot
+from rtee.drivers.orca_touch import codec as orca
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
@@ -263,6 +264,30 @@ DECODERS = [
         [Memory(Rh56Properties()).report().to_bytes()],
         decode=lambda data: rh56.Report.from_bytes(data[:12], data[36:]),
         errors=(rh56.Rh56FrameError,),
+    ),
+    Decoder(
+        "ORCA touch requests",
+        [bytes.fromhex("55aa000310000400ea"), bytes.fromhex("55aa00101600010001d9")],
+        parser=orca.RequestParser,
+        prefix=orca.RequestParser.HEADER,
+        limit=orca.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch answers",
+        [
+            bytes.fromhex("aa55000310000400444404005e"),
+            orca.Stream(0, bytes(30)).to_bytes(),
+            orca.Encoders(0, bytes(34)).to_bytes(),
+        ],
+        parser=orca.AnswerParser,
+        prefix=orca.AnswerParser.HEADER,
+        limit=orca.AnswerParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch forces",
+        [bytes(6 + 3 * 4)],
+        decode=lambda data: orca.Forces.from_bytes(data, orca.Content(3), (4,)),
+        errors=(orca.OrcaFrameError,),
     ),
     Decoder("qb SoftHand frames", QB, parser=qb.Parser, prefix=qb.HEADER, limit=qb.Parser.LIMIT),
     Decoder(
