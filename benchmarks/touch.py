@@ -67,12 +67,11 @@ class Skin(KinematicDriver):
         """Measure, and now and then feel."""
         state = await super().sense()
         self._turn += 1
-        if not self.feeling:
-            return state
-        if self._turn % round(RATE / READINGS) == 0:
+        if self.feeling and self._turn % round(RATE / READINGS) == 0:
             values = self._values[self._turn // 10 % len(self._values)].copy()
             self._reading = TouchReading(values, state.stamp)
-        return replace(state, touch=self._reading)
+        # Without readings, too: what is measured is the loop, not this driver.
+        return replace(state, touch=self._reading if self.feeling else None)
 
 
 def follow(hand: str) -> None:
@@ -115,8 +114,8 @@ async def measure(hand: Hand, rounds: int, seconds: float) -> None:
                 group.cancel_scope.cancel()
         differences = beside.differences()
     load = f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} processors"
-    print(f"{hand.name}, {TAXELS} taxels at {READINGS:g} Hz; {rounds} pairs of stretches of")
-    print(f"{seconds:g} s; load {load}\n")
+    pairs = f"{rounds} pairs of stretches of {seconds:g} s"
+    print(f"{hand.name}, {TAXELS} taxels at {READINGS:g} Hz; {pairs}; load {load}\n")
     table = Table("", "without", "with", "change, 95 %")
     for name, difference in zip(("p50", "p99"), differences, strict=True):
         table.row(f"lateness {name} [µs]", *difference.cells())
