@@ -28,6 +28,7 @@ DRIVERS: Mapping[str, str] = {
     "allegro": "rtee.drivers.allegro.driver:AllegroDriver",
     "xbot2": "rtee.drivers.xbot2.driver:XBot2Driver",
     "heri_ethercat": "rtee.drivers.heri_ethercat.driver:HeriEthercatDriver",
+    "orca_touch": "rtee.drivers.orca_touch.driver:OrcaTouchDriver",
     "mujoco": "rtee.drivers.mujoco.driver:MujocoDriver",
 }
 """Name to ``module:Class``, imported only when asked for."""
@@ -47,6 +48,7 @@ EMULATORS: Mapping[str, str] = {
     "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
     "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
     "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
+    "orca_touch": "rtee.drivers.orca_touch.emulator:OrcaTouchEmulator",
 }
 """The same for the emulators of the drivers' devices."""
 

@@ -22,6 +22,7 @@ from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
 from rtee.drivers.linkerhand import codec as linkerhand
 from rtee.drivers.onrobot_3fg import codec as onrobot
+from rtee.drivers.orca_touch import codec as orca
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
@@ -325,6 +326,30 @@ DECODERS = [
         [frame[1:-2] for frame in ABILITY_REPLIES],
         decode=ability.Reply.from_frame,
         errors=(ability.AbilityFrameError,),
+    ),
+    Decoder(
+        "ORCA touch requests",
+        [bytes.fromhex("55aa000310000400ea"), bytes.fromhex("55aa00101600010001d9")],
+        parser=orca.RequestParser,
+        prefix=orca.RequestParser.HEADER,
+        limit=orca.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch answers",
+        [
+            bytes.fromhex("aa55000310000400444404005e"),
+            orca.Stream(0, bytes(30)).to_bytes(),
+            orca.Encoders(0, bytes(34)).to_bytes(),
+        ],
+        parser=orca.AnswerParser,
+        prefix=orca.AnswerParser.HEADER,
+        limit=orca.AnswerParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch forces",
+        [bytes(6 + 3 * 4)],
+        decode=lambda data: orca.Forces.from_bytes(data, orca.Content(3), (4,)),
+        errors=(orca.OrcaFrameError,),
     ),
     Decoder("qb SoftHand frames", QB, parser=qb.Parser, prefix=qb.HEADER, limit=qb.Parser.LIMIT),
     Decoder(
