@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from pathlib import Path
+from typing import Any
 
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.allowed_collisions import ALWAYS, AllowedCollision, allowed_collisions
 from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import name_fingers
-from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.meshes import resolve_mesh
+from rtee.hand.local_meshes import as_utf8, with_local_meshes
 from rtee.hand.model import Finger, Hand
-from rtee.hand.names import check_name, safe_name
+from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import format_srdf, with_disabled
-from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import read_xml
 from rtee.hand.yamlwrite import ignore_line, rest_line
-
-_DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
-
 
 Ask = Callable[[str, bool], bool]
 """Asks a yes-or-no question; the second argument is the likelier answer."""
@@ -245,79 +239,21 @@ def without_linkages(
 def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
     """Write the files of a hand into a folder; return what was noticed."""
     hand, pairs = settled.hand, settled.pairs
-    urdf_text, notes = _with_local_meshes(hand, folder)
-    write_atomically(folder / f"{hand.name}.urdf", urdf_text)
+    local = with_local_meshes(hand)
+    for place, source in local.meshes.items():
+        make_folder((folder / place).parent)
+        write_atomically(folder / place, read_bytes(source, "mesh", ModelError))
+    write_atomically(folder / f"{hand.name}.urdf", local.text)
     if srdf is None:
         srdf_text = format_srdf(hand, pairs, with_rest=not settled.rest)
     else:
-        srdf_text = _utf8(read_xml(srdf, "SRDF")[1])
+        srdf_text = as_utf8(read_xml(srdf, "SRDF")[1])
         # An SRDF that lists pairs was made with care; pairs are added only where it has none.
         if not read_srdf(srdf).disabled:
             srdf_text = with_disabled(srdf_text, pairs)
     write_atomically(folder / f"{hand.name}.srdf", srdf_text)
     write_atomically(folder / FILE_NAME, _hand_yaml(settled))
-    return notes
-
-
-def _utf8(text: str) -> str:
-    """Return the text of an XML file as it is declared when it is written in UTF-8."""
-    return '<?xml version="1.0"?>\n' + _DECLARATION.sub("", text)
-
-
-def _with_local_meshes(hand: Hand, folder: Path) -> tuple[str, list[str]]:
-    """Copy the meshes into a folder; return the URDF with their new addresses, and notes."""
-    addresses: dict[str, str] = {}
-    notes = []
-    for uri, line, needed in _meshes(hand.urdf):
-        try:
-            source = resolve_mesh(uri, hand.urdf.path, hand.package_dirs, line=line)
-        except ModelError as error:
-            if needed:
-                raise
-            notes.append(f"a visual mesh was left where it is: {error}")
-            continue
-        addresses[uri] = _copy(source, uri, folder, set(addresses.values()))
-    return with_mesh_addresses(_utf8(hand.urdf.text), addresses), notes
-
-
-def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
-    """Return every mesh once: its address, its line, and whether it is collision geometry."""
-    found: dict[str, tuple[str, int, bool]] = {}
-    # Collision meshes first: a mesh that serves for both must not be missing.
-    for needed in (True, False):
-        for link in urdf.links.values():
-            for shape in link.collisions if needed else link.visuals:
-                if shape.kind == "mesh":
-                    found.setdefault(shape.mesh, (shape.mesh, shape.line, needed))
-    return list(found.values())
-
-
-def _copy(source: Path, uri: str, folder: Path, taken: set[str]) -> str:
-    """Copy a mesh; return its path relative to the folder."""
-    place = _place(uri, source)
-    # Two packages may have meshes of the same name.
-    if place in taken:
-        stem = PurePosixPath(place)
-        numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
-        place = next(other for other in numbered if other not in taken)
-    target = folder / place
-    make_folder(target.parent)
-    write_atomically(target, read_bytes(source, "mesh", ModelError))
-    return place
-
-
-def _place(uri: str, source: Path) -> str:
-    """Return where a mesh goes: as in its address below its package, or else in ``meshes``."""
-    scheme, separator, rest = uri.partition("://")
-    if separator:
-        parts = [] if scheme == "file" else rest.split("/")[1:-1]
-    else:
-        parts = uri.split("/")[:-1]
-    parts = [part for part in parts if part not in ("", ".")]
-    # An address may come from anywhere: it must not lead out of the hand's folder.
-    if ".." in parts or not parts:
-        parts = ["meshes"]
-    return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
+    return list(local.notes)
 
 
 def _hand_yaml(settled: _Settled) -> str:

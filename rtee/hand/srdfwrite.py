@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
-from rtee.hand.allowed_collisions import AllowedCollision
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
+
+DisabledPair = tuple[str, str, str]
+"""Two links that are never checked for collision, and why."""
 
 _HEAD = """<?xml version="1.0"?>
 <!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->
 """
 
 
-def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: bool = True) -> str:
+def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = True) -> str:
     """Return the SRDF of a hand.
 
     Args:
@@ -39,7 +41,7 @@ def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: boo
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
+def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
     """Return the lines that disable collisions, with what they mean."""
     if not pairs:
         return []
@@ -47,14 +49,14 @@ def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
         "",
         "  <!-- Pairs of links that are never checked for collision, and why. -->",
         *(
-            f"  <disable_collisions link1={quoteattr(pair.link1)} link2={quoteattr(pair.link2)} "
-            f"reason={quoteattr(pair.reason)}/>"
-            for pair in pairs
+            f"  <disable_collisions link1={quoteattr(link1)} link2={quoteattr(link2)} "
+            f"reason={quoteattr(reason)}/>"
+            for link1, link2, reason in pairs
         ),
     ]
 
 
-def with_disabled(srdf: str, pairs: Sequence[AllowedCollision]) -> str:
+def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
     """Return an SRDF's text with the pairs added before its end."""
     # As text, so that a file of the user keeps its comments and layout.
     head, end, tail = srdf.rpartition("</robot>")

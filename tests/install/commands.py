@@ -77,6 +77,8 @@ OFFLINE = (
     needs("extract claw --save", "extract"),
     needs("extract --urdf claw.urdf", "extract"),
     needs("grasp-plan claw --object box:0.02x0.02x0.03", "extract"),
+    Case("export claw --urdf --srdf exported", "written to exported/claw.urdf"),
+    needs("export claw --mjcf exported", "sim"),
     Case("actions claw", "PinchTight"),
     needs("openings claw --save", "extract"),
     Case("openings robotiq_2f_85", "PinchTight"),
