@@ -6,6 +6,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from rtee.errors import ConfigError, RteeError
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
+    from rtee.exchange.reading import ReadableModel
 
 HAND_VARIABLE = "RTEE_HAND"
 
@@ -248,6 +250,18 @@ def hand_folder(name: str | None) -> Path:
             )
         name = names[0]
     return find_folder(name)[0]
+
+
+def model_as_urdf(
+    urdf: Path | None, mjcf: Path | None, package_dirs: Sequence[Path]
+) -> AbstractContextManager[ReadableModel]:
+    """Return a context with a model given in one of its forms as a URDF."""
+    from rtee.exchange.reading import ReadableModel, mjcf_as_urdf
+
+    if mjcf is not None:
+        return mjcf_as_urdf(mjcf, package_dirs)
+    assert urdf is not None  # noqa: S101 - one of both is given
+    return nullcontext(ReadableModel(urdf))
 
 
 def actions_of(name: str | None) -> ActionLibrary:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,12 +16,12 @@ from rtee.hand.discovery import name_fingers
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.local_meshes import as_utf8, with_local_meshes
-from rtee.hand.model import Finger, Hand
+from rtee.hand.model import Finger, Hand, JointRole
 from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
-from rtee.hand.srdfwrite import format_srdf, with_disabled
+from rtee.hand.srdfwrite import DisabledPair, format_srdf, with_disabled, with_passive
 from rtee.hand.xmlfile import read_xml
 from rtee.hand.yamlwrite import ignore_line, rest_line
 
@@ -56,6 +56,8 @@ def make_hand(
     package_dirs: Sequence[Path | str] = (),
     into: Path | str = "config",
     ask: Ask | None = None,
+    passive: Collection[str] | None = None,
+    excluded: Sequence[DisabledPair] = (),
 ) -> NewHand:
     """Make the folder of a new hand.
 
@@ -71,6 +73,8 @@ def make_hand(
         into: Folder of the hands.
         ask: Asks about what the files cannot say for sure; without it joints that may have no motor
             are noted only.
+        passive: The joints without a motor besides the SRDF's, where that is known.
+        excluded: Pairs of links that are never checked for collision besides those found, and why.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
@@ -81,7 +85,10 @@ def make_hand(
     if target.exists():
         raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
     load = partial(load_model, urdf, srdf, name=name, package_dirs=package_dirs)
-    settled = _settle(load, searched=srdf is None, ask=ask)
+    if passive is not None:
+        load = partial(load, passive=passive)
+    settled = _settle(load, searched=srdf is None, motors_known=passive is not None, ask=ask)
+    settled = replace(settled, pairs=_with(excluded, settled))
     hand, pairs, notes = settled.hand, settled.pairs, settled.notes
     if len(hand.fingers) == 1:
         notes.append(
@@ -116,18 +123,32 @@ class _Settled:
     notes: list[str]
 
 
-def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _Settled:
+def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[AllowedCollision, ...]:
+    """Return the pairs of a hand and those excluded besides."""
+    there = {frozenset(pair[:2]) for pair in settled.pairs}
+    links = settled.hand.urdf.links
+    return settled.pairs + tuple(
+        AllowedCollision(*pair)
+        for pair in excluded
+        if frozenset(pair[:2]) not in there and pair[0] in links and pair[1] in links
+    )
+
+
+def _settle(
+    load: Callable[..., Hand], *, searched: bool, motors_known: bool, ask: Ask | None
+) -> _Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
     Args:
         load: Loads the hand, with what was settled so far.
-        searched: Whether the fingers are found in the tree; no joint is known to be passive then.
+        searched: Whether the fingers are found in the tree.
+        motors_known: Whether it is known which joints have motors; an SRDF says so, too.
         ask: Asks the user, if there is one.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}
     notes: list[str] = []
-    if searched:
+    if searched and not motors_known:
         passive, notes = _passive(hand, ask)
         if passive:
             chosen["passive"] = passive
@@ -249,8 +270,11 @@ def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]
     else:
         srdf_text = as_utf8(read_xml(srdf, "SRDF")[1])
         # An SRDF that lists pairs was made with care; pairs are added only where it has none.
-        if not read_srdf(srdf).disabled:
+        given = read_srdf(srdf)
+        if not given.disabled:
             srdf_text = with_disabled(srdf_text, pairs)
+        standing = (j.name for j in hand.joints if j.role is JointRole.PASSIVE)
+        srdf_text = with_passive(srdf_text, [j for j in standing if j not in given.passive])
     write_atomically(folder / f"{hand.name}.srdf", srdf_text)
     write_atomically(folder / FILE_NAME, _hand_yaml(settled))
     return list(local.notes)

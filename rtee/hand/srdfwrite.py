@@ -58,11 +58,20 @@ def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
 
 def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
     """Return an SRDF's text with the pairs added before its end."""
+    return _with_lines(srdf, disabled_lines(pairs))
+
+
+def with_passive(srdf: str, joints: Sequence[str]) -> str:
+    """Return an SRDF's text with joints without a motor added before its end."""
+    return _with_lines(srdf, [f"  <passive_joint name={quoteattr(joint)}/>" for joint in joints])
+
+
+def _with_lines(srdf: str, lines: Sequence[str]) -> str:
     # As text, so that a file of the user keeps its comments and layout.
     head, end, tail = srdf.rpartition("</robot>")
-    if not end or not pairs:
+    if not end or not lines:
         return srdf
-    return head + "\n".join(disabled_lines(pairs)).lstrip("\n") + "\n" + end + tail
+    return head + "\n".join(lines).lstrip("\n") + "\n" + end + tail
 
 
 def _group(finger: Finger) -> list[str]:

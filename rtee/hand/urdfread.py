@@ -66,7 +66,8 @@ def _check_root(root: Element) -> None:
     if root.tag != "robot":
         other = {"sdf": "an SDF", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
         what = other.get(root.tag, f"<{root.tag}>")
-        raise root.error(f"is {what}, not a URDF, whose root element is <robot>")
+        remedy = "; give it by --mjcf" if root.tag == "mujoco" else ""
+        raise root.error(f"is {what}, not a URDF, whose root element is <robot>{remedy}")
     # A frequent mistake, which would otherwise show as a URDF without links.
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:

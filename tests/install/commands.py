@@ -118,6 +118,7 @@ EXTRACTED = (
     needs("grasp-plan nipper --object box:0.02x0.02x0.03 --check", "sim"),
     needs("extract nipper --report nipper.html", "plot"),
     needs("try nipper PinchTight left right", "sim"),
+    needs("new other --mjcf other.xml", "sim"),
 )
 """With the extra ``extract``."""
 
