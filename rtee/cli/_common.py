@@ -6,7 +6,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +16,6 @@ from rtee.errors import ConfigError, RteeError
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
-    from rtee.exchange.reading import ReadableModel
 
 HAND_VARIABLE = "RTEE_HAND"
 
@@ -140,6 +138,12 @@ EffortOption = Annotated[
         "[N·m | N]; may be repeated.",
     ),
 ]
+XacroArguments = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -250,18 +254,6 @@ def hand_folder(name: str | None) -> Path:
             )
         name = names[0]
     return find_folder(name)[0]
-
-
-def model_as_urdf(
-    urdf: Path | None, mjcf: Path | None, package_dirs: Sequence[Path]
-) -> AbstractContextManager[ReadableModel]:
-    """Return a context with a model given in one of its forms as a URDF."""
-    from rtee.exchange.reading import ReadableModel, mjcf_as_urdf
-
-    if mjcf is not None:
-        return mjcf_as_urdf(mjcf, package_dirs)
-    assert urdf is not None  # noqa: S101 - one of both is given
-    return nullcontext(ReadableModel(urdf))
 
 
 def actions_of(name: str | None) -> ActionLibrary:

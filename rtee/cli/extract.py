@@ -18,10 +18,10 @@ import typer
 
 from rtee.cli._common import (
     JsonOption,
+    XacroArguments,
     actions_of,
     complete_hand,
     hand_folder,
-    model_as_urdf,
     report_copy,
 )
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
+    from rtee.exchange.reading import ReadableModel
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
@@ -53,8 +54,10 @@ def extract(
             metavar="[HAND]", help="Name of a hand, or its folder.", autocompletion=complete_hand
         ),
     ] = None,
+    arguments: XacroArguments = None,
     urdf: Annotated[
-        Path | None, typer.Option(help="A URDF instead of a hand of the configuration.")
+        Path | None,
+        typer.Option(help="A URDF, or a xacro file, instead of a hand of the configuration."),
     ] = None,
     mjcf: Annotated[
         Path | None, typer.Option(help="An MJCF, as MuJoCo has it, instead of a URDF.")
@@ -63,7 +66,7 @@ def extract(
         Path | None, typer.Option(help="The model's SRDF; without it the fingers are found.")
     ] = None,
     package_dir: Annotated[
-        list[Path] | None, typer.Option(help="Folder to look mesh packages up in; repeatable.")
+        list[Path] | None, typer.Option(help="Folder to look packages up in; repeatable.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the primitives to files in this folder.")
@@ -86,14 +89,21 @@ def extract(
     """Find the primitive grasping actions of a hand."""
     from rtee.actions.openings import write_openings
     from rtee.errors import ConfigError, needing_extra
+    from rtee.exchange.reading import as_urdf
     from rtee.hand.files import check_writable
+    from rtee.hand.load import load_hand
 
     # The matrices are small; threads for their products would only slow down the searches.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    words = arguments or []
+    # With a file there is no hand to name, so the first argument stands in its place.
+    if hand is not None and ":=" in hand:
+        words = [hand, *words]
+        hand = None
     if sum(given is not None for given in (hand, urdf, mjcf)) != 1:
         raise ConfigError("give either a hand, --urdf or --mjcf")
-    if hand is not None and (srdf or package_dir):
-        raise ConfigError("--srdf and --package-dir go with --urdf or --mjcf")
+    if hand is not None and (srdf or package_dir or words):
+        raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
     folder = hand_folder(hand) if hand is not None else None
     # Everything that can be refused is refused before the search, which may take minutes.
     if save and folder is None:
@@ -110,7 +120,11 @@ def extract(
         with _uncollected():
             with needing_extra("the extraction", "extract"):
                 from rtee.extract.extraction import extract as run
-            model = _load(made, folder, (urdf, mjcf), srdf, package_dir or [])
+            if folder is not None:
+                model = load_hand(folder)
+            else:
+                given = as_urdf(urdf, mjcf, words, package_dir or [])
+                model = _hand_in(made.enter_context(given), srdf)
             with progress_bar() as progress:
                 found = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, found, folder, jobs)}
@@ -184,20 +198,13 @@ def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     return tried, notes
 
 
-def _load(
-    made: ExitStack,
-    folder: Path | None,
-    files: tuple[Path | None, Path | None],
-    srdf: Path | None,
-    package_dirs: list[Path],
-) -> HandModel:
-    """Load a hand; what is made of its files to do so stays until the stack is closed."""
-    from rtee.hand.load import load_hand, load_model
+def _hand_in(model: ReadableModel, srdf: Path | None) -> HandModel:
+    """Load a hand from its model, with what that says besides the URDF."""
+    from rtee.hand.load import load_model
 
-    if folder is not None:
-        return load_hand(folder)
-    model = made.enter_context(model_as_urdf(*files, package_dirs))
-    hand = load_model(model.urdf, srdf, package_dirs=package_dirs, passive=model.passive or ())
+    hand = load_model(
+        model.urdf, srdf, package_dirs=model.package_dirs, passive=model.passive or ()
+    )
     return replace(
         hand,
         notes=(*model.notes, *hand.notes),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import complete_hand, hand_folder, model_as_urdf
+from rtee.cli._common import XacroArguments, complete_hand, hand_folder
 from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new hand.")],
-    urdf: Annotated[Path | None, typer.Option("--urdf", help="Its URDF.")] = None,
+    arguments: XacroArguments = None,
+    urdf: Annotated[
+        Path | None, typer.Option("--urdf", help="Its URDF, or a xacro file, which is run.")
+    ] = None,
     mjcf: Annotated[
         Path | None, typer.Option("--mjcf", help="Its MJCF, as MuJoCo has it, instead of a URDF.")
     ] = None,
@@ -26,7 +29,7 @@ def new(
     ] = None,
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option("--package-dir", help="Folder to look package:// up in; may be repeated."),
+        typer.Option("--package-dir", help="Folder to look packages up in; may be repeated."),
     ] = None,
     source: Annotated[
         str | None,
@@ -48,16 +51,18 @@ def new(
     if source is not None:
         from rtee.hand.names import check_name
 
-        if srdf or package_dir:
-            raise ConfigError("--srdf and --package-dir go with --urdf or --mjcf")
+        if srdf or package_dir or arguments:
+            raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
         _copy(hand_folder(source), into / check_name(name, "hand"))
         return
     with needing_extra("making a hand from a URDF", "extract"):
         from rtee.hand.scaffold import make_hand
 
-    with model_as_urdf(urdf, mjcf, package_dir or []) as model:
+    from rtee.exchange.reading import as_urdf
+
+    with as_urdf(urdf, mjcf, arguments or [], package_dir or []) as model:
         made = make_hand(
-            name, model.urdf, srdf, package_dirs=package_dir or (), into=into,
+            name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
             ask=_ask if ask else None, passive=model.passive, excluded=model.excluded,
         )  # fmt: skip
     _print(made, model.notes)

@@ -71,7 +71,10 @@ def _check_root(root: Element) -> None:
     # A frequent mistake, which would otherwise show as a URDF without links.
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
-        raise macro.error("is a xacro file; expand it first: xacro FILE > hand.urdf")
+        raise macro.error(
+            "is a xacro file; let its name end with .xacro, and rtee expands it, which runs its "
+            "expressions"
+        )
 
 
 def _links(root: Element) -> dict[str, UrdfLink]:

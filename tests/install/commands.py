@@ -119,6 +119,7 @@ EXTRACTED = (
     needs("extract nipper --report nipper.html", "plot"),
     needs("try nipper PinchTight left right", "sim"),
     needs("new other --mjcf other.xml", "sim"),
+    needs("new other --urdf other.urdf.xacro", "xacro"),
 )
 """With the extra ``extract``."""
 
