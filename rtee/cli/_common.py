@@ -144,6 +144,8 @@ XacroArguments = Annotated[
         metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
     ),
 ]
+# The run that has started this command: it ends with it, also when that is killed.
+BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
