@@ -62,12 +62,23 @@ async def on_wires(name: str, **options: Any) -> AsyncIterator[Wires]:
             running.cancel_scope.cancel()
 
 
-@pytest.mark.parametrize(("force", "register"), [(20.0, 0), (60.0, 47), (200.0, 213)])
+@pytest.mark.parametrize(
+    ("name", "width", "force", "register"),
+    [
+        ("robotiq_2f_85", 0.04, 20.0, 0),
+        ("robotiq_2f_85", 0.04, 60.0, 47),
+        ("robotiq_2f_85", 0.04, 200.0, 213),
+        # A Hand-E has 20 to 130 N.
+        ("robotiq_hand_e", 0.03, 20.0, 0),
+        ("robotiq_hand_e", 0.03, 64.0, 102),
+        ("robotiq_hand_e", 0.03, 130.0, 255),
+    ],
+)
 async def test_a_two_finger_gripper_gets_the_force_register_of_its_manual(
-    force: float, register: int
+    name: str, width: float, force: float, register: int
 ) -> None:
-    async with on_wires("robotiq_2f_85", object_in_hand="0.4") as wires:
-        result = await wires.grasp(0.04, force, "Grasp")
+    async with on_wires(name, object_in_hand="0.4") as wires:
+        result = await wires.grasp(width, force, "Grasp")
         assert result.grasped
         assert result.force == pytest.approx(force)
         assert result.force_source == "effort limit"
