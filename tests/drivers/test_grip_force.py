@@ -117,6 +117,28 @@ async def test_the_3fg_gets_a_share_of_what_it_gives_at_the_diameter() -> None:
     assert found == pytest.approx(1000.0 * 40.0 / gives, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("name", "width", "force", "most"),
+    [("onrobot_rg2", 0.03, 12.5, 40.0), ("onrobot_rg6", 0.05, 90.0, 120.0)],
+)
+async def test_an_rg_gets_the_width_and_the_force_that_were_asked_for(
+    name: str, width: float, force: float, most: float
+) -> None:
+    async with on_wires(name, object_in_hand=f"{width}m") as wires:
+        with pytest.raises(GoalRejected, match=f"at most {most:.0f} N"):
+            await wires.grasp(width, most + 1.0, "Grasp")
+        result = await wires.grasp(width, force, "Grasp")
+        assert result.grasped
+        assert result.opening == pytest.approx(width, abs=0.001)
+        assert result.force == pytest.approx(force, rel=0.01)
+    commands = [
+        struct.unpack(">3H", frame[-6:]) for frame in wires.sent if frame[-8:-6] == b"\x03\x06"
+    ]
+    assert {command[0] for command in commands if command[2] == 1} >= {round(10 * force)}
+    # The last goes on to where the fingertips meet: the force ends the way, not the width.
+    assert commands[-1][1] * 1e-4 < width + 2 * 0.0049
+
+
 def test_the_3fg_gives_more_force_at_lower_angles_of_its_fingers() -> None:
     fingers = Fingers()
     low = fingers.raw_diameter(math.radians(30.0))

@@ -17,6 +17,7 @@ from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
 from rtee.drivers.onrobot_3fg import codec as onrobot
+from rtee.drivers.onrobot_rg import codec as rg
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
@@ -241,6 +242,18 @@ DECODERS = [
         "OnRobot 3FG command",
         [bytes.fromhex("01 F4 02 EE 00 00 00 01")],
         decode=registers(4, onrobot.Command.from_registers),
+        errors=(FrameError,),
+    ),
+    Decoder(
+        "OnRobot RG state",
+        [bytes.fromhex("01 F4 00 00"), bytes.fromhex("01 40 00 02")],
+        decode=registers(2, rg.Status.from_registers),
+        errors=(FrameError,),
+    ),
+    Decoder(
+        "OnRobot RG command",
+        [bytes.fromhex("01 90 04 4C 00 10")],
+        decode=registers(3, rg.Command.from_registers),
         errors=(FrameError,),
     ),
     Decoder("SCHUNK SVH packets", SVH, parser=svh.Parser, prefix=svh.SYNC, limit=svh.Parser.LIMIT),
