@@ -139,6 +139,20 @@ async def test_an_rg_gets_the_width_and_the_force_that_were_asked_for(
     assert commands[-1][1] * 1e-4 < width + 2 * 0.0049
 
 
+@pytest.mark.parametrize("force", [5.0, 33.0, 80.0])
+async def test_a_wsg_grasps_with_the_force_limit_that_was_asked_for(force: float) -> None:
+    async with on_wires("wsg50", object_in_hand="0.04m") as wires:
+        with pytest.raises(GoalRejected, match="at least 5 N"):
+            await wires.grasp(0.04, 4.0, "Grasp")
+        result = await wires.grasp(0.04, force, "Grasp")
+        assert result.grasped
+        assert result.force == pytest.approx(force, rel=0.01)
+        assert result.force_source == "device"
+    limits = [frame for frame in wires.sent if frame[3:4] == b"\x32"]
+    assert {frame[6:10] for frame in limits} >= {struct.pack("<f", force)}
+    assert any(frame[3:4] == b"\x25" for frame in wires.sent)
+
+
 def test_the_3fg_gives_more_force_at_lower_angles_of_its_fingers() -> None:
     fingers = Fingers()
     low = fingers.raw_diameter(math.radians(30.0))

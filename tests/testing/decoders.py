@@ -24,6 +24,7 @@ from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
 from rtee.drivers.robotiq_2f import codec as two
 from rtee.drivers.robotiq_3f import codec as three
 from rtee.drivers.schunk_svh import codec as svh
+from rtee.drivers.wsg50 import codec as wsg
 from rtee.drivers.xbot2 import codec as xbot2
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import FrameError
@@ -255,6 +256,17 @@ DECODERS = [
         [bytes.fromhex("01 90 04 4C 00 10")],
         decode=registers(3, rg.Command.from_registers),
         errors=(FrameError,),
+    ),
+    Decoder(
+        "WSG 50 frames",
+        [
+            wsg.move(30.0, 100.0, stop_on_block=True).to_bytes(),
+            wsg.answer(0x53, wsg.Status.OK, wsg.Limits().to_bytes()).to_bytes(),
+            wsg.answer(0x40, wsg.Status.OK, b"\xc1\0\0\0").to_bytes(),
+        ],
+        parser=wsg.FrameParser,
+        prefix=wsg.PREAMBLE,
+        limit=wsg.FrameParser.LIMIT,
     ),
     Decoder("SCHUNK SVH packets", SVH, parser=svh.Parser, prefix=svh.SYNC, limit=svh.Parser.LIMIT),
     Decoder(

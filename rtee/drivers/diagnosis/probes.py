@@ -251,6 +251,34 @@ def rh56(units: Sequence[int]) -> Probe:
     return Probe("Inspire RH56", ask)
 
 
+def wsg50() -> Probe:
+    """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
+    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info, WsgFrameError
+    from rtee.drivers.wsg50.link import WsgLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            info = Info.from_bytes((await WsgLink(bus, 0.3).ask(Frame(Command.INFO))).payload[2:])
+        except (BusError, WsgFrameError):
+            return []
+        what = f"WSG 50, serial {info.serial}, firmware {info.version}"
+        return [Found("wsg50", what, {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        scheme, _, place = address.partition("://")
+        if scheme == "tcp" and ":" not in place:
+            place = f"{place}:{PORT}"
+        elif scheme != "socket":
+            return []  # a tty, or another port that was named
+        try:
+            bus = await pool.serial(f"socket://{place}", owner=_OWNER)
+        except BusError:
+            return []  # the host may still serve Modbus
+        return await _ended(bus, listen(bus, f"socket://{place}"))
+
+    return Probe("WSG 50", ask)
+
+
 def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 

@@ -78,6 +78,17 @@ async def test_another_tool_behind_a_compute_box_is_found_with_its_model(model: 
     assert [(one.driver, one.what) for one in found.found] == [("", "OnRobot 2FG7, unit 65")]
 
 
+async def test_a_wsg_is_found_at_its_socket_and_nowhere_else() -> None:
+    with SimulatedLine([make_emulator("wsg50", {})], tcp=True, scheme="socket") as line:
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=serial_probes([9])[:1])], pool)
+    assert [one.what for one in found.found] == ["WSG 50, serial 1234, firmware 4.0.0"]
+    assert found.found[0].options == {"port": line.address}
+    async with BusPool() as pool:
+        for address in ("tcp://127.0.0.1:1", "/dev/null"):
+            assert await probes.wsg50().ask(pool, address) == []
+
+
 async def test_a_hand_on_modbus_is_told_from_grippers() -> None:
     """On a line and on the network, also where it tells zeros instead of refusing."""
     line = {"protocol": "modbus", "unit": 2, "emulator": {"unknown": "refused"}}
