@@ -82,6 +82,7 @@ class BusPool:
         parity: str = "N",
         stopbits: int = 1,
         gap: float = 0.0,
+        fresh: bool = False,
         emulator: EmulatorFactory | None = None,
     ) -> SerialBus:
         """Return the line at a tty, ``socket://host:port`` or ``rfc2217://host:port``, connected.
@@ -93,6 +94,7 @@ class BusPool:
             parity: ``N``, ``E`` or ``O``.
             stopbits: 1 or 2.
             gap: Silence to keep before each request [s].
+            fresh: Throw away what came before a request, see `SerialBus`.
             emulator: Plays the device instead.
 
         Raises:
@@ -103,7 +105,7 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
-        return await self._on_line(SerialBus, url, line, owner, emulator, gap=gap)
+        return await self._on_line(SerialBus, url, line, owner, emulator, gap=gap, fresh=fresh)
 
     async def modbus(
         self,
@@ -114,18 +116,20 @@ class BusPool:
         parity: str = "N",
         stopbits: int = 1,
         behind: int = 0,
+        gap: float | None = None,
         emulator: EmulatorFactory | None = None,
     ) -> ModbusBus:
         """Return the Modbus line or network connection at an address, connected.
 
         A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
-        Modbus TCP. Arguments and errors as for `serial`, ``behind`` as for `ModbusBus`.
+        Modbus TCP. Arguments and errors as for `serial`, ``behind`` and ``gap`` as for
+        `ModbusBus`; on a shared line, the gap is that of the device that opened it.
         """
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
         # An emulated line without wire time has no frames to tell apart by silence.
-        gap = None if emulator is None or self.wire_time else 0.0
+        gap = gap if emulator is None or self.wire_time else 0.0
         return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap, behind=behind)
 
     async def dynamixel(

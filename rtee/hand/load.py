@@ -126,6 +126,10 @@ def load_configured(
     )
     hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
     _check_devices(hand, config, document)
+    joint = config.ros2.gripper_joint
+    if joint and joint not in hand.actuator_names:
+        hint = suggestion(joint, hand.actuator_names)
+        raise document.error(("ros2", "gripper_joint"), f"unknown actuator '{joint}'; {hint}")
     return hand, config
 
 
@@ -272,7 +276,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
 def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:
     """Return where the touch sensors are, once their links are known to exist."""
     for name, section in overrides.touch.items():
-        if section.link not in urdf.links:
+        if section.link is not None and section.link not in urdf.links:
             what = f"unknown link '{section.link}'; {suggestion(section.link, urdf.links)}"
             raise _refused(("touch", name, "link"), what, overrides, urdf)
     return overrides.touch

@@ -25,6 +25,8 @@ _OWNER = "scan"
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
+_SERVO = 0.02
+"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
 
 _LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
 
@@ -118,8 +120,6 @@ def _any_unit(found: Sequence[Found]) -> Found:
 
 
 async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
-    from rtee.drivers.onrobot_3fg.codec import LIMITS
-
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
     # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
@@ -131,12 +131,28 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
     # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
-    onrobot = await _registers(bus, unit, LIMITS, 2) if robotiq is not None else None
-    if isinstance(onrobot, tuple) and 0 < onrobot[0] < onrobot[1]:
-        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
     if robotiq is not None:
-        return Found("", f"a Modbus slave, unit {unit}", options)
+        onrobot = await _onrobot(bus, unit, options)
+        return onrobot or Found("", f"a Modbus slave, unit {unit}", options)
     return None
+
+
+async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an OnRobot gripper if one tells its diameters or its product code."""
+    from rtee.drivers.onrobot_3fg.codec import LIMITS
+    from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
+    from rtee.drivers.onrobot_rg.codec import MODELS
+
+    limits = await _registers(bus, unit, LIMITS, 2)
+    if isinstance(limits, tuple) and 0 < limits[0] < limits[1]:
+        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
+    code = await _registers(bus, unit, PRODUCT, 1)
+    name = PRODUCTS.get(code[0]) if isinstance(code, tuple) else None
+    if name is None:
+        return None
+    if name.lower() not in MODELS:
+        return Found("", f"OnRobot {name}, unit {unit}", options)
+    return Found("onrobot_rg", f"OnRobot {name}, unit {unit}", {**options, "model": name.lower()})
 
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
@@ -286,6 +302,34 @@ def rh56(units: Sequence[int]) -> Probe:
     return Probe("Inspire RH56", ask)
 
 
+def wsg50() -> Probe:
+    """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
+    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info, WsgFrameError
+    from rtee.drivers.wsg50.link import WsgLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            info = Info.from_bytes((await WsgLink(bus, 0.3).ask(Frame(Command.INFO))).payload[2:])
+        except (BusError, WsgFrameError):
+            return []
+        what = f"WSG 50, serial {info.serial}, firmware {info.version}"
+        return [Found("wsg50", what, {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        scheme, _, place = address.partition("://")
+        if scheme == "tcp" and ":" not in place:
+            place = f"{place}:{PORT}"
+        elif scheme != "socket":
+            return []  # a tty, or another port that was named
+        try:
+            bus = await pool.serial(f"socket://{place}", owner=_OWNER)
+        except BusError:
+            return []  # the host may still serve Modbus
+        return await _ended(bus, listen(bus, f"socket://{place}"))
+
+    return Probe("WSG 50", ask)
+
+
 def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 
@@ -319,6 +363,70 @@ def dynamixel(baudrate: int) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("Dynamixel", ask)
+
+
+def feetech(baudrate: int) -> Probe:
+    """Return a probe for Feetech servos at one rate.
+
+    All answer to a broadcast ping at once, which tells only whether there is somebody; then every
+    id is asked. A line that carries every rate alike has servos answer at all of them; they are
+    then found at the rate that they report.
+    """
+    from rtee.drivers.feetech.codec import (
+        BROADCAST,
+        LARGEST_ID,
+        Frame,
+        Instruction,
+        ReplyParser,
+    )
+    from rtee.drivers.feetech.identity import recognise
+    from rtee.drivers.feetech.link import FeetechLink
+    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES
+
+    async def anybody(bus: SerialBus) -> bool:
+        ping = Frame(BROADCAST, Instruction.PING).to_bytes()
+        try:
+            await bus.transact(ping, ReplyParser(), _ANSWER, 0)
+        except FrameError:
+            return True  # several at once make no valid frame of it
+        except BusTimeout:
+            return False
+        return True
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        if not await anybody(bus):
+            return []
+        link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
+        for number in range(LARGEST_ID + 1):
+            try:
+                about = (await link.read(number, 0, 7)).params
+            except (BusTimeout, FrameError):
+                continue
+            model = recognise(about[3:5])
+            family = "" if model is None else model.family
+            what = f"servo with model bytes {about[3:5].hex(' ').upper()}"
+            name = what if model is None else model.name
+            told = about[BAUD_RATE.address]
+            rate = BAUD_RATES[told] if told < len(BAUD_RATES) else baudrate
+            found.append(
+                Found(
+                    "feetech" if family else "",
+                    f"{name}, id {number}, firmware {about[0]}.{about[1]}, {rate} baud",
+                    {
+                        "port": address,
+                        "baudrate": rate,
+                        **({"family": family} if family else {}),
+                        "id": number,
+                    },
+                )
+            )
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=baudrate, fresh=True)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("Feetech", ask)
 
 
 # --- CAN ---------------------------------------------------------------------------------------
