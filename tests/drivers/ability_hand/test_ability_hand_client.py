@@ -1,7 +1,8 @@
 """The maker's published client talks to the emulated Ability Hand.
 
 It is no dependency of rtee: ``pip install ability-hand`` lets this test run. The client writes
-files into its working directory when it is imported, so it runs in a process and a folder of its own.
+files into its working directory when it is imported, so it runs in a process and a folder of its
+own.
 """
 
 from __future__ import annotations
