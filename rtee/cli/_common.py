@@ -138,6 +138,8 @@ EffortOption = Annotated[
         "[N·m | N]; may be repeated.",
     ),
 ]
+# The run that has started this command: it ends with it, also when that is killed.
+BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 

@@ -309,8 +309,9 @@ class ThermalSettings(Section):
 class LogSection(Section):
     """Recordings."""
 
-    directory: Annotated[Path, _Converted()] = Path("logs")
-    """Folder of the recordings, relative to the working directory."""
+    directory: Annotated[Path, _Converted()] | None = None
+    """Folder of the recordings, relative to the working directory; unless given, ``logs``. With
+    ``rtee run --no-log`` or ``enabled: false`` faults are written only where a folder is given."""
     enabled: bool = True
     """Record everything while the hand runs."""
     max_file_size: Positive = 1e9
@@ -320,8 +321,7 @@ class LogSection(Section):
     max_total_size: Positive = 2e10
     """The oldest recordings are deleted beyond this size of all [bytes]."""
     flight_recorder: NotNegative = 60.0
-    """This much is kept in memory, recording or not, and written when something fails [s];
-    0: nothing."""
+    """This much is kept in memory and written when something fails [s]; 0: nothing."""
     decimation: Annotated[int, Ge(1)] = 1
     """Record every n-th tick; only recordings of every tick can be recomputed."""
     tf_rate: NotNegative = 50.0
@@ -329,6 +329,11 @@ class LogSection(Section):
     [Hz]; 0: none."""
     meshes: bool = True
     """Attach the hand's meshes to recordings and put them into ``/robot_description``."""
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the recordings."""
+        return self.directory or Path("logs")
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,7 +423,7 @@ class TouchSection(Section):
     """Distance from row to row and from column to column [m]."""
     positions: Vectors = ()
     """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With
-    neither it has one taxel, at the origin."""
+    neither, a single taxel is at the origin, and of several only the link is known."""
     normals: Vectors = ()
     """Directions out of the surface at the ``positions``; z unless given."""
     scale: Positive | None = None

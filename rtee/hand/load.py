@@ -126,6 +126,10 @@ def load_configured(
     )
     hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
     _check_devices(hand, config, document)
+    joint = config.ros2.gripper_joint
+    if joint and joint not in hand.actuator_names:
+        hint = suggestion(joint, hand.actuator_names)
+        raise document.error(("ros2", "gripper_joint"), f"unknown actuator '{joint}'; {hint}")
     return hand, config
 
 

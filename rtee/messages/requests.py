@@ -120,7 +120,13 @@ _M = Role.MAINTAINER
 
 _ALL = (
     _request(STOP, "stop", "ClientRequest", "StopReply", "Stop all devices now; needs no lease."),
-    _request(HELLO, "hello", "ClientRequest", "Reply", "Introduce a client; gives it a secret."),
+    _request(
+        HELLO,
+        "hello",
+        "ClientRequest",
+        "Reply",
+        "Introduce a client: its secret and role.",
+    ),
     _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),

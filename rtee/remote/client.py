@@ -19,7 +19,7 @@ import anyio.to_thread
 
 from rtee.errors import RemoteError
 from rtee.hand.names import safe_name
-from rtee.messages.requests import HERE, PLAIN
+from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.credentials import common_name, person
 from rtee.remote.find import open_hand
@@ -123,6 +123,11 @@ class RemoteHand:
         self._lease = LeaseClient(link)
         self._streams = StreamClient(link, self._monitoring, self._goals)
         self._reaching = ReachClient(link, self._actions, self._goals)
+
+    @property
+    def role(self) -> Role:
+        """What this client may do; the hand refuses what needs more."""
+        return self._link.role
 
     start = _part("_goals", GoalClient.start)
     start_goal = _part("_goals", GoalClient.start_goal)

@@ -108,7 +108,11 @@ class Simulation:
         # Before the step: the tangents belong to the positions from which it starts.
         self._couplings.renew(self.data.qpos)
         step = self._speed * self._period
-        reference = self.data.ctrl[self._motor]
+        reference, position = self.data.ctrl[self._motor], self.data.qpos[self._qpos]
+        # A reference that has gone on into an object turns back with the actuator, not after having
+        # come back to it: that is how fast a real servo follows.
+        turned = (reference - position) * (self._target - position) < 0.0
+        reference = np.where(turned, position, reference)
         self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
         if self._integral.any():
             self._integrate()
