@@ -179,9 +179,9 @@ def _state(state: ActuatorState, homing: bool) -> list[Check]:
     elif len(state.position):
         found.append(ok("position", ", ".join(f"{q:.3f}" for q in state.position)))
     if state.touch is not None:
-        values = state.touch.values
-        largest = float(np.nanmax(values, initial=0.0))
-        found.append(ok("touch", f"{len(values)} taxels, the largest value {largest:.2f}"))
+        taxels = state.touch.values
+        largest = float(np.nanmax(taxels, initial=0.0))
+        found.append(ok("touch", f"{len(taxels)} taxels, the largest value {largest:.2f}"))
     hot = [t for t in state.temperature if t > 60.0]
     if hot:
         found.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))
