@@ -590,3 +590,24 @@ def test_passive_joints_and_excluded_pairs_stay_with_a_given_srdf(tmp_path: Path
     assert ("a_tip", "b", "excluded in the MJCF") in [
         (*sorted(pair[:2]), pair[2]) for pair in hand.disabled_collisions
     ]
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1e300", "0 1e11 0"])
+def test_numbers_without_an_end_are_refused_where_they_are(tmp_path: Path, number: str) -> None:
+    text = hand_of(f"<tendon><fixed><joint joint='a_1' coef='{number}'/></fixed></tendon>")
+    error = refused(tmp_path, text)
+    assert "not finite or beyond 1e+10" in error.message
+    assert error.line == 26
+
+
+def test_what_mujoco_warns_of_is_noted_and_written_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    old = '<joint name="a_2" axis="0 1 0" range="0 90"/>'
+    light = old + '<inertial pos="0 0 0" mass="1e9" diaginertia="1e-14 1e-14 1e-14"/>'
+    light += old.replace("a_2", "a_3")  # twice about the same axis
+    made(tmp_path, hand_of(MOTORS).replace(old, light))
+    assert "MuJoCo warns" in notes_of(tmp_path / "hand.xml")
+    assert capfd.readouterr() == ("", "")
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
