@@ -144,6 +144,18 @@ def mujoco_says(path: Path, *, lines: bool) -> Iterator[list[str]]:
         The notes, which are there after the block.
     """
     notes: list[str] = []
+    try:
+        with listening(notes):
+            yield notes
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise _mujoco_error(error, path, lines=lines) from None
+
+
+@contextmanager
+def listening(notes: list[str]) -> Iterator[None]:
+    """Add MuJoCo's warnings to notes."""
     heard: list[str] = []
     before = mujoco.get_mju_user_warning()
     # Without this it prints some, and writes them to a file in the working directory.
@@ -151,13 +163,9 @@ def mujoco_says(path: Path, *, lines: bool) -> Iterator[list[str]]:
     try:
         with warnings.catch_warnings(record=True) as said:  # and others come this way
             warnings.simplefilter("always")
-            yield notes
+            yield
         heard += [str(each.message) for each in said]
         notes += [f"MuJoCo warns: {' '.join(text.split())}" for text in dict.fromkeys(heard)]
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        if isinstance(error, ModelError):
-            raise
-        raise _mujoco_error(error, path, lines=lines) from None
     finally:
         mujoco.set_mju_user_warning(before)
 
