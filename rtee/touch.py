@@ -42,6 +42,9 @@ class TouchSensor:
         grid: Rows and columns, where the taxels come row by row; ``None``: they form no grid.
         position: Where the taxels are in the link's frame ``(n, 3)`` [m]; ``(0, 3)``: not known.
         normal: Unit normals out of the surface there ``(n, 3)``; ``(0, 3)``: not known.
+
+    Raises:
+        ValueError: if it has no taxels, or the grid or the places are not those of its taxels.
     """
 
     name: str
@@ -53,6 +56,16 @@ class TouchSensor:
     grid: tuple[int, int] | None = None
     position: FloatArray = field(default_factory=_nowhere)
     normal: FloatArray = field(default_factory=_nowhere)
+
+    def __post_init__(self) -> None:
+        """Check that all is about the same taxels."""
+        if self.taxels < 1:
+            raise ValueError(f"the touch sensor '{self.name}' has no taxels")
+        if self.grid is not None and self.grid[0] * self.grid[1] != self.taxels:
+            raise ValueError(f"the touch sensor '{self.name}' has not the taxels of its grid")
+        shapes = {self.position.shape, self.normal.shape}
+        if not shapes <= {(0, 3), (self.taxels, 3)}:
+            raise ValueError(f"the touch sensor '{self.name}' has not a place for each taxel")
 
     @property
     def placed(self) -> bool:
@@ -120,14 +133,14 @@ class TouchState:
 
 
 def totals(sensors: tuple[TouchSensor, ...], values: FloatArray) -> FloatArray:
-    """Return the sum over the taxels of each sensor ``(sensors,)``.
+    """Return the sum over the taxels of each sensor ``(sensors,)``, or ``(k, sensors)``.
 
     Args:
         sensors: The sensors, with at least one taxel each.
-        values: Values of all their taxels ``(n,)``.
+        values: Values of all their taxels ``(n,)``, or over time ``(k, n)``.
     """
     if not sensors:
-        return np.zeros(0)
+        return np.zeros((*values.shape[:-1], 0))
     starts = np.cumsum([0, *(sensor.taxels for sensor in sensors[:-1])])
-    found: FloatArray = np.add.reduceat(values, starts)
+    found: FloatArray = np.add.reduceat(values, starts, axis=-1)
     return found

@@ -17,6 +17,8 @@ DRIVERS: Mapping[str, str] = {
     "robotiq_2f": "rtee.drivers.robotiq_2f.driver:Robotiq2FDriver",
     "robotiq_3f": "rtee.drivers.robotiq_3f.driver:Robotiq3FDriver",
     "onrobot_3fg": "rtee.drivers.onrobot_3fg.driver:OnRobot3FGDriver",
+    "onrobot_rg": "rtee.drivers.onrobot_rg.driver:OnRobotRGDriver",
+    "wsg50": "rtee.drivers.wsg50.driver:Wsg50Driver",
     "qb_softhand": "rtee.drivers.qb_softhand.driver:QbSoftHandDriver",
     "schunk_svh": "rtee.drivers.schunk_svh.driver:SchunkSvhDriver",
     "inspire_rh56": "rtee.drivers.inspire_rh56.driver:InspireRh56Driver",
@@ -28,6 +30,7 @@ DRIVERS: Mapping[str, str] = {
     "allegro": "rtee.drivers.allegro.driver:AllegroDriver",
     "xbot2": "rtee.drivers.xbot2.driver:XBot2Driver",
     "heri_ethercat": "rtee.drivers.heri_ethercat.driver:HeriEthercatDriver",
+    "orca_touch": "rtee.drivers.orca_touch.driver:OrcaTouchDriver",
     "mujoco": "rtee.drivers.mujoco.driver:MujocoDriver",
 }
 """Name to ``module:Class``, imported only when asked for."""
@@ -36,6 +39,8 @@ EMULATORS: Mapping[str, str] = {
     "robotiq_2f": "rtee.drivers.robotiq_2f.emulator:Robotiq2FEmulator",
     "robotiq_3f": "rtee.drivers.robotiq_3f.emulator:Robotiq3FEmulator",
     "onrobot_3fg": "rtee.drivers.onrobot_3fg.emulator:OnRobot3FGEmulator",
+    "onrobot_rg": "rtee.drivers.onrobot_rg.emulator:OnRobotRGEmulator",
+    "wsg50": "rtee.drivers.wsg50.emulator:Wsg50Emulator",
     "qb_softhand": "rtee.drivers.qb_softhand.emulator:QbSoftHandEmulator",
     "schunk_svh": "rtee.drivers.schunk_svh.emulator:SchunkSvhEmulator",
     "inspire_rh56": "rtee.drivers.inspire_rh56.emulator:InspireRh56Emulator",
@@ -47,6 +52,7 @@ EMULATORS: Mapping[str, str] = {
     "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
     "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
     "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
+    "orca_touch": "rtee.drivers.orca_touch.emulator:OrcaTouchEmulator",
 }
 """The same for the emulators of the drivers' devices."""
 

@@ -410,8 +410,8 @@ Cells = Annotated[int, Interval(ge=1, le=100)]
 class TouchSection(Section):
     """Where a touch sensor is on the hand, and what its values mean."""
 
-    link: str
-    """The link that it is on."""
+    link: str | None = None
+    """The link that it is on; unless given, its place is as the device's driver says."""
     xyz: Vector = (0.0, 0.0, 0.0)
     """Origin of its frame in the link's [m]."""
     rpy: Vector = (0.0, 0.0, 0.0)
@@ -432,6 +432,8 @@ class TouchSection(Section):
 
     def __post_init__(self) -> None:
         """Check that the taxels are given in one way."""
+        if self.link is None and (self.grid is not None or self.positions):
+            raise ValueError("should name the link that the taxels are on")
         if self.grid is not None and self.positions:
             raise ValueError("should have a grid or positions, not both")
         if self.normals and len(self.normals) != len(self.positions):

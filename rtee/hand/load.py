@@ -276,7 +276,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
 def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:
     """Return where the touch sensors are, once their links are known to exist."""
     for name, section in overrides.touch.items():
-        if section.link not in urdf.links:
+        if section.link is not None and section.link not in urdf.links:
             what = f"unknown link '{section.link}'; {suggestion(section.link, urdf.links)}"
             raise _refused(("touch", name, "link"), what, overrides, urdf)
     return overrides.touch

@@ -69,7 +69,10 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
             the hand does not have, with a message.
     """
     section = hand.touch.get(sensor.name)
-    if section is None:
+    if section is not None and section.scale is not None:
+        full = scale_of(sensor, hand) * sensor.full
+        sensor = replace(sensor, unit=NEWTON, full=full)
+    if section is None or section.link is None:
         if sensor.link and sensor.link not in hand.urdf.links:
             raise ValueError(f"'{sensor.name}' is on the link '{sensor.link}', which is unknown")
         return replace(sensor, finger=sensor.finger or finger_of(hand, sensor.link))
@@ -77,7 +80,6 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
     if count != sensor.taxels:
         raise ValueError(f"'{sensor.name}' has {sensor.taxels} taxels, hand.yaml places {count}")
     position, normal = taxels_of(section)
-    scale = section.scale
     return replace(
         sensor,
         link=section.link,
@@ -85,12 +87,15 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
         grid=section.grid or sensor.grid,
         position=position,
         normal=normal,
-        unit=sensor.unit if scale is None else NEWTON,
-        full=sensor.full if scale is None else scale * sensor.full,
     )
 
 
 def scale_of(sensor: TouchSensor, hand: Hand) -> float:
-    """Return what the values of a sensor are to be multiplied by, as hand.yaml says."""
+    """Return what the values of a sensor as its driver declares it are to be multiplied by.
+
+    That is 1 for one that measures in newtons itself, as a simulated or recorded one does.
+    """
     section = hand.touch.get(sensor.name)
-    return 1.0 if section is None or section.scale is None else section.scale
+    if section is None or section.scale is None or sensor.unit == NEWTON:
+        return 1.0
+    return section.scale

@@ -51,7 +51,7 @@ class StateAggregator:
         unmeasured = readonly([math.nan] * n)
         self._devices = tuple(devices)
         self._touch = touch
-        self._by_taxels: set[str] = set()
+        self._by_taxels: dict[str, tuple[Mapping[str, FloatArray], FloatArray]] = {}
         self._indices = [np.array(device.indices, dtype=np.intp) for device in devices]
         self._where = dict(zip((d.name for d in devices), self._indices, strict=True))
         self._whole = len(devices) == 1 and tuple(devices[0].indices) == tuple(range(n))
@@ -142,7 +142,11 @@ class StateAggregator:
         felt = self._touch.forces.get(name)
         # What the device itself says of its fingers goes before the sum of its taxels.
         if felt is not None and TIP_FORCE not in extras:
-            self._by_taxels.add(name)
+            # Most states come without a new reading and without anything further.
+            known = self._by_taxels.get(name)
+            if known is not None and known[0] is extras and known[1] is felt:
+                return
+            self._by_taxels[name] = extras, felt
             extras = {**extras, TIP_FORCE: felt}
         if extras or self._extras.get(name):
             self._keep_extras(name, extras)

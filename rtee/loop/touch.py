@@ -24,6 +24,7 @@ class _Device:
         sensors: The same on the hand.
         scale: What values are multiplied by ``(n,)``; ``None``: nothing.
         weights: Sums the taxels of each finger ``(fingers, n)``; ``None``: no finger has forces.
+        blank: ``NaN`` for the fingers without forces, else 0 ``(fingers,)``.
         reading: Its newest reading.
     """
 
@@ -31,6 +32,7 @@ class _Device:
     sensors: tuple[TouchSensor, ...] = ()
     scale: FloatArray | None = None
     weights: FloatArray | None = None
+    blank: FloatArray | None = None
     reading: TouchReading | None = None
 
 
@@ -81,8 +83,8 @@ class TouchGatherer:
             **self.states,
             name: TouchState(name, device.sensors, values, reading.stamp),
         }
-        if device.weights is not None:
-            self.forces = {**self.forces, name: _felt(device.weights, values)}
+        if device.weights is not None and device.blank is not None:
+            self.forces = {**self.forces, name: _felt(device.weights, values) + device.blank}
         self._next_stale = min(self._next_stale, reading.stamp + STALE_AFTER)
         return True
 
@@ -104,8 +106,9 @@ class TouchGatherer:
         forces = [sensor.finger if sensor.unit == NEWTON else "" for sensor in placed]
         names = self._hand.finger_names
         rows = [np.repeat([of == name for of in forces], taxels) for name in names]
-        weights = np.array(rows, dtype=np.float64)
+        weights = np.array(rows, dtype=np.float64).reshape(len(names), sum(taxels))
         device.weights = weights if weights.any() else None
+        device.blank = np.where(weights.any(axis=1), 0.0, math.nan)
 
     def _refuse(self, name: str, text: str) -> None:
         self._complain(name, f"device '{name}': {text}")
@@ -135,8 +138,11 @@ class TouchGatherer:
 
 def _felt(weights: FloatArray, values: FloatArray) -> FloatArray:
     """Return the sums over the taxels of each finger, ``NaN`` where none of them measured."""
-    measured = np.isfinite(values)
-    # A taxel that measured nothing must not hide what the others of its finger feel.
-    sums = weights @ np.where(measured, values, 0.0)
-    forces: FloatArray = np.where(weights @ measured > 0.0, sums, math.nan)
-    return forces
+    sums: FloatArray = weights @ values
+    total = float(sums.sum())
+    if total - total != 0.0:  # something is not finite, which is rare
+        measured = np.isfinite(values).astype(np.float64)
+        # A taxel that measured nothing must not hide what the others of its finger feel.
+        sums = weights @ np.where(measured > 0.0, values, 0.0)
+        sums[weights @ measured == 0.0] = math.nan
+    return sums

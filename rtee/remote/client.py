@@ -151,6 +151,8 @@ class RemoteHand:
     state = _part("_monitoring", Monitoring.state)
     states = _part("_monitoring", Monitoring.states)
     collected_states = _part("_monitoring", Monitoring.collected_states)
+    touch_state = _part("_monitoring", Monitoring.touch_state)
+    touch_states = _part("_monitoring", Monitoring.touch_states)
     events = _part("_monitoring", Monitoring.events)
     feedback = _part("_monitoring", Monitoring.feedback)
     results = _part("_monitoring", Monitoring.results)

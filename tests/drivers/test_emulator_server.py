@@ -48,6 +48,13 @@ def test_a_network_device_speaks_modbus_tcp_and_a_raw_port_does_not() -> None:
         assert sent(player.address, STATUS).startswith(bytes.fromhex("09 03 06"))
 
 
+def test_a_device_with_frames_of_its_own_is_at_a_socket() -> None:
+    with Player("wsg50", tcp=0) as player:
+        assert player.address.startswith("socket://")
+        answer = sent(player.address, bytes.fromhex("AA AA AA 43 03 00 00 00 00 B8 10"))
+        assert answer.startswith(bytes.fromhex("AA AA AA 43 06 00 00 00"))
+
+
 def sent(address: str, request: bytes) -> bytes:
     host, _, port = address.split("//")[1].partition(":")
     with socket.create_connection((host, int(port)), timeout=2.0) as connection:

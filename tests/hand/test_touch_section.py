@@ -24,7 +24,8 @@ def test_a_grid_is_turned_with_its_frame(tmp_path: Path) -> None:
     hand = load_hand(hand_folder(tmp_path, text))
     sensor = on_hand(TouchSensor("pad", 6, unit="counts", full=4.0), hand)
     assert (sensor.link, sensor.finger, sensor.unit, sensor.full) == ("left_tip", "left", "N", 1.0)
-    assert scale_of(sensor, hand) == 0.25
+    assert scale_of(TouchSensor("pad", 6, unit="counts"), hand) == 0.25
+    assert scale_of(sensor, hand) == 1.0, "newtons stay newtons, in a simulation and on replay"
     # Turned by a right angle about y: z of the frame is the link's x, x the link's -z.
     assert sensor.normal == pytest.approx(np.tile([1.0, 0.0, 0.0], (6, 1)))
     assert sensor.position[0] == pytest.approx([0.0, -0.004, 0.011])
@@ -49,6 +50,18 @@ def test_a_sensor_that_only_its_driver_places_keeps_that(tmp_path: Path) -> None
         on_hand(TouchSensor("pad", link="left_toe"), hand)
 
 
+def test_a_scale_alone_leaves_the_place_to_the_driver(tmp_path: Path) -> None:
+    hand = load_hand(hand_folder(tmp_path, "touch:\n  pad: {scale: 0.5}\n"))
+    declared = TouchSensor("pad", unit="counts", link="right_tip", position=np.zeros((1, 3)))
+    sensor = on_hand(declared, hand)
+    assert (sensor.unit, sensor.link, sensor.finger, sensor.placed) == (
+        "N",
+        "right_tip",
+        "right",
+        True,
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -59,7 +72,7 @@ def test_a_sensor_that_only_its_driver_places_keeps_that(tmp_path: Path) -> None
         ("{link: left_tip, normals: [[0, 0, 1]]}", "as many normals as positions"),
         ("{link: left_tip, grid: [0, 2]}", "greater than or equal to 1"),
         ("{link: left_tip, sacle: 2.0}", "did you mean 'scale'?"),
-        ("{grid: [1, 1]}", "is missing"),
+        ("{grid: [1, 1]}", "should name the link"),
     ],
 )
 def test_mistakes_name_the_line(tmp_path: Path, text: str, message: str) -> None:

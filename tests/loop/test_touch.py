@@ -127,6 +127,25 @@ async def test_a_scale_makes_counts_newtons(hand: Hand) -> None:
         assert felt.tolist() == [0.0, 1.5], "a taxel that measured nothing hides nothing"
 
 
+async def test_a_hand_without_fingers_feels_nothing_and_measures_all(hand: Hand) -> None:
+    bare = replace(hand, fingers=())
+    one, driver = skin(bare)
+    async with running(bare, None, [(one, driver)]) as rig:
+        driver.press([1.0] * 6, rig.clock.now())
+        await rig.run(0.01)
+        assert rig.watcher.records[-1].touch["dummy"].totals.tolist() == [4.0, 2.0]
+        assert not rig.watcher.records[-1].channels
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"taxels": 0}, {"taxels": 4, "grid": (2, 3)}, {"taxels": 2, "position": np.zeros((3, 3))}],
+)
+def test_a_sensor_is_about_its_taxels(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="'pad'"):
+        TouchSensor("pad", **wrong)  # type: ignore[arg-type]
+
+
 async def test_values_that_no_sensor_has_are_told_and_left_out(hand: Hand) -> None:
     one, driver = skin(hand)
     async with running(hand, None, [(one, driver)]) as rig:

@@ -120,8 +120,6 @@ def _any_unit(found: Sequence[Found]) -> Found:
 
 
 async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
-    from rtee.drivers.onrobot_3fg.codec import LIMITS
-
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
     # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
@@ -133,12 +131,28 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
     # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
-    onrobot = await _registers(bus, unit, LIMITS, 2) if robotiq is not None else None
-    if isinstance(onrobot, tuple) and 0 < onrobot[0] < onrobot[1]:
-        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
     if robotiq is not None:
-        return Found("", f"a Modbus slave, unit {unit}", options)
+        onrobot = await _onrobot(bus, unit, options)
+        return onrobot or Found("", f"a Modbus slave, unit {unit}", options)
     return None
+
+
+async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an OnRobot gripper if one tells its diameters or its product code."""
+    from rtee.drivers.onrobot_3fg.codec import LIMITS
+    from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
+    from rtee.drivers.onrobot_rg.codec import MODELS
+
+    limits = await _registers(bus, unit, LIMITS, 2)
+    if isinstance(limits, tuple) and 0 < limits[0] < limits[1]:
+        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
+    code = await _registers(bus, unit, PRODUCT, 1)
+    name = PRODUCTS.get(code[0]) if isinstance(code, tuple) else None
+    if name is None:
+        return None
+    if name.lower() not in MODELS:
+        return Found("", f"OnRobot {name}, unit {unit}", options)
+    return Found("onrobot_rg", f"OnRobot {name}, unit {unit}", {**options, "model": name.lower()})
 
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
@@ -288,6 +302,34 @@ def rh56(units: Sequence[int]) -> Probe:
     return Probe("Inspire RH56", ask)
 
 
+def wsg50() -> Probe:
+    """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
+    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info, WsgFrameError
+    from rtee.drivers.wsg50.link import WsgLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            info = Info.from_bytes((await WsgLink(bus, 0.3).ask(Frame(Command.INFO))).payload[2:])
+        except (BusError, WsgFrameError):
+            return []
+        what = f"WSG 50, serial {info.serial}, firmware {info.version}"
+        return [Found("wsg50", what, {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        scheme, _, place = address.partition("://")
+        if scheme == "tcp" and ":" not in place:
+            place = f"{place}:{PORT}"
+        elif scheme != "socket":
+            return []  # a tty, or another port that was named
+        try:
+            bus = await pool.serial(f"socket://{place}", owner=_OWNER)
+        except BusError:
+            return []  # the host may still serve Modbus
+        return await _ended(bus, listen(bus, f"socket://{place}"))
+
+    return Probe("WSG 50", ask)
+
+
 def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 
@@ -337,16 +379,9 @@ def feetech(baudrate: int) -> Probe:
         Instruction,
         ReplyParser,
     )
+    from rtee.drivers.feetech.identity import recognise
     from rtee.drivers.feetech.link import FeetechLink
-    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES, MODELS
-
-    def recognised(data: bytes) -> tuple[str, str]:
-        """Return the model and the family that the bytes of a model number tell."""
-        for order in ("little", "big"):
-            one = MODELS.get(int.from_bytes(data, order))
-            if one is not None and FAMILIES[one.family].order == order:
-                return one.name, one.family
-        return f"servo with model bytes {data.hex(' ').upper()}", ""
+    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES
 
     async def anybody(bus: SerialBus) -> bool:
         ping = Frame(BROADCAST, Instruction.PING).to_bytes()
@@ -367,7 +402,10 @@ def feetech(baudrate: int) -> Probe:
                 about = (await link.read(number, 0, 7)).params
             except (BusTimeout, FrameError):
                 continue
-            name, family = recognised(about[3:5])
+            model = recognise(about[3:5])
+            family = "" if model is None else model.family
+            what = f"servo with model bytes {about[3:5].hex(' ').upper()}"
+            name = what if model is None else model.name
             told = about[BAUD_RATE.address]
             rate = BAUD_RATES[told] if told < len(BAUD_RATES) else baudrate
             found.append(

@@ -68,6 +68,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
         units: Modbus numbers to ask; by default the usual ones.
     """
     return (
+        probes.wsg50(),
         probes.svh(),
         probes.ability_hand(),
         probes.softhand(range(1, 10)),
@@ -82,7 +83,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
 
 def network_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
     """Return the questions for a network address."""
-    return (probes.modbus(115200, "N", units or (65, 66, 67, 2, 9, 1)),)
+    return (probes.wsg50(), probes.modbus(115200, "N", units or (65, 66, 67, 2, 9, 1)))
 
 
 async def scan(

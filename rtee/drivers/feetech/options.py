@@ -137,7 +137,7 @@ class FeetechOptions(DeviceOptions):
     outside: Positive = Field(
         0.35, description="how far a joint may be outside its limits before its zero is doubted"
     )
-    deadline: Positive = Field(0.06, description="for an exchange, beside its time on the line [s]")
+    deadline: Positive = Field(0.1, description="for an exchange, beside its time on the line [s]")
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     turnaround: Annotated[float, Field(ge=0.0)] = Field(
         LATENCY, description="time per answer that the bytes do not explain [s]"

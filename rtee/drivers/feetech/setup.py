@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Status
+from rtee.drivers.feetech.identity import recognise
 from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, ServoOptions
 from rtee.drivers.feetech.table import FULL, MODELS, RAM, Family, Register, model_name
@@ -93,7 +94,7 @@ async def find(
             raise HandshakeError(
                 device,
                 f"an {family.name.upper()} servo as {servo.id} ({name})",
-                _recognised(number or 0),
+                _found(family.pack(table.MODEL, number or 0)),
                 hint="is `family` right? If it has the same registers, say so by 'model'",
             )
     found = {}
@@ -112,11 +113,12 @@ async def find(
     return found
 
 
-def _recognised(number: int) -> str:
-    """Return what a model is, also if its number was read in the wrong order of bytes."""
-    turned = int.from_bytes(number.to_bytes(2, "little"), "big")
-    one = MODELS.get(number) or MODELS.get(turned)
-    return f"model {number}" if one is None else f"{one.name}, of family {one.family}"
+def _found(data: bytes) -> str:
+    """Return what the bytes of a model number tell, also of another family."""
+    one = recognise(data)
+    return (
+        f"model {data.hex(' ').upper()}" if one is None else f"{one.name}, of family {one.family}"
+    )
 
 
 async def prepare(

@@ -14,7 +14,7 @@ from rtee.hand import tessellation
 from rtee.hand.abduction import abduction
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
-from rtee.hand.touch import grid_points, on_hand, scale_of, taxel_count
+from rtee.hand.touch import grid_points, on_hand, taxel_count
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor
 
@@ -61,14 +61,13 @@ class Taxels:
             options: Which sensors there are.
         """
         self.sensors = _sensors(model, hand, options.touch)
-        self._shares = [1.0 / scale_of(sensor, hand) for sensor in self.sensors]
         self._body = [int(model.body(LINK + sensor.link).id) for sensor in self.sensors]
         self._bodies = np.array(sorted(set(self._body)), dtype=np.intp)
         self._spread = [_spread(sensor.position) for sensor in self.sensors]
         self._of_geom = np.array(model.geom_bodyid, dtype=np.intp)
 
     def read(self, data: mujoco.MjData) -> FloatArray:
-        """Return the values of all taxels ``(n,)``: newtons, or in the unit that hand.yaml scales.
+        """Return the normal forces on all taxels ``(n,)`` [N].
 
         Args:
             data: The state of the model.
@@ -85,8 +84,7 @@ class Taxels:
                 if force > 0.0:
                     frame = contact.frame[index].reshape(3, 3)
                     self._share(data, values, bodies[index], contact.pos[index], frame[0], force)
-        scaled = [each * share for each, share in zip(values, self._shares, strict=True)]
-        return np.concatenate(scaled) if scaled else np.zeros(0)
+        return np.concatenate(values) if values else np.zeros(0)
 
     def _share(
         self,
@@ -137,8 +135,8 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
     if which == "off":
         return ()
     if which == "hand":
-        given = [TouchSensor(name, taxel_count(section)) for name, section in hand.touch.items()]
-        return tuple(on_hand(sensor, hand) for sensor in given)
+        placed = [(n, taxel_count(s)) for n, s in hand.touch.items() if s.link is not None]
+        return tuple(on_hand(TouchSensor(name, taxels), hand) for name, taxels in placed)
     rows, columns = map(int, which.split("x"))
     found: list[TouchSensor] = []
     for finger in hand.fingers:

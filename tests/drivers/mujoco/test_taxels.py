@@ -90,7 +90,7 @@ async def test_without_taxels_all_contacts_are_felt() -> None:
     assert "contact_force" in state.extras
 
 
-def test_sensors_of_hand_yaml_are_simulated_in_their_own_unit(tmp_path: Path) -> None:
+def test_sensors_of_hand_yaml_are_simulated_in_newtons(tmp_path: Path) -> None:
     home = tmp_path / GRIPPER
     shutil.copytree(hand_folder(GRIPPER)[0], home)
     file = home / "hand.yaml"
@@ -99,4 +99,4 @@ def test_sensors_of_hand_yaml_are_simulated_in_their_own_unit(tmp_path: Path) ->
     file.write_text(file.read_text() + text)
     simulation = gripping("hand", home)
     values = simulation.taxels.read(simulation.data)
-    assert 0.01 * values.sum() == pytest.approx(simulation.contact_forces[0], rel=0.05)
+    assert values.sum() == pytest.approx(simulation.contact_forces[0], rel=0.05)
