@@ -21,6 +21,7 @@ from rtee.exchange.export import Kind, export_hand  # noqa: E402
 from rtee.exchange.mjcf_import import import_mjcf  # noqa: E402
 from rtee.exchange.reading import mjcf_as_urdf  # noqa: E402
 from rtee.extract.extraction import extract  # noqa: E402
+from rtee.hand.geometry import HandGeometry  # noqa: E402
 from rtee.hand.kinematics import Kinematics  # noqa: E402
 from rtee.hand.load import load_hand, load_model  # noqa: E402
 from rtee.hand.model import Hand, JointRole  # noqa: E402
@@ -668,3 +669,24 @@ def test_what_mujoco_warns_of_is_noted_and_written_nowhere(
     assert "MuJoCo warns" in notes_of(tmp_path / "hand.xml")
     assert capfd.readouterr() == ("", "")
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_frames_and_meshes_as_obj(tmp_path: Path) -> None:
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "pad.obj").write_text(
+        "v 0 0 0\nv 0.01 0 0\nv 0 0.02 0\nv 0 0 0.03\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    head = '<compiler meshdir="assets"/><asset><mesh file="pad.obj"/></asset>'
+    fingers = """<frame pos="0 0.03 0" euler="0 0 90"><body name="c" pos="0.01 0 0">
+      <joint name="c_1" axis="1 0 0" range="0 30"/><geom type="mesh" mesh="pad"/></body></frame>"""
+    extra = MOTORS.replace("</actuator>", '<motor joint="c_1" ctrlrange="-1 1"/></actuator>')
+    hand = made(tmp_path, hand_of(extra, fingers=fingers, head=head))
+    joint = hand.urdf.joints["c_1"]
+    assert joint.xyz == pytest.approx((0.0, 0.04, 0.0), abs=1e-12)
+    assert joint.rpy == pytest.approx((0.0, 0.0, np.pi / 2))
+    (pad,) = hand.urdf.links["c"].collisions
+    vertices, _ = HandGeometry(hand).triangles("c")
+    # Where the file has them, though MuJoCo moves a mesh to its centre of mass.
+    assert vertices.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-7)
+    assert vertices.max(axis=0) == pytest.approx([0.01, 0.02, 0.03], abs=1e-7)
+    assert pad.kind == "mesh"
