@@ -423,7 +423,7 @@ class TouchSection(Section):
     """Distance from row to row and from column to column [m]."""
     positions: Vectors = ()
     """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With
-    neither it has one taxel, at the origin."""
+    neither, a single taxel is at the origin, and of several only the link is known."""
     normals: Vectors = ()
     """Directions out of the surface at the ``positions``; z unless given."""
     scale: Positive | None = None

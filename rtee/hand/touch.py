@@ -76,14 +76,19 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
         if sensor.link and sensor.link not in hand.urdf.links:
             raise ValueError(f"'{sensor.name}' is on the link '{sensor.link}', which is unknown")
         return replace(sensor, finger=sensor.finger or finger_of(hand, sensor.link))
+    finger = finger_of(hand, section.link)
     count = taxel_count(section)
+    if sensor.taxels > 1 and section.grid is None and not section.positions:
+        # The link alone is known: enough to feel with, not to draw.
+        nowhere = np.zeros((0, 3))
+        return replace(sensor, link=section.link, finger=finger, position=nowhere, normal=nowhere)
     if count != sensor.taxels:
         raise ValueError(f"'{sensor.name}' has {sensor.taxels} taxels, hand.yaml places {count}")
     position, normal = taxels_of(section)
     return replace(
         sensor,
         link=section.link,
-        finger=finger_of(hand, section.link),
+        finger=finger,
         grid=section.grid or sensor.grid,
         position=position,
         normal=normal,

@@ -72,7 +72,7 @@ def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
     right.set_ylabel(beside, size=8)
     title = row.title if row.unit else f"{row.title}   (dashed: reference)"
     left.set_title(title, loc="left", size=9, pad=3)
-    if len(row.positions) > 2:
+    if len(row.positions) > 2 or row.unit:
         left.legend(
             loc="lower right",
             bbox_to_anchor=(1.0, 0.97),

@@ -50,6 +50,13 @@ def test_a_sensor_that_only_its_driver_places_keeps_that(tmp_path: Path) -> None
         on_hand(TouchSensor("pad", link="left_toe"), hand)
 
 
+def test_a_link_alone_says_which_finger_feels(tmp_path: Path) -> None:
+    hand = load_hand(hand_folder(tmp_path, "touch:\n  pad: {link: left_tip}\n"))
+    many = on_hand(TouchSensor("pad", 87), hand)
+    assert (many.finger, many.placed) == ("left", False)
+    assert on_hand(TouchSensor("pad"), hand).placed, "a single taxel is at the origin"
+
+
 def test_a_scale_alone_leaves_the_place_to_the_driver(tmp_path: Path) -> None:
     hand = load_hand(hand_folder(tmp_path, "touch:\n  pad: {scale: 0.5}\n"))
     declared = TouchSensor("pad", unit="counts", link="right_tip", position=np.zeros((1, 3)))

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
@@ -174,8 +176,12 @@ def _state(state: ActuatorState, homing: bool) -> list[Check]:
         found.append(ok("position", "not known before homing"))
     elif bad:
         found.append(wrong("position", f"not measured by actuators {bad}", "recover it"))
-    else:
+    elif len(state.position):
         found.append(ok("position", ", ".join(f"{q:.3f}" for q in state.position)))
+    if state.touch is not None:
+        taxels = state.touch.values
+        largest = float(np.nanmax(taxels, initial=0.0))
+        found.append(ok("touch", f"{len(taxels)} taxels, the largest value {largest:.2f}"))
     hot = [t for t in state.temperature if t > 60.0]
     if hot:
         found.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))

@@ -74,6 +74,14 @@ async def test_an_armed_watchdog_is_told() -> None:
     assert named(checks, "watchdog").text.startswith("armed")
 
 
+async def test_a_device_that_only_measures_tells_its_taxels() -> None:
+    spec = DeviceSpec("skin", "h", "orca_touch", (), {}, emulated=True)
+    async with BusPool(wire_time=False) as pool:
+        checks = await check_device(spec, pool)
+    assert named(checks, "touch").text.startswith("363 taxels")
+    assert "position" not in [check.subject for check in checks]
+
+
 async def test_a_port_that_is_not_there() -> None:
     async with BusPool() as pool:
         check = wrong(await check_device(gripper(), pool))
