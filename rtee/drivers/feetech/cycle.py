@@ -145,6 +145,7 @@ class ServoCycle:
             CalibrationError: if one is where it cannot be.
             ConfigError: if one cannot go where its actuator can.
             DeviceFault: if one reports a fault, or takes no torque.
+            DriverError: if one does not take a setting.
             BusError: if the line fails.
         """
         # Again: what was set before the supply was cut is lost.
@@ -152,7 +153,7 @@ class ServoCycle:
         self.check(await self.states())
         off = {n: servo for n, servo in self.found.items() if not servo.powered}
         if off:
-            await setup.prepare(self.link, self.family, self._options, off)
+            await setup.prepare(self.link, self.family, self._device, self._options, off)
             await self.find()
             # Before the torque: an old goal would make the servo jump to it.
             await self.hold(list(off))

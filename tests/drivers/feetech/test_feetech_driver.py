@@ -19,6 +19,7 @@ from rtee.errors import (
     CalibrationError,
     ConfigError,
     DeviceFault,
+    DriverError,
     HandshakeError,
     NotConnected,
 )
@@ -209,8 +210,8 @@ async def test_powering_sets_up_what_differs_and_stores_nothing() -> None:
         session.pool.trace = wire.trace
         await session.start()
         registers = [frame.params[0] for frame in wire if frame.code == Instruction.SYNC_WRITE]
-        # Lock, P, the return delay, the acceleration, the goal, torque: D and mode were right.
-        assert registers == [55, 21, 7, 41, 42, 40]
+        # Lock, P, the acceleration, the return delay, the goal, torque: D and mode were right.
+        assert registers == [55, 21, 41, 7, 42, 40]
         assert wire.written(7) == [bytes([7, 1, 1, 0])]
         for servo in session.emulator.ordered:
             assert servo.get(table.GOAL_POSITION) == servo.position
@@ -240,6 +241,25 @@ async def test_a_largest_torque_keeps_scs_servos_from_switching_off() -> None:
         await session.start()
         await session.reach([0.5] * 3)
         assert [s.get(table.TORQUE_LIMIT) for s in session.emulator.ordered] == [750] * 3
+
+
+async def test_a_setting_that_a_servo_does_not_take_is_told() -> None:
+    async with Session(case(p=20, return_delay=5)) as session:
+        await session.connect()
+        third = session.emulator.ordered[2]
+        kept = [(register, third.get(register)) for register in (table.P, table.RETURN_DELAY)]
+        session.wire.call(lambda: setattr(third, "_act", lambda: [third.set(*one) for one in kept]))
+        with pytest.raises(DriverError, match="servo 3 does not take 20 at address 21; it has 32"):
+            await session.driver.activate()
+    async with Session(case(return_delay=5)) as session:
+        await session.connect()
+        third = session.emulator.ordered[2]
+        act = third._act
+        session.wire.call(
+            lambda: setattr(third, "_act", lambda: (third.set(table.RETURN_DELAY, 0), act()))
+        )
+        # It is slower so, and no worse.
+        await session.driver.activate()
 
 
 async def test_a_servo_that_takes_no_torque_is_a_fault() -> None:
