@@ -20,6 +20,7 @@ from rtee.errors import (
     ConfigError,
     DeviceFault,
     DriverError,
+    FrameError,
     HandshakeError,
     NotConnected,
 )
@@ -353,6 +354,24 @@ async def test_a_velocity_is_measured_on_the_way() -> None:
         await anyio.sleep(0.1)
         state = await session.sense()
         assert state.velocity.tolist() == pytest.approx([0.5] * 3, rel=0.01)
+
+
+async def test_a_position_that_cannot_be_is_believed_only_when_told_twice() -> None:
+    async with Session(case()) as session:
+        state = await session.start()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0 + 500))
+        with pytest.raises(FrameError, match="servo 2 cannot have come to where it says it is"):
+            await session.driver.sense()
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0))
+        assert (await session.driver.sense()).position.tolist() == state.position.tolist()
+        # A hand that somebody has bent while nobody looked is where it is.
+        session.wire.call(lambda: setattr(second.axis, "target", 2048.0 + 500))
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0 + 500))
+        with pytest.raises(FrameError):
+            await session.driver.sense()
+        there = await session.driver.sense()
+        assert there.position[1] == pytest.approx(500 * math.tau / 4096)
 
 
 async def test_servos_that_are_read_one_by_one_are_checked_one_by_one() -> None:
