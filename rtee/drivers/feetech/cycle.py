@@ -239,9 +239,15 @@ class ServoCycle:
 
     async def _check_torque(self, number: int) -> None:
         """Raise the `DeviceFault` of a servo that has no torque, asked twice; or `BusError`."""
+        told = POWERED
         for _ in range(2):
-            if await self.link.value(number, table.TORQUE) == POWERED:
+            told = await self.link.value(number, table.TORQUE)
+            if told == POWERED:
                 return
+        if told:
+            # Neither on nor off: only a frame that was damaged on its way has set that.
+            await self.link.set_all(table.TORQUE, {number: POWERED})
+            return
         self.refuse(await self.states())
         raise setup.lost(self._device, self.names, [number])
 

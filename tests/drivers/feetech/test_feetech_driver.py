@@ -374,6 +374,16 @@ async def test_a_position_that_cannot_be_is_believed_only_when_told_twice() -> N
         assert there.position[1] == pytest.approx(500 * math.tau / 4096)
 
 
+async def test_a_torque_that_nobody_sets_is_set_right() -> None:
+    async with Session(case(check_every=1)) as session:
+        await session.start()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: second.write(table.TORQUE.address, b"\x03"))
+        for _ in range(3):
+            await session.driver.sense()
+        assert second.get(table.TORQUE) == 1
+
+
 async def test_servos_that_are_read_one_by_one_are_checked_one_by_one() -> None:
     wire = Wire()
     async with Session(case(family="scs", check_every=2)) as session:
