@@ -51,12 +51,15 @@ class Emulator(ABC):
         period: How often `step` wants to be called without traffic [s]; 0: only with traffic.
         baudrate: Rate of its line [baud], for programs that ask for none.
         BAUDRATES: Rates that its line can have [baud]; empty: any.
+        SCHEME: Of its address on TCP: ``tcp`` where it then speaks Modbus TCP, ``socket`` where its
+            bytes are the same as on a line.
         duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
         faults: Faults injected at present.
     """
 
     FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
     BAUDRATES: ClassVar[frozenset[int]] = frozenset()
+    SCHEME: ClassVar[str] = "tcp"
     turnaround: float = 0.0
     period: float = 0.0
     baudrate: int = 115200

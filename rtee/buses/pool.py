@@ -116,18 +116,20 @@ class BusPool:
         parity: str = "N",
         stopbits: int = 1,
         behind: int = 0,
+        gap: float | None = None,
         emulator: EmulatorFactory | None = None,
     ) -> ModbusBus:
         """Return the Modbus line or network connection at an address, connected.
 
         A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
-        Modbus TCP. Arguments and errors as for `serial`, ``behind`` as for `ModbusBus`.
+        Modbus TCP. Arguments and errors as for `serial`, ``behind`` and ``gap`` as for
+        `ModbusBus`; on a shared line, the gap is that of the device that opened it.
         """
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
         # An emulated line without wire time has no frames to tell apart by silence.
-        gap = None if emulator is None or self.wire_time else 0.0
+        gap = gap if emulator is None or self.wire_time else 0.0
         return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap, behind=behind)
 
     async def dynamixel(

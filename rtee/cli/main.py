@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "openings": ("rtee.cli.openings:openings", "List how far fingertips open."),
     "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
     "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
+    "export": ("rtee.cli.export:export", "Write a hand's model for other programs."),
     # online
     "run": ("rtee.cli.run:run", "Run one hand or several."),
     "do": ("rtee.cli.do:do", "Execute a grasping action."),

@@ -103,7 +103,7 @@ class Player:
                 tcp=tcp is not None,
                 host=host,
                 port=tcp or 0,
-                scheme="tcp" if modbus_tcp else "socket",
+                scheme=self.emulator.SCHEME if modbus_tcp else "socket",
                 link=link,
                 line=Line(rate),
                 strict=strict,

@@ -86,6 +86,10 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     def _places(self) -> tuple[int, int, int]:
         """Return where the output and the input block begin, and the function to read with."""
 
+    def _gap(self) -> float | None:
+        """Return the silence that it needs before a request [s], ``None`` for the line's own."""
+        return None
+
     @abstractmethod
     def _identity(self) -> Mapping[str, str]:
         """Return the identity of the gripper, as shown to users."""
@@ -127,6 +131,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
                 settings.port,
                 owner=self.connection.owner,
                 baudrate=settings.baudrate,
+                gap=self._gap(),
                 emulator=emulator_of(self.spec, self.EMULATOR, emulator=found),
             ),
             lambda bus: Blocks(

@@ -48,6 +48,13 @@ def test_a_network_device_speaks_modbus_tcp_and_a_raw_port_does_not() -> None:
         assert sent(player.address, STATUS).startswith(bytes.fromhex("09 03 06"))
 
 
+def test_a_device_with_frames_of_its_own_is_at_a_socket() -> None:
+    with Player("wsg50", tcp=0) as player:
+        assert player.address.startswith("socket://")
+        answer = sent(player.address, bytes.fromhex("AA AA AA 43 03 00 00 00 00 B8 10"))
+        assert answer.startswith(bytes.fromhex("AA AA AA 43 06 00 00 00"))
+
+
 def sent(address: str, request: bytes) -> bytes:
     host, _, port = address.split("//")[1].partition(":")
     with socket.create_connection((host, int(port)), timeout=2.0) as connection:
@@ -147,6 +154,7 @@ def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
     ("name", "request_", "answer"),
     [
         ("qb_softhand", "3A 3A 01 02 00 00", "3A 3A 01 02 00 00"),
+        ("ability_hand", "7E 50 A0 10 7E", "7E 10" + " 00" * 70 + " F0 7E"),
         ("inspire_rh56", "EB 90 01 04 11 E8 03 01 02", "90 EB 01 04 11 E8 03 01 02"),
         ("feetech", "FF FF 01 02 01 FB", "FF FF 01 02 00 FC"),
         ("dynamixel", "FF FF FD 00 01 03 00 01 19 4E", "FF FF FD 00 01 07 00 55 00 B0 04"),

@@ -62,12 +62,23 @@ async def on_wires(name: str, **options: Any) -> AsyncIterator[Wires]:
             running.cancel_scope.cancel()
 
 
-@pytest.mark.parametrize(("force", "register"), [(20.0, 0), (60.0, 47), (200.0, 213)])
+@pytest.mark.parametrize(
+    ("name", "width", "force", "register"),
+    [
+        ("robotiq_2f_85", 0.04, 20.0, 0),
+        ("robotiq_2f_85", 0.04, 60.0, 47),
+        ("robotiq_2f_85", 0.04, 200.0, 213),
+        # A Hand-E has 20 to 130 N.
+        ("robotiq_hand_e", 0.03, 20.0, 0),
+        ("robotiq_hand_e", 0.03, 64.0, 102),
+        ("robotiq_hand_e", 0.03, 130.0, 255),
+    ],
+)
 async def test_a_two_finger_gripper_gets_the_force_register_of_its_manual(
-    force: float, register: int
+    name: str, width: float, force: float, register: int
 ) -> None:
-    async with on_wires("robotiq_2f_85", object_in_hand="0.4") as wires:
-        result = await wires.grasp(0.04, force, "Grasp")
+    async with on_wires(name, object_in_hand="0.4") as wires:
+        result = await wires.grasp(width, force, "Grasp")
         assert result.grasped
         assert result.force == pytest.approx(force)
         assert result.force_source == "effort limit"
@@ -104,6 +115,42 @@ async def test_the_3fg_gets_a_share_of_what_it_gives_at_the_diameter() -> None:
     ]
     [found] = {force for force, diameter, kind, control in grips if (kind, control) == (0, 1)}
     assert found == pytest.approx(1000.0 * 40.0 / gives, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "force", "most"),
+    [("onrobot_rg2", 0.03, 12.5, 40.0), ("onrobot_rg6", 0.05, 90.0, 120.0)],
+)
+async def test_an_rg_gets_the_width_and_the_force_that_were_asked_for(
+    name: str, width: float, force: float, most: float
+) -> None:
+    async with on_wires(name, object_in_hand=f"{width}m") as wires:
+        with pytest.raises(GoalRejected, match=f"at most {most:.0f} N"):
+            await wires.grasp(width, most + 1.0, "Grasp")
+        result = await wires.grasp(width, force, "Grasp")
+        assert result.grasped
+        assert result.opening == pytest.approx(width, abs=0.001)
+        assert result.force == pytest.approx(force, rel=0.01)
+    commands = [
+        struct.unpack(">3H", frame[-6:]) for frame in wires.sent if frame[-8:-6] == b"\x03\x06"
+    ]
+    assert {command[0] for command in commands if command[2] == 1} >= {round(10 * force)}
+    # The last goes on to where the fingertips meet: the force ends the way, not the width.
+    assert commands[-1][1] * 1e-4 < width + 2 * 0.0049
+
+
+@pytest.mark.parametrize("force", [5.0, 33.0, 80.0])
+async def test_a_wsg_grasps_with_the_force_limit_that_was_asked_for(force: float) -> None:
+    async with on_wires("wsg50", object_in_hand="0.04m") as wires:
+        with pytest.raises(GoalRejected, match="at least 5 N"):
+            await wires.grasp(0.04, 4.0, "Grasp")
+        result = await wires.grasp(0.04, force, "Grasp")
+        assert result.grasped
+        assert result.force == pytest.approx(force, rel=0.01)
+        assert result.force_source == "device"
+    limits = [frame for frame in wires.sent if frame[3:4] == b"\x32"]
+    assert {frame[6:10] for frame in limits} >= {struct.pack("<f", force)}
+    assert any(frame[3:4] == b"\x25" for frame in wires.sent)
 
 
 def test_the_3fg_gives_more_force_at_lower_angles_of_its_fingers() -> None:

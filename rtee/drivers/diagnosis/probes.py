@@ -28,6 +28,8 @@ _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 _SERVO = 0.02
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
 
+_LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
+
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -118,8 +120,6 @@ def _any_unit(found: Sequence[Found]) -> Found:
 
 
 async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
-    from rtee.drivers.onrobot_3fg.codec import LIMITS
-
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
     # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
@@ -131,12 +131,28 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
     # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
-    onrobot = await _registers(bus, unit, LIMITS, 2) if robotiq is not None else None
-    if isinstance(onrobot, tuple) and 0 < onrobot[0] < onrobot[1]:
-        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
     if robotiq is not None:
-        return Found("", f"a Modbus slave, unit {unit}", options)
+        onrobot = await _onrobot(bus, unit, options)
+        return onrobot or Found("", f"a Modbus slave, unit {unit}", options)
     return None
+
+
+async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an OnRobot gripper if one tells its diameters or its product code."""
+    from rtee.drivers.onrobot_3fg.codec import LIMITS
+    from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
+    from rtee.drivers.onrobot_rg.codec import MODELS
+
+    limits = await _registers(bus, unit, LIMITS, 2)
+    if isinstance(limits, tuple) and 0 < limits[0] < limits[1]:
+        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
+    code = await _registers(bus, unit, PRODUCT, 1)
+    name = PRODUCTS.get(code[0]) if isinstance(code, tuple) else None
+    if name is None:
+        return None
+    if name.lower() not in MODELS:
+        return Found("", f"OnRobot {name}, unit {unit}", options)
+    return Found("onrobot_rg", f"OnRobot {name}, unit {unit}", {**options, "model": name.lower()})
 
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
@@ -169,6 +185,33 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
     except FrameError:
         return Found("", f"a Modbus slave with registers at 2000, unit {unit}", options)
     return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
+
+
+def linkerhand() -> Probe:
+    """Return a probe for LinkerHands on RS-485, right and left ones."""
+    from rtee.drivers.linkerhand.codec import BAUDRATE, LEFT, MODELS, RIGHT
+    from rtee.drivers.linkerhand.link import ModbusLink
+
+    async def listen(bus: ModbusBus, address: str) -> list[Found]:
+        found = []
+        for unit in (RIGHT, LEFT):
+            for name, model in MODELS.items():
+                link = ModbusLink(bus, model, unit, _LINKER_ANSWER, 0, model.spacing)
+                try:
+                    version = await link.version()
+                except (BusTimeout, FrameError, ModbusRefusal):
+                    continue
+                if version is not None and version.motors == model.count:
+                    options = {"port": address, "model": name, "unit": unit}
+                    what = f"LinkerHand {model.name}, unit {unit}"
+                    found.append(Found("linkerhand", what, options))
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.modbus(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("LinkerHand", ask)
 
 
 # --- serial protocols --------------------------------------------------------------------------
@@ -215,6 +258,26 @@ def softhand(devices: Sequence[int]) -> Probe:
     return Probe("qb SoftHand", ask)
 
 
+def ability_hand() -> Probe:
+    """Return a probe for the Ability Hand with the address and the rate from the factory."""
+    from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
+        except (BusTimeout, FrameError):
+            return []
+        return [
+            Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
+        ]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("PSYONIC Ability Hand", ask)
+
+
 def rh56(units: Sequence[int]) -> Probe:
     """Return a probe for the RH56's own frames, with these numbers."""
     from rtee.drivers.inspire_rh56.codec import BAUDRATES, Register
@@ -237,6 +300,34 @@ def rh56(units: Sequence[int]) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("Inspire RH56", ask)
+
+
+def wsg50() -> Probe:
+    """Return a probe for the WSG 50, at its own port of a host or behind a socket."""
+    from rtee.drivers.wsg50.codec import PORT, Command, Frame, Info, WsgFrameError
+    from rtee.drivers.wsg50.link import WsgLink
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            info = Info.from_bytes((await WsgLink(bus, 0.3).ask(Frame(Command.INFO))).payload[2:])
+        except (BusError, WsgFrameError):
+            return []
+        what = f"WSG 50, serial {info.serial}, firmware {info.version}"
+        return [Found("wsg50", what, {"port": address})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        scheme, _, place = address.partition("://")
+        if scheme == "tcp" and ":" not in place:
+            place = f"{place}:{PORT}"
+        elif scheme != "socket":
+            return []  # a tty, or another port that was named
+        try:
+            bus = await pool.serial(f"socket://{place}", owner=_OWNER)
+        except BusError:
+            return []  # the host may still serve Modbus
+        return await _ended(bus, listen(bus, f"socket://{place}"))
+
+    return Probe("WSG 50", ask)
 
 
 def dynamixel(baudrate: int) -> Probe:

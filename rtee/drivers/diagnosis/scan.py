@@ -68,9 +68,12 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
         units: Modbus numbers to ask; by default the usual ones.
     """
     return (
+        probes.wsg50(),
         probes.svh(),
+        probes.ability_hand(),
         probes.softhand(range(1, 10)),
         probes.rh56(range(1, 5)),
+        probes.linkerhand(),
         probes.modbus(115200, "N", units or (*range(1, 17),), name="Robotiq"),
         probes.modbus(1_000_000, "E", units or (65, 66, 67), name="OnRobot"),
         *(probes.feetech(rate) for rate in FEETECH_RATES),
@@ -80,7 +83,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
 
 def network_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
     """Return the questions for a network address."""
-    return (probes.modbus(115200, "N", units or (65, 66, 67, 2, 9, 1)),)
+    return (probes.wsg50(), probes.modbus(115200, "N", units or (65, 66, 67, 2, 9, 1)))
 
 
 async def scan(

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Self
 
+from rtee.drivers.onrobot_common import TENTH_MM, signed
 from rtee.drivers.scale import LinearScale
 from rtee.errors import FrameError
-
-TARGETS = 0x0000
-"""First of the four registers that command: force, diameter, grip type, control."""
 
 STATUS = 0x0100
 """First of the registers that report the state."""
@@ -30,15 +28,9 @@ LIMITS = 0x0201
 SETTINGS = 0x0401
 """Settable finger length, an unnamed register, finger position, fingertip offset."""
 
-PRODUCT = 0x0600  # register of the product code
-FIRMWARE = 0x0604  # register of the firmware's version
-SERIAL = 0x0609  # first register of the serial number
-SERIAL_COUNT = 16  # its registers, two characters each
-
 STATUS_COUNT = 4  # registers of the status: bits, raw diameter, diameter with offset, force
 
 _RESERVED = 0xFFF0  # bits of the status that the guide leaves 0
-_TENTH_MM = 1e-4  # m in a register's unit of diameters
 _HUNDREDTH_MM = 1e-5  # m in a register's unit of offsets
 
 
@@ -141,7 +133,7 @@ class Status:
             calibrated=bool(bits & 8),
             raw_diameter=raw,
             # The only signed register: an internal grip's offset may exceed the raw diameter.
-            diameter=offset - 0x10000 if offset & 0x8000 else offset,
+            diameter=signed(offset),
             force=force,
         )
 
@@ -236,23 +228,12 @@ class Scale:
         force: float = 240.0,
     ) -> None:
         self.largest, self.smallest = largest, smallest
-        ends = (largest / _TENTH_MM, smallest / _TENTH_MM)
+        ends = (largest / TENTH_MM, smallest / TENTH_MM)
         self.position = LinearScale(ends, (lower, upper))
         per_position = (largest - smallest) / (upper - lower)  # of the diameter [m/rad]
         self.effort = LinearScale((0.0, 1000.0), (0.0, force * per_position))
 
 
-def metres(tenth_mm: int) -> float:
-    """Return a length register of 0.1 mm in metres."""
-    return tenth_mm * _TENTH_MM
-
-
 def offset_metres(hundredth_mm: int) -> float:
     """Return the fingertip offset's register, 0.01 mm, in metres."""
     return hundredth_mm * _HUNDREDTH_MM
-
-
-def serial_number(registers: Sequence[int]) -> str:
-    """Return the serial number from its registers, two characters each."""
-    text = b"".join(register.to_bytes(2, "big") for register in registers)
-    return text.split(b"\0")[0].decode("ascii", "replace").strip()

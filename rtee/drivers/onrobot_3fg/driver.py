@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,41 +10,26 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.onrobot_3fg.codec import (
-    FIRMWARE,
     GEOMETRY,
     LIMITS,
-    PRODUCT,
-    SERIAL,
-    SERIAL_COUNT,
     STATUS,
     STATUS_COUNT,
-    TARGETS,
     Command,
     Control,
     Fingers,
     GripType,
     Scale,
     Status,
-    metres,
     offset_metres,
-    serial_number,
 )
-from rtee.drivers.options import DeviceOptions, read_options
-from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver, ExchangeKind
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    ConfigError,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
+from rtee.drivers.onrobot_common import OnRobotOptions, metres
+from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
+from rtee.drivers.options import read_options
+from rtee.errors import ConfigError, DeviceFault, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -64,22 +48,10 @@ _STUCK_BUSY = 0.5
 _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
 
-_GATEWAY = (0x0A, 0x0B)
-"""Exceptions by which the Compute Box reports that no tool answers."""
 
-_CONNECTING = 0.5
-"""Longest time for a request about the gripper while connecting [s]; the box may be slow."""
-
-
-class OnRobot3FGOptions(DeviceOptions):
+class OnRobot3FGOptions(OnRobotOptions):
     """Options of a 3FG15 or 3FG25."""
 
-    host: str = Field("192.168.1.1", description="the Compute Box's address (Modbus TCP)")
-    port: str | None = Field(
-        None, description="instead of `host`: tty, socket://, rfc2217:// (RTU) or tcp://host:port"
-    )
-    unit: int = Field(65, ge=0, le=255, description="65; 66 and 67 on a dual quick changer")
-    baudrate: int = Field(1_000_000, gt=0, description="of a direct line (8E1)")
     grip: Literal["external", "internal"] = "external"
     force: float = Field(240.0, gt=0.0, description="largest force of the model [N]")
     smallest: float = Field(
@@ -93,41 +65,32 @@ class OnRobot3FGOptions(DeviceOptions):
         description="what the target diameter means: between the fingertips' centres, or their "
         "surfaces",
     )
-    settle: float = Field(
-        0.1, ge=0.0, description="a reference that rests this long is gripped at with force [s]"
-    )
-    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and 3")
-    rate: float = Field(50.0, gt=0.0, description="exchanges per second through the Compute Box")
-
-    @property
-    def address(self) -> str:
-        """The address of the bus."""
-        return self.port or f"tcp://{self.host}"
 
 
-class OnRobot3FGDriver(BlocksDriver):
+class OnRobot3FGDriver(OnRobotDriver[Status]):
     """A 3FG15 or 3FG25.
 
     The gripper accepts no speed, and force only with the command *grip*, which it ignores while it
     is busy. So a reference that changes is followed by *move*; one that rests is gripped at, with
-    its effort, as soon as the gripper is free. It attaches without writing anything.
+    its effort, as soon as the gripper is free.
     """
 
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
 
+    MODEL: ClassVar[str] = "an OnRobot 3FG"
+    EMULATOR: ClassVar[str] = "onrobot_3fg"
+    SOURCE: ClassVar[int] = STATUS
+    COUNT: ClassVar[int] = STATUS_COUNT
+    SENT: ClassVar[int] = len(Command(0, 0).to_registers())
+
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
-        super().__init__(spec, buses)
         self.options = read_options(OnRobot3FGOptions, spec)
-        if len(spec.actuators) != 1:
-            raise ConfigError(
-                f"device '{spec.name}': a 3FG has one actuator, not {len(spec.actuators)}",
-                key=f"devices.{spec.name}.actuators",
-            )
+        super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.largest or 0.150)
         self._fingers = Fingers()
         self._kind = GripType[self.options.grip.upper()]
-        self._status = Status()
         self._sent: Command | None = None
+        self._next_sent: Command | None = None
         self._tips = 0
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
@@ -147,7 +110,7 @@ class OnRobot3FGDriver(BlocksDriver):
             best_rate=best_rate,
             recoverable=True,
             grip={self.spec.actuators[0].name: self._grip_force()},
-            identity={"model": "OnRobot 3FG", "address": f"unit {self.options.unit}", **identity},
+            identity={"model": "OnRobot 3FG", **identity},
         )
 
     def _grip_force(self) -> GripForce:
@@ -162,56 +125,13 @@ class OnRobot3FGDriver(BlocksDriver):
 
     # --- life --------------------------------------------------------------------------------
 
-    async def configure(self) -> None:
-        """Open the connection and see whether a 3FG answers; moves nothing."""
-        options = self.options
-        blocks = await self.connection.open(
-            self.buses.modbus(
-                options.address,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                parity="E",
-                emulator=emulator_of(self.spec, "onrobot_3fg", port=options.address),
-            ),
-            lambda bus: Blocks(
-                bus,
-                options.unit,
-                output=TARGETS,
-                source=STATUS,
-                count=STATUS_COUNT,
-                deadline=PATIENT,
-                kind=options.exchange,
-                # No document gives a refresh time, so only the wire limits the rate.
-                refresh=0.0,
-            ),
-        )
-        sent = len(Command(0, 0).to_registers())
-        best = blocks.best_rate(sent) if blocks.bus.rtu else options.rate
-        try:
-            identity = await self._identify(blocks.bus)
-        except BusTimeout as error:
-            raise self._absent("no answer") from error
-        except ModbusRefusal as error:
-            if error.code not in _GATEWAY:
-                raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
-            raise self._absent("the Compute Box finds no tool") from error
-        except FrameError as error:
-            raise HandshakeError(self.spec.name, "an OnRobot 3FG", error.message) from error
-        self.capabilities = self._abilities(best, identity)
-        self._pace(best)
+    def _decoded(self, block: Sequence[int]) -> Status:
+        return Status.from_registers(block, self._settings.address) if block else Status()
 
-    def _absent(self, what: str) -> NotConnected:
-        return NotConnected(
-            self.spec.name,
-            f"{what} (unit {self.options.unit} at {self.options.address})",
-            hint="check supply, cable and `unit` (65; 66 or 67 on a dual quick changer)",
-        )
-
-    async def _identify(self, bus: ModbusBus) -> dict[str, str]:
-        self._status = await self._read()
+    async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
-        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=_CONNECTING)
-        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=_CONNECTING)
+        smallest, largest = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
+        length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=CONNECTING)
         # Other tools of the vendor answer these registers with other contents.
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
@@ -230,46 +150,15 @@ class OnRobot3FGDriver(BlocksDriver):
                 f"largest diameter ({self.scale.largest} m)",
                 key=f"devices.{self.spec.name}.options.smallest",
             )
-        identity = {
+        return {
             "finger length": f"{metres(length) * 1000:.1f} mm",
             "finger position": str(hole),
             "diameters": f"{metres(smallest) * 1000:.1f} to {metres(largest) * 1000:.1f} mm",
         }
-        # Only one source documents these registers, so they are shown and nothing depends on them.
-        with contextlib.suppress(BusError):
-            product, firmware, serial = [
-                await bus.read(unit, register, count, deadline=_CONNECTING)
-                for register, count in ((PRODUCT, 1), (FIRMWARE, 1), (SERIAL, SERIAL_COUNT))
-            ]
-            identity["product code"] = f"{product[0]:#04x}"
-            identity["firmware"] = f"{firmware[0] >> 8}.{firmware[0] & 0xFF}"
-            identity["serial"] = serial_number(serial)
-        return identity
-
-    async def activate(self) -> None:
-        """See that the calibration is valid; the gripper needs no activation and no homing."""
-        with self.connection.link.unhurried():
-            self._status = await self._read()
-        self._refuse(self._status)
-        self._sent = None
-        self._active = True
-
-    async def examine(self) -> str:
-        """Raise the fault that it reports."""
-        self._refuse(await self._read())
-        return ""
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def sense(self) -> ActuatorState:
-        """Return what the last exchange brought, or read it."""
-        kept = self._last_read()
-        if kept is None:
-            self._note(await self._read())
-        stamp = time.monotonic() if kept is None else kept[1]
-        status = self._status
-        if self._active:
-            self._refuse(status)
+    def _measured(self, status: Status, stamp: float) -> ActuatorState:
         return ActuatorState.measured(
             [self.scale.position.to_si(status.raw_diameter)],
             stamp,
@@ -277,22 +166,23 @@ class OnRobot3FGDriver(BlocksDriver):
             grasped=(status.grip_detected,),
         )
 
-    async def move(self, reference: Reference) -> None:
-        """Follow a reference that changes, grip at one that rests; in one frame."""
-        blocks = self.connection.link
-        if not reference.mask[0]:
-            return
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Follow a reference that changes, grip at one that rests."""
         command = self._next(
             self.scale.position.to_count(float(reference.position[0])),
             self.scale.effort.to_count(float(reference.max_effort[0])),
             time.monotonic(),
         )
         if command is None:
-            return
-        block = await blocks.exchange(self._registers(command))
-        self._sent = command
-        self._note(Status.from_registers(block, self.options.address))
-        blocks.keep(block)
+            return None
+        self._next_sent = command
+        return self._registers(command)
+
+    def _accepted(self) -> None:
+        self._sent = self._next_sent
+
+    def _forget(self) -> None:
+        self._sent = None
 
     def _next(self, diameter: int, force: int, now: float) -> Command | None:
         """Return what to send for a target [0.1 mm, 0.1 %], or ``None`` for nothing."""
@@ -358,20 +248,10 @@ class OnRobot3FGDriver(BlocksDriver):
 
     # --- stop and faults ---------------------------------------------------------------------
 
-    async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
+    def _stopping(self) -> Sequence[int]:
         status = self._status
         force = self._sent.force if self._sent else status.force
-        command = self._command(force, status.raw_diameter, Control.STOP)
-        if await self._insist(self._registers(command)):
-            self._sent = None
-
-    async def recover(self) -> None:
-        """Stop, and see that the calibration is valid again."""
-        with self.connection.link.unhurried():
-            self._status = await self._read()
-        self._refuse(self._status)
-        await self.stop()
+        return self._registers(self._command(force, status.raw_diameter, Control.STOP))
 
     def _refuse(self, status: Status) -> None:
         if not status.calibrated:
@@ -382,8 +262,3 @@ class OnRobot3FGDriver(BlocksDriver):
                 "calibration lost",
                 hint="restart the tool from the Compute Box's web page, then recover",
             )
-
-    # --- the wire ----------------------------------------------------------------------------
-
-    async def _read(self) -> Status:
-        return Status.from_registers(await self.connection.link.read(), self.options.address)

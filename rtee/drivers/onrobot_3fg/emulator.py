@@ -10,41 +10,32 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
-from rtee.buses.modbus_slave import (
-    ILLEGAL_ADDRESS,
-    ILLEGAL_VALUE,
-    Framing,
-    ModbusEmulator,
-    Refused,
-)
+from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
 from rtee.drivers.axis import Axis, VirtualObject
-from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
-from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
+from rtee.drivers.onrobot_common import PRODUCT
+from rtee.drivers.onrobot_emulator import (
+    IDENTITY,
+    OnRobotEmulator,
+    OnRobotProperties,
+    Window,
+    fitting,
+    identity,
+)
+from rtee.drivers.properties import Duration, Positive, read_properties
 
-_GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
 _APPROACH_FORCE = 50.0
 """Force until the contact [N]; the connectivity guide says about 50."""
 _FLEXIBLE_FORCE = 140.0
 """Greatest force of a flexible grip [N]; connectivity guide, register 3."""
-_READABLE = (
-    (0x0000, 0x0003),
-    (0x0100, 0x0113),
-    (0x0201, 0x0202),
-    (0x0401, 0x0404),
-    (0x0600, 0x0618),
-)
-_WRITABLE = ((0x0000, 0x0003), (0x0401, 0x0404))
 
 
 @dataclass(frozen=True, slots=True)
-class OnRobot3FGProperties:
-    """Properties of the emulated gripper.
+class OnRobot3FGProperties(OnRobotProperties):
+    """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
-        unit: Its number behind the Compute Box or on the line.
-        framing: ``tcp`` or ``rtu``.
-        baudrate: Bits per second.
         force: Largest force [N].
         smallest: Smallest raw diameter [m].
         largest: Largest raw diameter [m].
@@ -58,12 +49,8 @@ class OnRobot3FGProperties:
         position: Raw diameter at power-up [m]; by default open for such a grip.
         product: Its product code.
         serial: Its serial number.
-        haste: How much faster than the real one it moves.
     """
 
-    unit: Byte = 65
-    framing: Framing = "tcp"
-    baudrate: Rate = 1_000_000
     force: Positive = 240.0
     smallest: Positive = 0.020
     largest: Positive = 0.150
@@ -75,26 +62,29 @@ class OnRobot3FGProperties:
     position: float | None = None
     product: int = 0x70
     serial: str = "3FG15-EMULATED"
-    haste: Positive = 1.0
 
 
-class OnRobot3FGEmulator(ModbusEmulator, Grasps):
+class OnRobot3FGEmulator(OnRobotEmulator):
     """A 3FG15.
 
     Attributes:
         axis: Its fingers; position is the raw diameter [m], effort the force [N].
-        moves: Times a motion was started.
         begun: The force register when the last motion started.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"calibration_lost", "no_tool"}
-    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x06, 0x10, 0x17})
-    EXCEPTIONS: ClassVar[bool] = True
+    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {"calibration_lost"}
+    READABLE: ClassVar[Sequence[Window]] = (
+        (0x0000, 0x0003),
+        (0x0100, 0x0113),
+        (0x0201, 0x0202),
+        (0x0401, 0x0404),
+        IDENTITY,
+    )
+    WRITABLE: ClassVar[Sequence[Window]] = ((0x0000, 0x0003), (0x0401, 0x0404))
 
     def __init__(self, properties: OnRobot3FGProperties | None = None) -> None:
         made = self.properties = properties or OnRobot3FGProperties()
-        super().__init__(made.unit, made.framing, baudrate=made.baudrate)
-        self.any_unit = False
+        super().__init__(made)
         self.fingers = Fingers()
         self.axis = Axis(
             self._ends[0] if made.position is None else made.position,
@@ -107,9 +97,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         )
         self.axis.rating = made.force
         self.axis.enabled = True
-        self.moves = 0
         self.begun = 0
-        self._now: float | None = None
         # The factory's fingers in the registers' units: 49 mm, second hole, 6.3 mm offset.
         self._settings = [490, 0, 2, 630]
         self.power_cycle(0.0)
@@ -117,11 +105,8 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        names = ("unit", "baudrate", "grip")
-        fitting = {name: options[name] for name in names if options.get(name) is not None}
-        port = str(options.get("port") or "tcp://")
-        fitting["framing"] = "tcp" if port.startswith("tcp://") else "rtu"
-        return cls(read_properties(OnRobot3FGProperties, options, **fitting))
+        found = fitting(options, "unit", "baudrate", "grip")
+        return cls(read_properties(OnRobot3FGProperties, options, **found))
 
     def power_cycle(self, now: float) -> None:
         """Forget the targets; encoders are absolute and the gears hold the fingers."""
@@ -162,28 +147,9 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
             self._advance_by(0.1)
         self.moves = 0
 
-    def on_faults(self) -> None:
-        """Block the motor while it is stuck."""
-        self.axis.stuck = "stuck" in self.faults
-
     # --- registers -------------------------------------------------------------------------------
 
-    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
-        """Return registers; those inside a block that no document names are 0."""
-        self._reachable()
-        self.advance(now)
-        if not any(low <= address and address + count - 1 <= high for low, high in _READABLE):
-            raise Refused(ILLEGAL_ADDRESS)
-        known = self._registers()
-        return [known.get(address + i, 0) & 0xFFFF for i in range(count)]
-
-    def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Set targets or settings; writing control starts what it names."""
-        self._reachable()
-        last = address + len(values) - 1
-        if not any(low <= address and last <= high for low, high in _WRITABLE):
-            raise Refused(ILLEGAL_ADDRESS)
-        self.advance(now)
+    def _set(self, address: int, values: Sequence[int]) -> None:
         if address >= 0x0401:
             start = address - 0x0401
             settings = [*self._settings]
@@ -195,14 +161,11 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
             return
         self._targets[address : address + len(values)] = values
         # Only a write that includes the control register starts anything, as on the device.
-        if last == 3:
+        if address + len(values) == 4:
             self._command(values[-1])
 
-    def _reachable(self) -> None:
-        if "no_tool" in self.faults:
-            raise Refused(_GATEWAY_NO_TARGET)
-
-    def _registers(self) -> dict[int, int]:
+    def registers(self) -> Mapping[int, int]:
+        """Return what is in the registers."""
         status = self.status()
         raw = status.raw_diameter * 1e-4
         known = dict(enumerate(self._targets))
@@ -213,11 +176,9 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         known |= {0x0201: round(self.properties.smallest * 1e4)}
         known |= {0x0202: round(self.properties.largest * 1e4)}
         known |= {0x0401 + i: value for i, value in enumerate(self._settings)}
-        known |= {0x0600: self.properties.product, 0x0604: 0x0105, 0x0605: 7}
-        text = self.properties.serial.encode("ascii").ljust(32, b"\0")
-        known |= {0x0609 + i: text[2 * i] << 8 | text[2 * i + 1] for i in range(16)}
+        known |= identity(self.properties.product, self.properties.serial)
         if "wrong_device" in self.faults:
-            known |= {0x0110: 0, 0x0201: 0, 0x0202: 0, 0x0600: 0x20}
+            known |= {0x0110: 0, 0x0201: 0, 0x0202: 0, PRODUCT: 0x20}
         return known
 
     def status(self) -> Status:
@@ -274,15 +235,7 @@ class OnRobot3FGEmulator(ModbusEmulator, Grasps):
         most = _FLEXIBLE_FORCE if self._control is Control.FLEXIBLE_GRIP else self.properties.force
         return min(self._targets[0], 1000) / 1000 * most
 
-    def advance(self, now: float) -> None:
-        """Let time pass up to ``now``."""
-        dt = 0.0 if self._now is None else max(0.0, now - self._now)
-        self._now = now
-        self._advance_by(dt * self.properties.haste)
-
     def _advance_by(self, dt: float) -> None:
-        if dt <= 0.0:
-            return
         self.axis.advance(dt)
         if not self._busy or self.axis.velocity != 0.0:
             return

@@ -58,22 +58,27 @@ class Model:
         stroke: Distance of the fingertips when open [m].
         speed: Slowest and fastest closing, of one fingertip against the other [m/s].
         force: Weakest and strongest grip [N].
-        prismatic: The actuator is one finger's slide instead of the driving knuckle.
+        gap: Silence that its coupling needs between frames [s]; ``None``: what the line asks for.
     """
 
     name: str
     stroke: float
     speed: tuple[float, float]
     force: tuple[float, float]
-    prismatic: bool = False
+    gap: float | None = None
 
 
 MODELS: dict[str, Model] = {
     "2f_85": Model("2F-85", 0.085, (0.020, 0.150), (20.0, 235.0)),
     "2f_140": Model("2F-140", 0.140, (0.030, 0.250), (10.0, 125.0)),
-    "hand_e": Model("Hand-E", 0.050, (0.020, 0.150), (20.0, 185.0), prismatic=True),
+    "hand_e": Model("Hand-E", 0.050, (0.020, 0.150), (20.0, 130.0)),
+    "hand_e_c10": Model("Hand-E C10", 0.050, (0.020, 0.150), (20.0, 185.0), gap=0.010),
 }
-"""The models by the name in the options."""
+"""The models by the name in the options.
+
+The manual gives the Hand-E's strongest grip, 130 N, but not its weakest: that of the 2F-85 is
+assumed. The forces of the C10 are those of newer texts of the vendor.
+"""
 
 
 @dataclass(frozen=True, slots=True)

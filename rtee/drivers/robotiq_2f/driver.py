@@ -43,7 +43,7 @@ class Robotiq2FOptions(RobotiqOptions):
     """Options of a Robotiq two-finger gripper."""
 
     unit: int = Field(9, ge=1, le=247, description="Modbus number of the gripper")
-    model: Literal["2f_85", "2f_140", "hand_e"] = "2f_85"
+    model: Literal["2f_85", "2f_140", "hand_e", "hand_e_c10"] = "2f_85"
     open_count: int = Field(3, ge=0, le=254, description="measured position when fully open")
     closed_count: int = Field(230, ge=1, le=255, description="measured position when fully closed")
     calibration: Path | None = Field(
@@ -143,6 +143,9 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         places = (OUTPUT, INPUT) if base is None else (base, base)
         # At one place, function 3 reads what was written, function 4 what is measured.
         return *places, self.options.function or (3 if base is None else 4)
+
+    def _gap(self) -> float | None:
+        return MODELS[self.options.model].gap
 
     def _identity(self) -> Mapping[str, str]:
         model = MODELS[self.options.model].name

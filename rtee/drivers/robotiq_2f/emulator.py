@@ -29,7 +29,7 @@ class Robotiq2FProperties(RobotiqProperties):
     """Properties of the emulated gripper besides those that all of them have.
 
     Attributes:
-        model: ``2f_85``, ``2f_140`` or ``hand_e``.
+        model: ``2f_85``, ``2f_140``, ``hand_e`` or ``hand_e_c10``.
         position: Where the fingers are at power-up [counts].
         open_count: gPO when fully open.
         closed_count: gPO when fully closed.
@@ -40,7 +40,7 @@ class Robotiq2FProperties(RobotiqProperties):
         watch: Silence after which it reports lost communication [s].
     """
 
-    model: Literal["2f_85", "2f_140", "hand_e"] = "2f_85"
+    model: Literal["2f_85", "2f_140", "hand_e", "hand_e_c10"] = "2f_85"
     position: float = 3.0
     open_count: Byte = 3
     closed_count: Byte = 230

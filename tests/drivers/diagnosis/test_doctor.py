@@ -183,7 +183,15 @@ async def test_another_device_is_found_out() -> None:
             "overload",
             "32: overload in servo 1 (jaw)",
         ),
+        (
+            "onrobot_rg",
+            "finger_joint",
+            {"baudrate": 1_000_000},
+            "safety_error",
+            "6: a safety switch was pushed at power-up",
+        ),
         ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
+        ("linkerhand", "index_bend", {}, "encoder", "3: index: encoder error"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
         ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
     ],
@@ -191,7 +199,7 @@ async def test_another_device_is_found_out() -> None:
 async def test_what_keeps_a_device_from_being_active_is_told(
     driver: str, name: str, options: dict[str, Any], fault: str, text: str
 ) -> None:
-    emulator = make_emulator(driver, {})
+    emulator = make_emulator(driver, {"port": "/dev/emulated"})
     if fault:
         emulator.inject(fault)
     with SimulatedLine([emulator], wire_time=False) as line:
@@ -284,7 +292,7 @@ async def test_network_addresses(address: str, text: str) -> None:
     assert wrong(await check_address(address)).text == text
 
 
-@pytest.mark.parametrize("driver", ["robotiq_2f", "onrobot_3fg"])
+@pytest.mark.parametrize("driver", ["robotiq_2f", "onrobot_3fg", "onrobot_rg"])
 async def test_a_device_that_takes_one_connection_is_asked_over_one(driver: str) -> None:
     emulator = make_emulator(driver, {"port": "tcp://", "emulator": {}})
     taken = 0
@@ -299,7 +307,7 @@ async def test_a_device_that_takes_one_connection_is_asked_over_one(driver: str)
     async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]
         spec = gripper(options={"port": f"tcp://127.0.0.1:{port}"})
-        if driver == "onrobot_3fg":
+        if driver.startswith("onrobot"):
             spec = replace(spec, actuators=(actuator("f1_joint", 0.0, 3.0),))
         async with BusPool() as pool:
             checks = await check_device(replace(spec, driver=driver), pool)

@@ -36,16 +36,20 @@ def device(name: str, **properties: object) -> Emulator:
         ("robotiq_2f", {"unit": 12}, "Robotiq 2-finger gripper, unit 12, 115200 baud 8N1"),
         ("robotiq_3f", {}, "Robotiq 3-Finger, unit 9, 115200 baud 8N1"),
         ("onrobot_3fg", {"unit": 66, "framing": "rtu"}, "OnRobot 3FG, unit 66, 1000000 baud 8E1"),
+        ("onrobot_rg", {"unit": 67, "framing": "rtu"}, "OnRobot RG2, unit 67, 1000000 baud 8E1"),
         ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
         ("schunk_svh", {}, "SCHUNK SVH, firmware"),
         ("inspire_rh56", {"unit": 3}, "Inspire RH56, unit 3"),
+        ("linkerhand", {}, "LinkerHand O6, unit 39"),
+        ("linkerhand", {"model": "l10", "unit": 40}, "LinkerHand L10, unit 40"),
+        ("ability_hand", {}, "PSYONIC Ability Hand, address 80"),
     ],
 )
 async def test_a_device_on_a_line_is_found_with_its_options(
     name: str, properties: dict[str, object], what: str
 ) -> None:
     with SimulatedLine([device(name, **properties)], wire_time=False) as line:
-        found = await scanned(line, units=None if name == "onrobot_3fg" else [9, 12])
+        found = await scanned(line, units=None if name.startswith("onrobot") else [9, 12])
     assert [one.driver for one in found.found] == [name]
     assert found.found[0].what.startswith(what)
     assert found.found[0].options["port"]
@@ -63,6 +67,29 @@ async def test_a_compute_box_on_the_network_is_found() -> None:
     with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
         found = await scanned(line)
     assert [one.what for one in found.found] == ["OnRobot 3FG, unit 65"]
+
+
+@pytest.mark.parametrize("model", ["rg2", "rg6"])
+async def test_another_tool_behind_a_compute_box_is_found_with_its_model(model: str) -> None:
+    gripper = make_emulator("onrobot_rg", {"host": "x", "model": model})
+    with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
+        found = await scanned(line)
+        assert [one.what for one in found.found] == [f"OnRobot {model.upper()}, unit 65"]
+        assert found.found[0].options == {"port": line.address, "unit": 65, "model": model}
+        gripper.inject("wrong_device")
+        found = await scanned(line)
+    assert [(one.driver, one.what) for one in found.found] == [("", "OnRobot 2FG7, unit 65")]
+
+
+async def test_a_wsg_is_found_at_its_socket_and_nowhere_else() -> None:
+    with SimulatedLine([make_emulator("wsg50", {})], tcp=True, scheme="socket") as line:
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=serial_probes([9])[:1])], pool)
+    assert [one.what for one in found.found] == ["WSG 50, serial 1234, firmware 4.0.0"]
+    assert found.found[0].options == {"port": line.address}
+    async with BusPool() as pool:
+        for address in ("tcp://127.0.0.1:1", "/dev/null"):
+            assert await probes.wsg50().ask(pool, address) == []
 
 
 async def test_a_hand_on_modbus_is_told_from_grippers() -> None:

@@ -17,8 +17,8 @@ from rtee.drivers.onrobot_3fg.codec import (
     GripType,
     Scale,
     Status,
-    serial_number,
 )
+from rtee.drivers.onrobot_common import serial_number
 from rtee.errors import FrameError
 
 

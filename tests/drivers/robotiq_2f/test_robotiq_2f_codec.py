@@ -53,12 +53,17 @@ def test_a_command_is_the_manuals_frame(frame: str, command: Command) -> None:
     assert Command.from_registers(registers(frame, 7)) == command
 
 
-def test_a_whole_cycle_is_one_frame() -> None:
-    command = Command(activate=True, go=True, position=0x80, speed=255, force=0x40)
+@pytest.mark.parametrize(
+    ("force", "frame"),
+    [
+        (0x40, "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 40 96 56"),
+        (0x80, "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 80 96 06"),  # of a Hand-E
+    ],
+)
+def test_a_whole_cycle_is_one_frame(force: int, frame: str) -> None:
+    command = Command(activate=True, go=True, position=0x80, speed=255, force=force)
     pdu = bytes.fromhex("1707D0000303E8000306") + struct.pack(">3H", *command.to_registers())
-    assert rtu_frame(9, pdu) == bytes.fromhex(
-        "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 40 96 56"
-    )
+    assert rtu_frame(9, pdu) == bytes.fromhex(frame)
 
 
 READS = [
@@ -81,6 +86,10 @@ READS = [
     (
         "09 17 06 39 00 00 80 10 0A CF 0C",
         Status(True, True, Progress.DONE, 0, Grasp.MOVING, 0, 0x80, 16, 10),
+    ),
+    (
+        "09 17 06 39 00 00 80 40 0A F3 0C",
+        Status(True, True, Progress.DONE, 0, Grasp.MOVING, 0, 0x80, 0x40, 10),
     ),
     (
         "09 04 06 F1 00 0F 00 03 00 11 96",
@@ -132,6 +141,7 @@ def scales() -> list[Scale]:
         Scale(MODELS["2f_85"], 0.0, 0.82),
         Scale(MODELS["2f_140"], 0.0, 0.7, open_count=13),
         Scale(MODELS["hand_e"], 0.0, 0.025),
+        Scale(MODELS["hand_e_c10"], 0.0, 0.025, open_count=0, closed_count=255),
     ]
 
 
@@ -157,6 +167,15 @@ def test_effort_and_velocity_are_those_of_the_fingertips_by_virtual_work() -> No
     assert scale.velocity.to_si(255) == pytest.approx(0.150 * 0.8 / 0.085)
     assert scale.effort.to_count(math.inf) == scale.velocity.to_count(math.inf) == 255
     assert scale.effort.to_count(0.0) == scale.velocity.to_count(0.0) == 0
+
+
+@pytest.mark.parametrize(("name", "force"), [("hand_e", 130.0), ("hand_e_c10", 185.0)])
+def test_a_hand_e_slides_each_finger_half_its_stroke(name: str, force: float) -> None:
+    """50 mm, 20 to 150 mm/s, both fingers moving: at one of them half the way and speed."""
+    scale = Scale(MODELS[name], 0.0, 0.025, open_count=0, closed_count=255)
+    assert scale.position.to_si(51) == pytest.approx(0.005)
+    assert scale.velocity.si == pytest.approx((0.010, 0.075))
+    assert scale.effort.si == pytest.approx((40.0, 2.0 * force))
 
 
 def test_every_fault_has_a_name_and_all_but_warnings_a_hint() -> None:

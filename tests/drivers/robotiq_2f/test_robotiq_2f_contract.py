@@ -15,7 +15,7 @@ from rtee.drivers.robotiq_2f.codec import MODELS, Scale
 from rtee.drivers.robotiq_2f.driver import Robotiq2FDriver
 from rtee.errors import BusError, ConfigError, DeviceFault, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
-from rtee.types import Reference
+from rtee.types import JointKind, Reference
 
 SCALE = Scale(MODELS["2f_85"], 0.0, 0.82)
 
@@ -43,6 +43,24 @@ RTU = DeviceCase(
 
 class TestRtu(DriverContract):
     case = RTU
+
+
+FINGER = actuator(
+    "left_finger_joint", 0.0, 0.025, kind=JointKind.PRISMATIC, velocity=0.075, effort=260.0
+)
+HAND_E_SCALE = Scale(MODELS["hand_e"], 0.0, 0.025)
+HAND_E = replace(
+    RTU,
+    actuators=(FINGER,),
+    options={**RTU.options, "model": "hand_e"},
+    efforts=lambda emulator: [HAND_E_SCALE.effort.to_si(emulator.begun.force)],
+    max_efforts=[150.0],
+    tolerance=0.0005,
+)
+
+
+class TestHandE(DriverContract):
+    case = HAND_E
 
 
 pytestmark = pytest.mark.anyio
@@ -211,8 +229,23 @@ async def test_the_best_rate_is_that_of_the_wire() -> None:
         await driver.close()
 
 
+@pytest.mark.parametrize(
+    ("model", "silence"), [("hand_e", 0.00175), ("hand_e_c10", 0.010)], ids=["hand_e", "c10"]
+)
+async def test_a_c10_gets_the_silence_that_its_coupling_needs(model: str, silence: float) -> None:
+    case = replace(HAND_E, options={**HAND_E.options, "model": model})
+    async with BusPool() as pool:
+        driver = Robotiq2FDriver(case.spec(), pool)
+        await driver.configure()
+        exchange = 30 * 10 / 115200 + 2 * silence
+        assert driver.capabilities.best_rate == pytest.approx(1 / exchange)
+        assert driver.capabilities.identity["model"] == MODELS[model].name
+        await driver.close()
+
+
 def test_options_are_checked() -> None:
     for options, message in [
+        ({"model": "hand_f"}, "option 'model'"),
         ({"prot": "/dev/x"}, "unknown option 'prot'; did you mean 'port'"),
         ({"unit": 0}, "option 'unit'"),
         ({"home": "always"}, "option 'home'"),

@@ -227,3 +227,23 @@ def test_a_program_of_others_drives_it(socket: bool, model: Literal["2f_85", "2f
             assert 150 <= gripper.axis.position <= 157
         finally:
             client.disconnect()
+
+
+def test_a_hand_e_closes_at_the_speeds_and_grips_with_the_forces_of_its_sheet() -> None:
+    host = Host(model="hand_e", activated=True)
+    counts = 230.0 - 3.0
+    for byte, speed, force in ((0, 0.020, 20.0), (255, 0.150, 130.0)):
+        host.gripper.axis.obstacle = None
+        host.write(Command(activate=True, go=True, position=0, speed=255, force=255))
+        host.wait(2.0)
+        host.write(Command(activate=True, go=True, position=255, speed=byte, force=byte))
+        host.wait(0.1)
+        here = host.gripper.axis.position
+        host.wait(0.1)
+        way = (host.gripper.axis.position - here) * 0.050 / counts
+        # `wait` takes 0.1 s and one reading of 10 ms.
+        assert way == pytest.approx(0.11 * speed, rel=0.02)
+        host.gripper.axis.obstacle = VirtualObject(200, 1e3)
+        status = host.wait(4.0)
+        assert status.grasp is Grasp.CONTACT_CLOSING
+        assert host.gripper.axis.effort == pytest.approx(force)

@@ -1,0 +1,69 @@
+"""Common parts of OnRobot's grippers: registers, options, how a tool is told from another.
+
+Sources: the vendor's ROS 2 packages, its connectivity guide and published drivers, which agree on
+the addresses and units named here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from rtee.drivers.options import DeviceOptions
+from rtee.drivers.register_blocks import ExchangeKind
+
+TARGETS = 0x0000
+"""First of the registers that command."""
+
+PRODUCT = 0x0600  # register of the product code
+FIRMWARE = 0x0604  # register of the firmware's version
+SERIAL = 0x0609  # first register of the serial number
+SERIAL_COUNT = 16  # its registers, two characters each
+
+TENTH_MM = 1e-4  # m in a register's unit of widths and diameters
+
+PRODUCTS: dict[int, str] = {0x20: "RG2", 0x21: "RG6", 0xC0: "2FG7", 0xC1: "2FG14"}
+"""Product codes that the vendor's own packages give; that of the 3FG is contradicted."""
+
+
+class OnRobotOptions(DeviceOptions):
+    """Options of all of OnRobot's grippers."""
+
+    host: str = Field("192.168.1.1", description="the Compute Box's address (Modbus TCP)")
+    port: str | None = Field(
+        None, description="instead of `host`: tty, socket://, rfc2217:// (RTU) or tcp://host:port"
+    )
+    unit: int = Field(65, ge=0, le=255, description="65; 66 and 67 on a dual quick changer")
+    baudrate: int = Field(1_000_000, gt=0, description="of a direct line (8E1)")
+    exchange: ExchangeKind = Field("auto", description="function 23, or 16 and 3")
+    rate: float = Field(50.0, gt=0.0, description="exchanges per second through the Compute Box")
+    settle: float = Field(
+        0.1, ge=0.0, description="a reference that rests this long is gripped at with force [s]"
+    )
+
+    @property
+    def address(self) -> str:
+        """The address of the bus."""
+        return self.port or f"tcp://{self.host}"
+
+
+def signed(register: int) -> int:
+    """Return a register that is signed."""
+    return register - 0x10000 if register & 0x8000 else register
+
+
+def metres(tenth_mm: int) -> float:
+    """Return a length register of 0.1 mm in metres."""
+    return tenth_mm * TENTH_MM
+
+
+def version(register: int) -> str:
+    """Return the firmware's version: major in the high byte, minor in the low one."""
+    return f"{register >> 8}.{register & 0xFF}"
+
+
+def serial_number(registers: Sequence[int]) -> str:
+    """Return the serial number from its registers, two characters each."""
+    text = b"".join(register.to_bytes(2, "big") for register in registers)
+    return text.split(b"\0")[0].decode("ascii", "replace").strip()

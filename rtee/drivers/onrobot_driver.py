@@ -1,0 +1,229 @@
+"""Drives an OnRobot gripper: connect through the Compute Box or directly, identify, read, stop."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Generic, TypeVar
+
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.onrobot_common import (
+    FIRMWARE,
+    PRODUCT,
+    SERIAL,
+    SERIAL_COUNT,
+    TARGETS,
+    OnRobotOptions,
+    serial_number,
+    version,
+)
+from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    ConfigError,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+CONNECTING = 0.5
+"""Longest time for a request about the gripper while connecting [s]; the box may be slow."""
+
+_GATEWAY = (0x0A, 0x0B)
+"""Exceptions by which the Compute Box reports that no tool answers."""
+
+S = TypeVar("S")
+
+
+class OnRobotDriver(BlocksDriver, Generic[S]):
+    """An OnRobot gripper on Modbus, with one actuator.
+
+    It needs no activation and no homing, and attaches without writing anything.
+
+    Attributes:
+        MODEL: Its name in messages.
+        EMULATOR: The name of its emulator.
+        SOURCE: First register of its state.
+        COUNT: Registers of its state.
+        SENT: Registers of a command.
+    """
+
+    MODEL: ClassVar[str]
+    EMULATOR: ClassVar[str]
+    SOURCE: ClassVar[int]
+    COUNT: ClassVar[int]
+    SENT: ClassVar[int]
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool, settings: OnRobotOptions) -> None:
+        super().__init__(spec, buses)
+        self._settings = settings
+        if len(spec.actuators) != 1:
+            raise ConfigError(
+                f"device '{spec.name}': {self.MODEL} has one actuator, not {len(spec.actuators)}",
+                key=f"devices.{spec.name}.actuators",
+            )
+        self._status = self._decoded(())
+
+    # --- what differs ------------------------------------------------------------------------
+
+    @abstractmethod
+    def _decoded(self, block: Sequence[int]) -> S:
+        """Return the state from its registers, the default of none; raises `FrameError`."""
+
+    @abstractmethod
+    async def _described(self, bus: ModbusBus) -> dict[str, str]:
+        """Return what only this kind of gripper says about itself; raises `HandshakeError`."""
+
+    @abstractmethod
+    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
+        """Return what it measures and accepts."""
+
+    @abstractmethod
+    def _refuse(self, status: S) -> None:
+        """Raise the fault that it reports, if it does."""
+
+    @abstractmethod
+    def _measured(self, status: S, stamp: float) -> ActuatorState:
+        """Return a state in SI units."""
+
+    @abstractmethod
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Return what is to be sent for a reference, ``None`` for nothing."""
+
+    @abstractmethod
+    def _stopping(self) -> Sequence[int]:
+        """Return the registers that end its motion."""
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the connection and see whether such a gripper answers; moves nothing."""
+        options = self._settings
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                options.address,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                parity="E",
+                emulator=emulator_of(self.spec, self.EMULATOR, port=options.address),
+            ),
+            lambda bus: Blocks(
+                bus,
+                options.unit,
+                output=TARGETS,
+                source=self.SOURCE,
+                count=self.COUNT,
+                deadline=PATIENT,
+                kind=options.exchange,
+                # No document gives a refresh time, so only the wire limits the rate.
+                refresh=0.0,
+            ),
+        )
+        best = blocks.best_rate(self.SENT) if blocks.bus.rtu else options.rate
+        try:
+            identity = await self._identify(blocks.bus)
+        except BusTimeout as error:
+            raise self._absent("no answer") from error
+        except ModbusRefusal as error:
+            if error.code not in _GATEWAY:
+                raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
+            raise self._absent("the Compute Box finds no tool") from error
+        except FrameError as error:
+            raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
+        self.capabilities = self._abilities(best, identity)
+        self._pace(best)
+
+    def _absent(self, what: str) -> NotConnected:
+        return NotConnected(
+            self.spec.name,
+            f"{what} (unit {self._settings.unit} at {self._settings.address})",
+            hint="check supply, cable and `unit` (65; 66 or 67 on a dual quick changer)",
+        )
+
+    async def _identify(self, bus: ModbusBus) -> dict[str, str]:
+        self._status = await self._read()
+        unit = self._settings.unit
+        identity = {"address": f"unit {unit}", **await self._described(bus)}
+        # Few sources document these registers, so they are shown and nothing depends on them.
+        with contextlib.suppress(BusError):
+            product, firmware, serial = [
+                await bus.read(unit, register, count, deadline=CONNECTING)
+                for register, count in ((PRODUCT, 1), (FIRMWARE, 1), (SERIAL, SERIAL_COUNT))
+            ]
+            identity["product code"] = f"{product[0]:#04x}"
+            identity["firmware"] = version(firmware[0])
+            identity["serial"] = serial_number(serial)
+        return identity
+
+    async def activate(self) -> None:
+        """See that it reports no fault."""
+        with self.connection.link.unhurried():
+            self._status = await self._read()
+        self._refuse(self._status)
+        self._forget()
+        self._active = True
+
+    async def examine(self) -> str:
+        """Raise the fault that it reports."""
+        self._refuse(await self._read())
+        return ""
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return what the last exchange brought, or read it."""
+        kept = self._last_read()
+        if kept is None:
+            self._note(await self._read())
+        stamp = time.monotonic() if kept is None else kept[1]
+        if self._active:
+            self._refuse(self._status)
+        return self._measured(self._status, stamp)
+
+    async def move(self, reference: Reference) -> None:
+        """Send what a reference asks for, in one frame."""
+        if not reference.mask[0]:
+            return
+        registers = self._registers_for(reference)
+        if registers is None:
+            return
+        blocks = self.connection.link
+        block = await blocks.exchange(registers)
+        self._note(self._decoded(block))
+        self._accepted()
+        blocks.keep(block)
+
+    def _note(self, status: S) -> None:
+        """Take over what was read."""
+        self._status = status
+
+    def _accepted(self) -> None:
+        """Note that the last command has arrived."""
+
+    def _forget(self) -> None:
+        """Forget what was commanded."""
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if await self._insist(self._stopping()):
+            self._forget()
+
+    async def recover(self) -> None:
+        """Stop, and see that the cause of the fault is gone."""
+        with self.connection.link.unhurried():
+            self._status = await self._read()
+        self._refuse(self._status)
+        await self.stop()
+
+    async def _read(self) -> S:
+        return self._decoded(await self.connection.link.read())

@@ -1,0 +1,1 @@
+"""OnRobot RG2 and RG6."""

@@ -1,0 +1,209 @@
+"""Registers, units and linkage of OnRobot's RG2 and RG6; no I/O.
+
+Sources: published drivers and the vendor's ROS 2 packages, which agree on addresses, control codes
+and status bits; the linkage is that of the vendor's model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+from rtee.drivers.onrobot_common import TENTH_MM, signed
+from rtee.drivers.scale import LinearScale
+from rtee.errors import FrameError
+
+OFFSET = 0x0102
+"""Fingertip offset, signed [0.1 mm]."""
+
+STATE = 0x010B
+"""Width without the fingertips' offset; the status follows."""
+
+TIPS_WIDTH = 0x0113
+"""Width with the fingertips' offset [0.1 mm]."""
+
+SET_OFFSET = 0x0407
+"""Sets the fingertip offset [0.1 mm]."""
+
+_RESERVED = 0xFF80  # bits of the status without a meaning
+_TENTH_NEWTON = 0.1  # N in the force register's unit
+
+
+class Control(IntEnum):
+    """Values of register 2, the command."""
+
+    NONE = 0
+    GRIP = 1
+    """Grip to a width without the fingertips' offset."""
+    STOP = 8
+    GRIP_WITH_OFFSET = 16
+    """Grip to a width between the fingertips' surfaces."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """The differences between the models.
+
+    Attributes:
+        name: Its name.
+        stroke: Largest width without fingertips [m].
+        force: Largest force [N].
+        link: Length of a finger's links, from pivot to pivot [m].
+        rise: How far the outer pivot is out of line with the link's frame [m].
+        gap: Width between the faces of the outer links' carriers where the links are upright [m].
+        speed: Of the links [rad/s].
+    """
+
+    name: str
+    stroke: float
+    force: float
+    link: float
+    rise: float
+    gap: float
+    speed: float
+
+    @property
+    def phase(self) -> float:
+        """Angle of the joint at which the links are upright [rad]."""
+        return math.asin(self.rise / self.link)
+
+    def width(self, angle: float) -> float:
+        """Return the width without fingertips [m] at a joint angle [rad]; positive angles open."""
+        return 2.0 * self.link * math.sin(angle - self.phase) + self.gap
+
+    def angle(self, width: float) -> float:
+        """Return the joint angle [rad] at a width without fingertips [m]."""
+        sine = (width - self.gap) / (2.0 * self.link)
+        # A reading beyond the links must not leave the range of the arc sine.
+        return self.phase + math.asin(min(max(sine, -1.0), 1.0))
+
+    def lever(self, angle: float) -> float:
+        """Return the change of the width with the joint's angle [m/rad]."""
+        return 2.0 * self.link * math.cos(angle - self.phase)
+
+
+FINGERTIP = 0.0049
+"""Thickness of the fingertips from the factory [m]; a published driver's default for the RG2."""
+
+MODELS: dict[str, Model] = {
+    "rg2": Model("RG2", 0.110, 40.0, 0.055, 0.0025, 2 * FINGERTIP - 0.0039, math.radians(67.35)),
+    "rg6": Model("RG6", 0.160, 120.0, 0.080, 0.0042, 2 * FINGERTIP - 0.0016, math.radians(48.65)),
+}
+"""The models by the name in the options.
+
+The vendor's model gives gaps of -3.9 and -1.6 mm, with which neither gripper could open to its
+stroke: its links would have to be longer. They are taken to be those between fingertips of
+`FINGERTIP`; without them both models open to their stroke at about 1.3 rad.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host asks for: registers 0 to 2, best written in one frame.
+
+    Attributes:
+        force: Target force [0.1 N].
+        width: Target width [0.1 mm].
+        control: What to do.
+    """
+
+    force: int
+    width: int
+    control: Control = Control.NONE
+
+    def to_registers(self) -> tuple[int, int, int]:
+        """Return the three registers."""
+        return self.force, self.width, self.control
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from three registers.
+
+        Raises:
+            FrameError: if control has no such value.
+        """
+        try:
+            return cls(registers[0], registers[1], Control(registers[2]))
+        except ValueError as error:
+            raise FrameError(bus, f"no command of an RG: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The gripper's state: registers 010B and 010C.
+
+    Attributes:
+        width: Without the fingertips' offset [0.1 mm].
+        busy: It moves or builds up force, and ignores commands but *stop*.
+        grip_detected: It holds something, from outside or from inside.
+        pushed: Whether safety switch 1 and 2 are pushed.
+        triggered: Whether they were pushed during a motion.
+        safety_error: One of them was pushed at power-up.
+    """
+
+    width: int = 0
+    busy: bool = False
+    grip_detected: bool = False
+    pushed: tuple[bool, bool] = (False, False)
+    triggered: tuple[bool, bool] = (False, False)
+    safety_error: bool = False
+
+    def to_registers(self) -> tuple[int, int]:
+        """Return the two registers."""
+        bits = self.busy | self.grip_detected << 1 | self.safety_error << 6
+        for i in range(2):
+            bits |= self.pushed[i] << 2 + 2 * i | self.triggered[i] << 3 + 2 * i
+        return self.width & 0xFFFF, bits
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it from two registers.
+
+        Raises:
+            FrameError: if bits without a meaning are set.
+        """
+        width, bits = registers[:2]
+        if bits & _RESERVED:
+            raise FrameError(bus, f"no status of an RG: {bits:#06x}", bits.to_bytes(2, "big"))
+        return cls(
+            width=signed(width),
+            busy=bool(bits & 1),
+            grip_detected=bool(bits & 2),
+            pushed=(bool(bits & 4), bool(bits & 16)),
+            triggered=(bool(bits & 8), bool(bits & 32)),
+            safety_error=bool(bits & 64),
+        )
+
+
+class Scale:
+    """Converts between registers and the actuator's units.
+
+    The actuator is the angle of a finger's links, as in `Model.angle`. The gripper regulates its
+    force at the fingertips itself, at any width; so effort is proportional to force, by the virtual
+    work of the whole way.
+
+    Args:
+        model: The gripper.
+        lower: Lower limit of the actuator, where the fingertips meet [rad].
+        upper: Its upper limit, open [rad].
+
+    Attributes:
+        effort: Force [0.1 N] to [N·m].
+    """
+
+    def __init__(self, model: Model, lower: float, upper: float) -> None:
+        self._model = model
+        most = model.force * (model.width(upper) - model.width(lower)) / (upper - lower)
+        self.effort = LinearScale((0.0, model.force / _TENTH_NEWTON), (0.0, most))
+
+    def position(self, width: int) -> float:
+        """Return the actuator's position [rad] at a width [0.1 mm]."""
+        return self._model.angle(width * TENTH_MM)
+
+    def width(self, position: float) -> int:
+        """Return the width [0.1 mm] at a position [rad], within the stroke."""
+        width = self._model.width(position)
+        return round(min(max(width, 0.0), self._model.stroke) / TENTH_MM)

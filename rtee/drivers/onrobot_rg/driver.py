@@ -1,0 +1,195 @@
+"""Drives an OnRobot RG2 or RG6 over Modbus, through the Compute Box or directly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal
+
+from pydantic import BaseModel, Field
+
+from rtee.buses.modbus import ModbusBus
+from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TENTH_MM, OnRobotOptions, signed
+from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
+from rtee.drivers.onrobot_rg.codec import (
+    MODELS,
+    OFFSET,
+    SET_OFFSET,
+    STATE,
+    Command,
+    Control,
+    Scale,
+    Status,
+)
+from rtee.drivers.options import read_options
+from rtee.drivers.step_follower import Order, StepFollower
+from rtee.errors import DeviceFault, HandshakeError
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+_REACHED = 3
+"""A width this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
+
+_SAME = 10
+"""A width this near to the measured one asks for no motion of a gripper just attached to [0.1 mm].
+
+It is ten times the resolution: a held object yields by some of that.
+"""
+
+_EMPTY = 10
+"""Fingertips this near to where they meet hold nothing [0.1 mm]: they press on each other."""
+
+
+class OnRobotRGOptions(OnRobotOptions):
+    """Options of an RG2 or RG6."""
+
+    model: Literal["rg2", "rg6"] = "rg2"
+    fingertip_offset: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.05,
+        description="thickness of the fingertips [m], set in the gripper when it is activated; by "
+        "default as it has it",
+    )
+    step: float = Field(
+        0.005,
+        gt=0.0,
+        description="a moving reference is followed in steps of at least this width [m]",
+    )
+
+
+class OnRobotRGDriver(OnRobotDriver[Status]):
+    """An RG2 or RG6.
+
+    The gripper has one command, *grip to a width with a force*, which it ignores while it is busy,
+    and takes no speed. So references are followed in steps: see `StepFollower`.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
+    MODEL: ClassVar[str] = "an OnRobot RG"
+    EMULATOR: ClassVar[str] = "onrobot_rg"
+    SOURCE: ClassVar[int] = STATE
+    COUNT: ClassVar[int] = len(Status().to_registers())
+    SENT: ClassVar[int] = len(Command(0, 0).to_registers())
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        self.options = read_options(OnRobotRGOptions, spec)
+        super().__init__(spec, buses, self.options)
+        actuator = spec.actuators[0]
+        self._model = MODELS[self.options.model]
+        self.scale = Scale(self._model, actuator.lower, actuator.upper)
+        self._closed = self.scale.width(actuator.lower)
+        step = self.options.step / TENTH_MM
+        self._follower = StepFollower(self.options.settle, step, _SAME, _REACHED)
+        self.capabilities = self._abilities(self.options.rate, {})
+
+    def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
+        grip = GripForce(self.scale.effort.si, (0.0,), (self._model.force,))
+        return Capabilities(
+            measures=frozenset({"position", "grasped"}),
+            accepts=frozenset({"position", "max_effort"}),
+            refuses={"max_velocity": "it takes no speed; limit the velocity in hand.yaml"},
+            best_rate=best_rate,
+            recoverable=True,
+            grip={self.spec.actuators[0].name: grip},
+            identity={"model": f"OnRobot {self._model.name}", **identity},
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    def _decoded(self, block: Sequence[int]) -> Status:
+        return Status.from_registers(block, self._settings.address) if block else Status()
+
+    async def _described(self, bus: ModbusBus) -> dict[str, str]:
+        unit = self.options.unit
+        [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
+        found = PRODUCTS.get(product)
+        # Older lists number the models otherwise; a code that is in neither list is left to the
+        # option.
+        if found is not None and found != self._model.name:
+            ours = found.lower() in MODELS
+            raise HandshakeError(
+                self.spec.name,
+                f"an OnRobot {self._model.name}",
+                f"an OnRobot {found}",
+                hint=f"set 'model: {found.lower()}'" if ours else "is another tool mounted?",
+            )
+        offset = await self._offset(bus)
+        return {"fingertip offset": f"{offset * TENTH_MM * 1000:.1f} mm"}
+
+    async def _offset(self, bus: ModbusBus) -> int:
+        [offset] = await bus.read(self.options.unit, OFFSET, 1, deadline=CONNECTING)
+        return signed(offset)
+
+    async def activate(self) -> None:
+        """See that no safety switch keeps it from moving; set the fingertips' offset if given."""
+        await super().activate()
+        wanted = self.options.fingertip_offset
+        if wanted is None:
+            return
+        bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
+        if await self._offset(bus) != tenths:
+            await bus.write(self.options.unit, SET_OFFSET, (tenths,), deadline=CONNECTING)
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    def _measured(self, status: Status, stamp: float) -> ActuatorState:
+        pushed = [f"safety switch {i + 1} is pushed" for i in range(2) if status.pushed[i]]
+        return ActuatorState.measured(
+            [self.scale.position(status.width)],
+            stamp,
+            grasped=(self._holds,),
+            warnings=tuple(pushed),
+        )
+
+    @property
+    def _holds(self) -> bool:
+        return self._status.grip_detected and self._status.width > self._closed + _EMPTY
+
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        status = self._status
+        width = self.scale.width(float(reference.position[0]))
+        force = self.scale.effort.to_count(float(reference.max_effort[0]))
+        order = self._follower.next(
+            width, force, status.width, busy=status.busy, held=status.grip_detected
+        )
+        if order is Order.NOTHING:
+            return None
+        if order is Order.STOP:
+            return self._stopping()
+        return Command(force, width, Control.GRIP).to_registers()
+
+    def _accepted(self) -> None:
+        self._follower.sent()
+
+    def _forget(self) -> None:
+        self._follower.forget()
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    def _stopping(self) -> Sequence[int]:
+        force = round(self._follower.force or 0.0)
+        return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
+
+    async def recover(self) -> None:
+        """Stop, and see that no safety switch is pushed and none keeps it from moving."""
+        await super().recover()
+        for i, pushed in enumerate(self._status.pushed):
+            if pushed:
+                raise self._fault(2 + 2 * i, f"safety switch {i + 1} is pushed", "release it")
+
+    def _refuse(self, status: Status) -> None:
+        restart = "restart the tool, from the Compute Box's web page or by its power, then recover"
+        for i, triggered in enumerate(status.triggered):
+            if triggered:
+                name = f"safety switch {i + 1} was pushed during a motion"
+                raise self._fault(3 + 2 * i, name, f"free the switch, {restart}")
+        if status.safety_error:
+            name = "a safety switch was pushed at power-up"
+            raise self._fault(6, name, f"free the switches, {restart}")
+
+    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
+        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
+        self._active = False
+        return DeviceFault(self.spec.name, code, name, hint=hint)

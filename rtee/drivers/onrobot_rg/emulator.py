@@ -1,0 +1,274 @@
+"""Emulates an OnRobot RG2 or RG6 on the wire: its registers through the Compute Box or RTU.
+
+What no document states is a property here: the time to build up the force, and whether fingertips
+that meet each other count as a grip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
+
+from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing
+from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TARGETS, TENTH_MM, signed
+from rtee.drivers.onrobot_emulator import (
+    IDENTITY,
+    OnRobotEmulator,
+    OnRobotProperties,
+    Window,
+    fitting,
+    identity,
+)
+from rtee.drivers.onrobot_rg.codec import (
+    FINGERTIP,
+    MODELS,
+    OFFSET,
+    SET_OFFSET,
+    STATE,
+    TIPS_WIDTH,
+    Control,
+    Status,
+)
+from rtee.drivers.properties import Duration, read_properties
+
+_PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
+_SAFETY_ERROR = "safety_error"
+_NEAR = 1e-4
+"""Part of the largest force within which the force counts as built up, and of a radian within which
+a target counts as reached."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnRobotRGProperties(OnRobotProperties):
+    """Properties of the emulated gripper besides those that all of them have.
+
+    Attributes:
+        model: ``rg2`` or ``rg6``.
+        fingertip: Thickness of the fingertips mounted [m].
+        offset: Fingertip offset in its registers at power-up [m].
+        position: Width without fingertips at power-up [m]; by default open.
+        force_time: Time to build up the force after the contact [s].
+        empty_grip: Whether fingertips that meet each other count as a grip.
+        serial: Its serial number.
+    """
+
+    model: Literal["rg2", "rg6"] = "rg2"
+    fingertip: Duration = FINGERTIP
+    offset: Duration = FINGERTIP
+    position: float | None = None
+    force_time: Duration = 0.1
+    empty_grip: bool = True
+    serial: str = "RG-EMULATED"
+
+
+class OnRobotRGEmulator(OnRobotEmulator):
+    """An RG2 or RG6.
+
+    A safety switch that is pushed during a motion, or is pushed when a motion is asked for, stops
+    it until the switch is released and the tool is restarted.
+
+    Attributes:
+        axis: Its links; position is their angle [rad], effort the force [N].
+        begun: The force register when the last motion started.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
+        _PUSHED_1,
+        _PUSHED_2,
+        _SAFETY_ERROR,
+    }
+    READABLE: ClassVar[Sequence[Window]] = (
+        (TARGETS, TARGETS + 2),
+        (0x0100, 0x0117),
+        (SET_OFFSET, SET_OFFSET),
+        IDENTITY,
+    )
+    WRITABLE: ClassVar[Sequence[Window]] = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
+
+    def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
+        made = self.properties = properties or OnRobotRGProperties()
+        super().__init__(made)
+        model = self.model = MODELS[made.model]
+        self._opened = model.angle(model.stroke)
+        self._closed = model.angle(2.0 * made.fingertip)
+        self.axis = Axis(
+            self._opened if made.position is None else model.angle(made.position),
+            lower=self._closed,
+            upper=self._opened,
+            max_velocity=model.speed,
+            max_effort=0.0,
+            time_constant=0.01,
+            resolution=1e-4,
+        )
+        self.axis.rating = model.force
+        self.axis.enabled = True
+        self.axis.self_locking = True  # the worm gear keeps the fingers where they are
+        self.begun = 0
+        self._offset = round(made.offset / TENTH_MM)
+        self._triggered = [False, False]
+        self._error = False
+        self.power_cycle(0.0)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the gripper that a driver's options describe."""
+        found = fitting(options, "unit", "baudrate", "model")
+        return cls(read_properties(OnRobotRGProperties, options, **found))
+
+    def power_cycle(self, now: float) -> None:
+        """Forget targets and safety stops; the encoder is absolute and the gear holds."""
+        self.line_reset()
+        self._targets = [0, round(self._width * 1e4), 0]
+        self._busy = False
+        self._contact = False
+        self._building = 0.0
+        self._triggered = [False, False]
+        self._error = any(self._pushed)
+        self._halt()
+
+    def _halt(self) -> None:
+        self.axis.target = self.axis.position
+
+    @property
+    def _width(self) -> float:
+        """Width without fingertips [m]."""
+        return self.model.width(self.axis.position)
+
+    @property
+    def _pushed(self) -> tuple[bool, bool]:
+        return _PUSHED_1 in self.faults, _PUSHED_2 in self.faults
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close."""
+        return [Closing(self.axis, self._opened, self._closed, self.model.force)]
+
+    def closure_at(self, width: float) -> float:
+        """Return how far the fingers are closed at a width between the fingertips [m]."""
+        reach = self.model.stroke - 2.0 * self.properties.fingertip
+        if width > reach:
+            return -1.0
+        angle = self.model.angle(width + 2.0 * self.properties.fingertip)
+        return (angle - self._opened) / (self._closed - self._opened)
+
+    def grip_object(self, width: float = 0.06, force: int = 200, stiffness: float = 1e4) -> None:
+        """Grip an object, as if another program had done so before.
+
+        Args:
+            width: Of the object [m].
+            force: In the register [0.1 N].
+            stiffness: Of the object [N/rad of the links].
+        """
+        angle = self.model.angle(width + 2.0 * self.properties.fingertip)
+        self.axis.obstacle = VirtualObject(angle, stiffness, closing=-1.0)
+        self._targets = [force, 0, Control.GRIP]
+        self._start(0.0)
+        # Ten seconds, long enough to arrive and to build up the whole force.
+        for _ in range(100):
+            self._advance_by(0.1)
+        self.moves = 0
+
+    def on_faults(self) -> None:
+        """Push the safety switches and block the motor, as the faults say."""
+        super().on_faults()
+        for i, pushed in enumerate(self._pushed):
+            if not pushed:
+                # Clearing the fault is releasing the switch and restarting the tool.
+                self._triggered[i] = False
+            elif self._busy:
+                self._trip(i)
+        self._error = _SAFETY_ERROR in self.faults
+
+    def _trip(self, switch: int) -> None:
+        self._triggered[switch] = True
+        self._busy = False
+        self._halt()
+
+    # --- registers -------------------------------------------------------------------------------
+
+    def _set(self, address: int, values: Sequence[int]) -> None:
+        if address == SET_OFFSET:
+            self._offset = signed(values[0])
+            return
+        self._targets[address : address + len(values)] = values
+        # Only a write that includes the control register starts anything, as on the device.
+        if address + len(values) == 3:
+            self._command(values[-1])
+
+    def registers(self) -> Mapping[int, int]:
+        """Return what is in the registers."""
+        status = self.status()
+        known = {TARGETS + i: value for i, value in enumerate(self._targets)}
+        known |= {OFFSET: self._offset, SET_OFFSET: self._offset}
+        known |= {STATE + i: value for i, value in enumerate(status.to_registers())}
+        known |= {TIPS_WIDTH: status.width - 2 * self._offset}
+        codes = {name: code for code, name in PRODUCTS.items()}
+        known |= identity(codes[self.model.name], self.properties.serial)
+        if "wrong_device" in self.faults:
+            known |= {PRODUCT: codes["2FG7"]}
+        return known
+
+    def status(self) -> Status:
+        """Return the gripper's state."""
+        return Status(
+            width=round(self._width * 1e4),
+            busy=self._busy,
+            grip_detected=self._contact,
+            pushed=self._pushed,
+            triggered=(self._triggered[0], self._triggered[1]),
+            safety_error=self._error,
+        )
+
+    # --- behaviour -------------------------------------------------------------------------------
+
+    def _command(self, value: int) -> None:
+        try:
+            control = Control(value)
+        except ValueError:
+            raise Refused(ILLEGAL_VALUE) from None
+        if control is Control.STOP:
+            self._busy = False
+            self._halt()
+        elif control is not Control.NONE and not (self._busy or self._locked()):
+            tips = 2 * self._offset if control is Control.GRIP_WITH_OFFSET else 0
+            self._start((self._targets[1] + tips) * TENTH_MM)
+
+    def _locked(self) -> bool:
+        """Return whether a safety switch keeps it from moving; one that is pushed now trips."""
+        for i, pushed in enumerate(self._pushed):
+            if pushed:
+                self._trip(i)
+        return any(self._triggered) or self._error
+
+    def _start(self, width: float) -> None:
+        """Begin to grip to a width without fingertips [m]."""
+        self._busy = True
+        self._contact = False
+        self._building = 0.0
+        self.axis.max_effort = self._force() * _NEAR
+        angle = self.model.angle(min(max(width, 0.0), self.model.stroke))
+        self.axis.target = min(max(angle, 0.0), self._opened)
+        self.moves += 1
+        self.begun = self._targets[0]
+
+    def _force(self) -> float:
+        """Return the force asked for, within the model's [N]."""
+        return min(self._targets[0] / 10.0, self.model.force)
+
+    def _advance_by(self, dt: float) -> None:
+        self.axis.advance(dt)
+        if not self._busy or self.axis.velocity != 0.0:
+            return
+        meet = math.isclose(self.axis.position, self._closed, abs_tol=_NEAR)
+        there = abs(self.axis.target - self.axis.position) < _NEAR
+        if there or self.axis.stuck or (meet and not self.properties.empty_grip):
+            self._busy = False
+            return
+        self._contact = True
+        self._building += dt
+        part = min(self._building / max(self.properties.force_time, 1e-6), 1.0)
+        self.axis.max_effort = self._force() * max(part, _NEAR)
+        self._busy = part < 1.0

@@ -1,0 +1,1 @@
+"""SCHUNK / Weiss Robotics WSG 50."""

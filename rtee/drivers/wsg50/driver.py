@@ -1,0 +1,359 @@
+"""Drives a SCHUNK WSG 50 by its binary commands over TCP."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from pydantic import BaseModel, Field
+
+from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.scale import LinearScale
+from rtee.drivers.step_follower import Order, StepFollower
+from rtee.drivers.wsg50.codec import (
+    PORT,
+    Command,
+    Frame,
+    Grasping,
+    Info,
+    Limits,
+    State,
+    WsgFrameError,
+    acknowledge,
+    grasp,
+    home,
+    move,
+    release,
+    setting,
+)
+from rtee.drivers.wsg50.link import Report, WsgLink, WsgRefusal
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    ConfigError,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+_TRIES = 3
+"""Attempts for what must arrive, as a stop."""
+_POLL = 0.05
+"""Time between two reports while it homes [s]; published programs ask no faster."""
+_SAME, _REACHED = 1.0, 0.3
+"""Widths this near to the measured one ask for no motion of a gripper just attached to, and count
+as reached [mm]; fingers that hold something yield by some of that."""
+_EMPTY = 1.0
+"""Fingers this near to each other hold nothing [mm]."""
+_NOT_REFERENCED = 0
+"""Code of the fault; the others' codes are the numbers of their bits, too."""
+_HOME = "`rtee recover`, or `rtee run --home`, homes it: the fingers move all the way"
+_FAULTS: Mapping[State, tuple[str, str]] = {
+    State.FAST_STOP: ("fast stop", "see what caused it, then `rtee recover`, which clears it"),
+    State.TEMPERATURE_ERROR: ("over temperature", "let it cool down, then `rtee recover`"),
+    State.POWER_ERROR: ("supply out of range", "check the 24 V supply, then `rtee recover`"),
+    State.CURRENT_ERROR: ("motor current too high", "free the fingers, then `rtee recover`"),
+    State.FINGER_ERROR: ("finger fault", "check the fingers' connectors, then `rtee recover`"),
+}
+_WARNINGS: Mapping[State, str] = {
+    State.TEMPERATURE_WARNING: "near its highest temperature",
+    State.SOFT_LIMIT_MINUS: "at its lower soft limit",
+    State.SOFT_LIMIT_PLUS: "at its upper soft limit",
+    State.SCRIPT_ERROR: "its script has failed",
+}
+_AT_WORK = frozenset({Grasping.CLOSING, Grasping.RELEASING, Grasping.POSITIONING})
+
+
+class Wsg50Options(DeviceOptions):
+    """Options of a WSG 50."""
+
+    port: str = Field(
+        f"socket://192.168.1.20:{PORT}",
+        description="socket://host:port; the address is that from the factory",
+    )
+    home: Literal["on_demand", "on_connect"] = Field(
+        "on_demand", description="when a gripper that is not referenced is homed, which moves it"
+    )
+    home_timeout: float = Field(20.0, gt=0.0, description="[s]")
+    settle: float = Field(
+        0.1, ge=0.0, description="a reference that rests this long is gone to, however near [s]"
+    )
+    step: float = Field(
+        0.005,
+        gt=0.0,
+        description="a moving reference is followed in steps of at least this width [m]",
+    )
+    rate: float = Field(20.0, gt=0.0, description="exchanges per second; faster may upset it")
+
+
+class Wsg50Driver(Driver):
+    """A WSG 50.
+
+    A motion is one command, and another is refused until it has ended. So references are followed
+    in steps: see `StepFollower`. What blocks a closing motion is grasped, with the force asked for;
+    what is grasped is released before it opens. It attaches without writing anything.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = Wsg50Options
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        options = self.options = read_options(Wsg50Options, spec)
+        if len(spec.actuators) != 1:
+            raise ConfigError(
+                f"device '{spec.name}': a WSG 50 has one actuator, not {len(spec.actuators)}",
+                key=f"devices.{spec.name}.actuators",
+            )
+        self.connection: Connection[WsgLink] = Connection(spec)
+        self._follower = StepFollower(options.settle, options.step * 1e3, _SAME, _REACHED)
+        self._report = Report()
+        self._active = False
+        self._home_asked = False
+        self._moving_to: float | None = None
+        self._force = float("nan")
+        self._adopt(Limits(), {})
+
+    def _adopt(self, limits: Limits, identity: Mapping[str, str]) -> None:
+        """Take over the gripper's own limits."""
+        actuator = self.spec.actuators[0]
+        self._limits = limits
+        self.position = LinearScale((limits.stroke, 0.0), (actuator.lower, actuator.upper))
+        per_position = 1e-3 * limits.stroke / (actuator.upper - actuator.lower)
+        self._speed_of = 1e3 * per_position  # mm/s of the width in a unit of the actuator's
+        least, nominal, _ = limits.force
+        self.effort = LinearScale((least, nominal), (least * per_position, nominal * per_position))
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "velocity", "effort", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=self.options.rate,
+            homing=True,
+            recoverable=True,
+            grip={actuator.name: GripForce(self.effort.si, (least,), (nominal,))},
+            identity={"model": "WSG 50", **identity},
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Connect and check that a WSG answers; moves nothing."""
+        options = self.options
+        # Emulated, it is found referenced, as after an earlier run, unless it is to be homed.
+        found = {"referenced": options.home == "on_demand", **options.emulator}
+        link = await self.connection.open(
+            self.buses.serial(
+                options.port,
+                owner=self.connection.owner,
+                emulator=emulator_of(self.spec, "wsg50", emulator=found),
+            ),
+            lambda bus: WsgLink(bus, 0.5),
+        )
+        try:
+            with link.unhurried():
+                info = Info.from_bytes((await link.ask(Frame(Command.INFO))).payload[2:])
+                limits = Limits.from_frame(await link.ask(Frame(Command.LIMITS)))
+                self._report = await link.report()
+        except BusTimeout as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no answer at {options.port}",
+                hint="check supply, cable and address; only one program can be connected",
+            ) from error
+        except (WsgFrameError, WsgRefusal, FrameError) as error:
+            raise HandshakeError(self.spec.name, "a WSG 50", str(error)) from error
+        self._adopt(
+            limits,
+            {
+                "address": options.port,
+                "firmware": info.version,
+                "serial": str(info.serial),
+                "stroke": f"{limits.stroke:g} mm",
+            },
+        )
+        every = self.spec.every or max(1.0, self.spec.rate / options.rate)
+        # One and a half of its periods leaves room for jitter.
+        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.03)
+
+    async def activate(self) -> None:
+        """Attach to a gripper that is referenced; home one that is not where that was asked for."""
+        link = self.connection.link
+        with link.unhurried():
+            self._report = await link.report()
+            self._refuse(self._report)
+            if not self._report.state & State.REFERENCED:
+                if not (self.options.home == "on_connect" or self._home_asked):
+                    raise self._unreferenced()
+                await self._homed(link)
+        self._home_asked = False
+        self._forget()
+        self._active = True
+
+    async def _homed(self, link: WsgLink) -> None:
+        self.doing = "homing"
+        try:
+            async with asyncio.timeout(self.options.home_timeout):
+                await link.begin(home())
+                while True:
+                    await asyncio.sleep(_POLL)
+                    report = self._report = await link.report()
+                    self._refuse(report)
+                    if report.state & State.REFERENCED and not report.state & State.MOVING:
+                        return
+        except BusTimeout:
+            raise
+        except TimeoutError:
+            await self.stop()
+            raise self._fault(
+                _NOT_REFERENCED, "homing not done in time", "free the fingers, then `rtee recover`"
+            ) from None
+        except asyncio.CancelledError:
+            await self.stop()
+            raise
+        finally:
+            self.doing = ""
+
+    async def examine(self) -> str:
+        """Return whether it is not homed; raises the fault that it reports."""
+        report = self._report = await self.connection.link.report()
+        self._refuse(report)
+        return "" if report.state & State.REFERENCED else "not homed"
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return width, speed, force and grasp."""
+        report = self._report = await self.connection.link.report()
+        stamp = time.monotonic()
+        if self._active:
+            self._refuse(report)
+            if not report.state & State.REFERENCED:
+                raise self._unreferenced()
+        # Widths grow while it opens, positions while it closes; a force presses inwards.
+        return ActuatorState.measured(
+            [self.position.to_si(report.width)],
+            stamp,
+            velocity=[-report.speed / self._speed_of],
+            effort=[self.effort.gain * report.force],
+            grasped=(self._holds,),
+            warnings=tuple(text for bit, text in _WARNINGS.items() if report.state & bit),
+        )
+
+    @property
+    def _holds(self) -> bool:
+        report = self._report
+        return report.grasping is Grasping.HOLDING and report.width > _EMPTY
+
+    @property
+    def _busy(self) -> bool:
+        return bool(self._report.state & State.MOVING) or self._report.grasping in _AT_WORK
+
+    async def move(self, reference: Reference) -> None:
+        """Follow a reference in steps."""
+        if not reference.mask[0]:
+            return
+        limits, report, link = self._limits, self._report, self.connection.link
+        width = min(max(self.position.to_raw(float(reference.position[0])), 0.0), limits.stroke)
+        least, nominal, _ = limits.force
+        wanted = self.effort.to_raw(float(reference.max_effort[0]))
+        force = min(max(wanted, least), nominal)
+        speed = float(reference.max_velocity[0]) * self._speed_of
+        speed = min(max(speed, limits.speed[0]), limits.speed[1])
+        held = report.grasping is Grasping.HOLDING
+        order = self._follower.next(width, force, report.width, busy=self._busy, held=held)
+        if order is Order.STOP:
+            await link.ask(Frame(Command.STOP))
+            self._follower.sent()
+        elif order is Order.GO or self._meets(width):
+            await self._limit_force(link, force)
+            if await link.begin(self._motion(width, speed)):
+                self._follower.sent()
+
+    def _meets(self, width: float) -> bool:
+        """Return whether a motion to a width has just met something, which is to be grasped."""
+        report = self._report
+        closes = self._moving_to is not None and width < report.width - _REACHED
+        return closes and bool(report.state & State.BLOCKED_MINUS) and not self._busy
+
+    def _motion(self, width: float, speed: float) -> Frame:
+        """Return the command that leads to a width [mm] at a speed [mm/s]."""
+        report, meets = self._report, self._meets(width)
+        self._moving_to = None
+        held = report.grasping is Grasping.HOLDING
+        if meets or (held and width <= report.width):
+            return grasp(report.width, speed)
+        if held:
+            return release(width, speed)
+        self._moving_to = width
+        return move(width, speed, stop_on_block=True)
+
+    async def _limit_force(self, link: WsgLink, force: float) -> None:
+        if force != self._force:
+            await link.ask(setting(Command.SET_FORCE, force))
+            self._force = force
+
+    def _forget(self) -> None:
+        self._follower.forget()
+        self._moving_to = None
+        self._force = float("nan")
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if not self.connection.is_open:
+            return
+        for _ in range(_TRIES):
+            with contextlib.suppress(BusError):
+                # A grasp that holds has no motion to end.
+                if self._report.grasping is not Grasping.HOLDING:
+                    await self.connection.link.ask(Frame(Command.STOP))
+                self._forget()
+                return
+
+    async def recover(self) -> None:
+        """Clear a fast stop; a gripper that lost its reference may then home."""
+        link = self.connection.link
+        with link.unhurried():
+            self._report = await link.report()
+            if self._report.state & State.FAST_STOP:
+                await link.ask(acknowledge())
+                self._report = await link.report()
+        self._refuse(self._report)
+        # The user asked for recovery, which is the consent to a motion that homing may need.
+        self._home_asked = True
+
+    def _refuse(self, report: Report) -> None:
+        for bit, (name, hint) in _FAULTS.items():
+            if report.state & bit:
+                raise self._fault(bit.bit_length() - 1, name, hint)
+
+    def _unreferenced(self) -> DeviceFault:
+        return self._fault(_NOT_REFERENCED, "not homed", _HOME)
+
+    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
+        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
+        self._active = False
+        return DeviceFault(self.spec.name, code, name, hint=hint)
+
+    async def deactivate(self) -> None:
+        """Stop; a grip is kept."""
+        await self.stop()
+        self._active = False
+
+    async def close(self) -> None:
+        """Announce the end of the connection, without which it may stop for good, and detach."""
+        self._active = False
+        if self.connection.is_open:
+            with contextlib.suppress(BusError, DeviceFault):
+                await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)
+        await super().close()

@@ -1,0 +1,195 @@
+"""Talks to a WSG 50 over its TCP connection: one question, or several in one packet."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from rtee.buses.serial import SerialBus
+from rtee.drivers.wsg50.codec import (
+    MOTIONS,
+    Command,
+    Frame,
+    FrameParser,
+    Grasping,
+    State,
+    Status,
+    WsgFrameError,
+    asking,
+    grasping_of,
+    number,
+    state_of,
+)
+from rtee.errors import BusError, FrameError
+
+PATIENCE = 0.5
+"""Longest time for an exchange that belongs to no cycle [s]."""
+
+_REPORT = (Command.STATE, Command.GRASPING, Command.WIDTH, Command.SPEED, Command.FORCE)
+
+
+class WsgRefusal(BusError):
+    """The gripper refused a command.
+
+    Attributes:
+        command: The command.
+        status: Why.
+    """
+
+    def __init__(self, bus: str, command: int, status: Status) -> None:
+        name = status.name.lower().replace("_", " ")
+        super().__init__(bus, f"the gripper refuses command {command:#04x}: {name}")
+        self.command = command
+        self.status = status
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What the gripper reports in every cycle.
+
+    Attributes:
+        state: The system's state.
+        grasping: State of the grasp.
+        width: Between the fingers [mm].
+        speed: Of the width [mm/s].
+        force: At the fingers, by the motor [N].
+    """
+
+    state: State = field(default_factory=lambda: State(0))
+    grasping: Grasping = Grasping.IDLE
+    width: float = 0.0
+    speed: float = 0.0
+    force: float = 0.0
+
+
+class _Reports:
+    """Collects the answers to the questions of a report; what answers none of them is dropped.
+
+    Answers carry the command but no number, so a report consists of the newest of each.
+    """
+
+    def __init__(self) -> None:
+        self._frames = FrameParser()
+        self._found: dict[int, Frame] = {}
+        self._wrong = 0
+
+    @property
+    def errors(self) -> int:
+        return self._frames.errors + self._wrong
+
+    def reset(self) -> None:
+        self._frames.reset()
+        self._found.clear()
+
+    def feed(self, data: bytes) -> list[Report]:
+        for frame in self._frames.feed(data):
+            if frame.command in _REPORT:
+                self._found[frame.command] = frame
+        if len(self._found) < len(_REPORT):
+            return []
+        found = [self._found[command] for command in _REPORT]
+        self._found.clear()
+        try:
+            if any(frame.status is not Status.OK for frame in found):
+                raise WsgFrameError("a question was refused")
+            state, grasping, *rest = found
+            return [Report(state_of(state), grasping_of(grasping), *map(number, rest))]
+        except WsgFrameError:
+            self._wrong += 1
+            return []
+
+
+class WsgLink:
+    """Talks to one gripper.
+
+    Args:
+        bus: The connection.
+        deadline: Longest time for one exchange, retries included [s].
+
+    Attributes:
+        bus: The connection.
+        deadline: Longest time for one exchange, retries included [s].
+    """
+
+    def __init__(self, bus: SerialBus, deadline: float) -> None:
+        self.bus = bus
+        self.deadline = deadline
+        self._frames = FrameParser()
+        self._reports = _Reports()
+        self._questions = b"".join(asking(command).to_bytes() for command in _REPORT)
+
+    @contextlib.contextmanager
+    def unhurried(self) -> Iterator[None]:
+        """Allow exchanges outside the cycle the time they may need on a busy computer."""
+        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self.deadline = usual
+
+    async def report(self) -> Report:
+        """Return what the gripper reports; raises `BusError`."""
+        return await self.bus.transact(self._questions, self._reports, self.deadline)
+
+    async def ask(self, request: Frame, *, retries: int = 1) -> Frame:
+        """Send a request and return its answer, the first one of a motion.
+
+        Args:
+            request: The request.
+            retries: How often it may be sent again within the deadline.
+
+        Raises:
+            WsgRefusal: if the gripper refuses it.
+            BusError: if the exchange failed.
+        """
+        found = await self.bus.transact(
+            request.to_bytes(),
+            self._frames,
+            self.deadline,
+            retries,
+            accept=_answers(request),
+        )
+        status = found.status
+        if status not in (Status.OK, Status.PENDING):
+            raise WsgRefusal(self.bus.name, request.command, status)
+        return found
+
+    async def begin(self, request: Frame) -> bool:
+        """Begin a motion; return whether the gripper takes it, as it does unless one is under way.
+
+        Raises:
+            WsgRefusal: if it refuses for another reason.
+            BusError: if the exchange failed.
+        """
+        try:
+            # Sent once: an answer that is lost may have begun it, and it shows in the state.
+            await self.ask(request, retries=0)
+        except WsgRefusal as refusal:
+            if refusal.status is Status.ALREADY_RUNNING:
+                return False
+            raise
+        return True
+
+    async def value(self, command: Command, read: Callable[[Frame], float] = number) -> float:
+        """Return the one number that answers a question; raises `BusError`."""
+        found = await self.ask(Frame(command))
+        try:
+            return read(found)
+        except WsgFrameError as error:
+            raise FrameError(self.bus.name, str(error), found.payload) from error
+
+
+def _answers(request: Frame) -> Callable[[Frame], bool]:
+    def accepted(found: Frame) -> bool:
+        if found.command != request.command:
+            return False
+        try:
+            status = found.status
+        except WsgFrameError:
+            return False
+        # The result of an earlier motion may come between; refusals of a new one are others.
+        results: Sequence[Status] = (Status.OK, Status.ABORTED, Status.FAILED, Status.AXIS_BLOCKED)
+        return request.command not in MOTIONS or status not in results
+
+    return accepted
