@@ -198,14 +198,15 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
         if can or link:
             raise ConfigError(f"'{name}' is a server on the network: give --tcp PORT, or nothing")
         return
-    # A device shows which wire it has by the handler that it overrides.
-    if kind.on_frame is not Emulator.on_frame and not can:
+    # A device shows which wires it has by the handlers that it overrides.
+    hears, reads = kind.on_frame is not Emulator.on_frame, kind.feed is not Emulator.feed
+    if hears and not (reads or can):
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
-    if kind.feed is not Emulator.feed and can:
+    if reads and can and not hears:
         raise ConfigError(
             f"'{name}' is not a device on a CAN bus: give --link or --tcp, or neither"
         )
-    if kind.on_frame is Emulator.on_frame and kind.feed is Emulator.feed:
+    if not (hears or reads):
         raise ConfigError(
             f"'{name}' is emulated without its wire, at the level of process data, so no other "
             "program can reach it; its own driver can: rtee run HAND --driver devices --emulated"

@@ -300,7 +300,10 @@ class Reflexes:
     def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
         """Give an actuator that falls behind on its way more effort, up to that of the goal."""
         here, reference = measured.position[i], self._limiter.position[i]
-        if not stamp - watched.looked < _LOOKED_AT:
+        if stamp - watched.looked < _LOOKED_AT:
+            return
+        # From the second look on: before, it is not known how far it has come.
+        if watched.looked == watched.looked:
             moved, wanted = here - watched.was, reference - watched.reference
             behind = (reference - here) * watched.ahead > watched.tolerance
             full, time = self._limit(i), self._grasp.squeeze_time
@@ -312,8 +315,6 @@ class Reflexes:
                 watched.limit = min(max(watched.limit, light), full)
             self.changed = self.changed or self.effort.get(i) != watched.limit
             self.effort[i] = watched.limit
-        elif watched.looked == watched.looked:
-            return
         watched.looked, watched.was, watched.reference = stamp, here, reference
 
     def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:

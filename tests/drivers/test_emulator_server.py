@@ -6,6 +6,7 @@ import socket
 import time
 from pathlib import Path
 
+import can
 import pytest
 import serial
 
@@ -106,6 +107,21 @@ def test_mistakes_are_named() -> None:
         Player("schunk_svh", baudrate=115200)
 
 
+def test_a_hand_with_two_wires_is_played_on_either() -> None:
+    with Player("linkerhand") as line:
+        request, answer = "27 04 00 00 00 06 77 0E", "27 04 0C" + " 00 FF" * 6
+        assert asked(line.address, bytes.fromhex(request), 17).hex(" ").upper().startswith(answer)
+    # The virtual interface joins those who name its channel in this process.
+    with (
+        Player("linkerhand", can="two_wires", interface="virtual"),
+        can.Bus("two_wires", interface="virtual") as bus,
+    ):
+        bus.send(can.Message(arbitration_id=0x27, data=b"\x33", is_extended_id=False))
+        heard = bus.recv(5.0)
+        assert heard is not None
+        assert bytes(heard.data) == bytes([0x33, *[25] * 6])
+
+
 def test_a_list_is_asked_for_in_the_form_it_is_written() -> None:
     assert Player("dynamixel", {"ids": [1, 2]}).emulator.servos.keys() == {1, 2}  # type: ignore[attr-defined]
     with pytest.raises(ConfigError, match=r"should be a valid list; a list is written \[1, 2, 3\]"):
@@ -155,6 +171,11 @@ def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
     [
         ("qb_softhand", "3A 3A 01 02 00 00", "3A 3A 01 02 00 00"),
         ("ability_hand", "7E 50 A0 10 7E", "7E 10" + " 00" * 70 + " F0 7E"),
+        (
+            "linkerhand",
+            "27 04 00 1E 00 06 17 08",
+            "27 04 0C 00 06 00 01 00 01 00 52 00 10 00 10 89 B0",
+        ),
         ("inspire_rh56", "EB 90 01 04 11 E8 03 01 02", "90 EB 01 04 11 E8 03 01 02"),
         ("feetech", "FF FF 01 02 01 FB", "FF FF 01 02 00 FC"),
         ("dynamixel", "FF FF FD 00 01 03 00 01 19 4E", "FF FF FD 00 01 07 00 55 00 B0 04"),

@@ -36,12 +36,21 @@ class World:
     """The small hand with walls in the way of its actuators, and springs for motors."""
 
     def __init__(
-        self, hand: Hand, walls: dict[int, float], *, tips: bool = False, **grasp: object
+        self,
+        hand: Hand,
+        walls: dict[int, float],
+        *,
+        tips: bool = False,
+        every: int = 1,
+        efforts: bool = True,
+        **grasp: object,
     ) -> None:
-        self.hand, self.walls, self.tips = hand, walls, tips
+        self.hand, self.walls, self.tips, self.every = hand, walls, tips, every
+        self.ticks, self.efforts = 0, efforts
         self.settings = LoopSettings(rate=500.0, grasp=GraspSettings(**grasp))  # type: ignore[arg-type]
         self.controller = Controller(hand, self.settings)
         self.position = hand.rest.tolist()
+        self.asked = hand.rest.tolist()
         self.time = 0.0
         self.events: list[Event] = []
         self.results: list[Result] = []
@@ -50,11 +59,17 @@ class World:
 
     def tick(self) -> None:
         self.time += self.settings.period
+        self.ticks += 1
+        fresh = self.ticks % self.every == 0
         controller = self.controller
         effort, touch = [], [0.0, 0.0]
         for i, reference in enumerate(controller.reference_position):
             wall = self.walls.get(i, math.inf)
-            self.position[i] = min(reference, wall)
+            if fresh:
+                # What a slow device measures, it was asked for an exchange before.
+                there = reference if self.every == 1 else self.asked[i]
+                self.position[i] = min(there, wall)
+                self.asked[i] = reference
             speed = controller.reference_velocity[i]
             push = STIFFNESS * (reference - self.position[i])
             limit = controller.reference_effort[i]
@@ -62,7 +77,9 @@ class World:
             if self.position[i] >= wall:
                 touch[0 if i < THUMB else 1] = max(push, 0.2)
         n = len(effort)
-        measured = Measured(self.position, effort, [NAN] * n, [True] * n, [-1] * n)
+        if not self.efforts:
+            effort = [NAN] * n
+        measured = Measured(self.position, effort, [NAN] * n, [fresh] * n, [-1] * n)
         if self.tips:
             measured.touch = touch
         controller.step(self.time, measured)
@@ -173,6 +190,17 @@ def test_a_squeeze_waits_for_the_other_finger_then_builds_up_together(small: Han
     assert len(shares) == pytest.approx(0.3 / world.settings.period, abs=2)
     result = world.until_result()
     assert set(result.grasped_fingers) == {"index", "thumb"}
+
+
+def test_a_squeeze_of_a_slow_device_that_lags_from_the_first_look_on_has_efforts(
+    small: Hand,
+) -> None:
+    """At the first measurement after the goal, the reference is far ahead already."""
+    world = World(small, {INDEX: 0.3, THUMB: 0.7}, every=40, efforts=False)
+    world.accept(on_contact=every(OnContact.SQUEEZE), speed=1.0)
+    for _ in range(400):
+        world.tick()
+        assert all(math.isfinite(effort) for effort in world.controller.reference_effort)
 
 
 def test_a_squeeze_that_meets_no_other_finger_holds_lightly_and_grasps_nothing(

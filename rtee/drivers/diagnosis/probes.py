@@ -433,7 +433,7 @@ def feetech(baudrate: int) -> Probe:
 
 
 def can(interface: str, bitrate: int) -> Probe:
-    """Return a probe for nodes on a CAN bus: Allegro Hands and CANopen."""
+    """Return a probe for nodes on a CAN bus: Allegro Hands, LinkerHands and CANopen."""
 
     async def ask(pool: BusPool, channel: str) -> list[Found]:
         bus = await pool.can(channel, owner=_OWNER, interface=interface, bitrate=bitrate)
@@ -444,17 +444,23 @@ def can(interface: str, bitrate: int) -> Probe:
 
 async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     from rtee.drivers.allegro.codec import Command, request
+    from rtee.drivers.linkerhand import codec as linker
 
     heard: dict[int, bytes] = {}
+    forms: set[tuple[int, bytes, int]] = set()
 
     def hear(frame: CanFrame) -> None:
         if not frame.remote:  # some interfaces hand back what was sent
             heard.setdefault(frame.id, frame.data)
+            forms.add((frame.id, frame.data[:1], len(frame.data)))
 
     undo = bus.subscribe(hear)
     try:
         for hand in range(4):
             await bus.send(request(Command.HAND_INFO, hand))
+        for unit in (linker.RIGHT, linker.LEFT):
+            for code in (1, 4):  # both halves of the positions
+                await bus.send(linker.query(unit, code))
         for node in range(1, 128):
             await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
             # One request a millisecond: nodes on a slow bus must not overflow their buffers.
@@ -469,6 +475,11 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
         for hand in range(4)
         if len(heard.get(request(Command.HAND_INFO, hand).id, b"")) >= _HAND_INFO
     ]
+    for unit in (linker.RIGHT, linker.LEFT):
+        if (unit, b"\x01", 7) in forms:
+            model = "l10" if (unit, b"\x04", 5) in forms else "o6"
+            options = {**where, "model": model, "unit": unit}
+            found.append(Found("linkerhand", f"LinkerHand {model.upper()}, unit {unit}", options))
     for node in range(1, 128):
         answer = heard.get(0x580 + node)
         if answer is not None and len(answer) == 8:

@@ -54,7 +54,7 @@ class LinkerHandDriver(Driver):
     """A LinkerHand O6 or L10.
 
     A cycle reads the positions and writes the set-points that changed; faults and temperatures are
-    read now and then, each in the place of nothing else. The hand has no switch for its motors and
+    read now and then, besides. The hand has no switch for its motors and
     tells neither efforts nor contacts: a motor that rests short of its set-point counts as holding
     something.
     """
@@ -94,7 +94,7 @@ class LinkerHandDriver(Driver):
         try:
             with link.unhurried():
                 version = await link.version()
-                self._temperatures = await link.read(Table.TEMPERATURE)
+                self._temperatures, _ = await link.health()
                 self._keep(await link.read(Table.POSITION))
         except (BusTimeout, FrameError) as error:
             raise NotConnected(
@@ -152,16 +152,21 @@ class LinkerHandDriver(Driver):
             lambda bus: ModbusLink(bus, *arguments),
         )
 
+    async def _examine(self) -> None:
+        """Read temperatures and fault codes; raises `DeviceFault` and `BusError`."""
+        self._temperatures, codes = await self.connection.link.health()
+        self._check(codes)
+
     async def activate(self) -> None:
         """Take the hand over as it is: its motors are always on, and keep their set-points."""
         with self.connection.link.unhurried():
-            self._check(await self.connection.link.read(Table.FAULT))
+            await self._examine()
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
         """Raise the fault that the hand reports."""
         with self.connection.link.unhurried():
-            self._check(await self.connection.link.read(Table.FAULT))
+            await self._examine()
         return ""
 
     # --- every cycle -------------------------------------------------------------------------
@@ -181,9 +186,7 @@ class LinkerHandDriver(Driver):
         link, every = self.connection.link, self.options.health_every
         self._turn = (self._turn + 1) % every
         if self._turn == 0:
-            self._check(await link.read(Table.FAULT))
-        elif self._turn == every // 2:
-            self._temperatures = await link.read(Table.TEMPERATURE)
+            await self._examine()
         self._keep(await link.read(Table.POSITION))
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.to_si(self._counts[motor]) for motor, scale in both]
@@ -283,12 +286,12 @@ class LinkerHandDriver(Driver):
         """Make motors that had a fault keep the pose they are in; whether it is gone, they tell."""
         link = self.connection.link
         with link.unhurried():
-            codes = await link.read(Table.FAULT)
+            _, codes = await link.health()
             faulty = tuple(motor for motor in self._motors if codes[motor])
             if faulty or self._targets is None:
                 # No source says whether a motor goes on to its old set-point afterwards.
                 await self._hold(faulty or self._motors)
-            self._check(await link.read(Table.FAULT))
+            await self._examine()
         self._attached.begin(range(len(self._motors)))
 
 

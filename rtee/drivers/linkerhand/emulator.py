@@ -53,6 +53,7 @@ class LinkerProperties:
         unit: Its number.
         travel_time: Time for the whole way at speed 255 [s].
         software: Version of its software, major and minor in a nibble each.
+        joint_reads: Several tables can be read in one frame.
         turnaround: Time between a request and its answer [s].
         haste: How much faster it moves than a real one.
     """
@@ -61,6 +62,7 @@ class LinkerProperties:
     unit: Byte = RIGHT
     travel_time: Positive = 1.0
     software: Byte = 0x10
+    joint_reads: bool = True
     turnaround: Duration = 0.002
     haste: Positive = 1.0
 
@@ -200,7 +202,9 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return input registers; those between its tables are 0."""
         block = range(self.model.version, self.model.version + VERSION_COUNT)
-        if address + count > block.stop:
+        if address + count > block.stop or (
+            count > self.model.count and not self.properties.joint_reads
+        ):
             raise Refused(ILLEGAL_ADDRESS)
         registers = [0] * block.stop
         for table, first in self.model.registers.items():

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
-from rtee.buses.modbus import ModbusBus
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.timing import silence, wire_time
 from rtee.drivers.linkerhand import codec
-from rtee.drivers.linkerhand.codec import LinkerFrameError, Model, Table, Version
+from rtee.drivers.linkerhand.codec import Fault, LinkerFrameError, Model, Table, Version
 from rtee.errors import FrameError
 
 PATIENCE = 1.0
@@ -54,6 +54,10 @@ class LinkerLink(ABC):
     async def read(self, table: Table) -> tuple[int, ...]:
         """Return the values of all motors; raises `BusError`."""
 
+    async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return temperatures [°C] and fault codes of all motors; raises `BusError`."""
+        return await self.read(Table.TEMPERATURE), await self.read(Table.FAULT)
+
     @abstractmethod
     async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
         """Set values of all motors, torques and speeds before positions; raises `BusError`."""
@@ -87,6 +91,7 @@ class ModbusLink(LinkerLink):
         super().__init__(model, unit, deadline, retries)
         self._bus = bus
         self._spacing = spacing
+        self._both = True
         # A played line that takes no time needs no silence, either.
         if bus.gap:
             bus.gap = max(bus.gap, spacing)
@@ -111,11 +116,36 @@ class ModbusLink(LinkerLink):
 
     async def read(self, table: Table) -> tuple[int, ...]:
         """Return the values of all motors; raises `BusError`."""
-        registers = await self._read(self.model.registers[table], self.model.count)
+        return self._checked(await self._read(self.model.registers[table], self.model.count))
+
+    async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return temperatures [°C] and fault codes of all motors; raises `BusError`.
+
+        An answer does not name the registers that it tells. Of another length than that for the
+        positions, a late one cannot be taken for it; so both tables are asked for at once.
+        """
+        count = self.model.count
+        if self._both:
+            try:
+                registers = await self._read(self.model.registers[Table.TEMPERATURE], 2 * count)
+            except ModbusRefusal:
+                self._both = False
+            else:
+                return self._checked(registers[:count]), self._codes(registers[count:])
+        temperatures = await self.read(Table.TEMPERATURE)
+        return temperatures, self._codes(await self.read(Table.FAULT))
+
+    def _checked(self, registers: Sequence[int]) -> tuple[int, ...]:
         try:
             return codec.checked(registers, self.model.count)
         except LinkerFrameError as error:
             raise FrameError(self._bus.name, str(error)) from error
+
+    def _codes(self, registers: Sequence[int]) -> tuple[int, ...]:
+        # Other codes are not published, and more likely the late answer to another question.
+        if not set(registers) <= set(Fault):
+            raise FrameError(self._bus.name, f"no fault codes of a LinkerHand: {list(registers)}")
+        return tuple(registers)
 
     async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
         """Set values of all motors, torques and speeds before positions; raises `BusError`."""

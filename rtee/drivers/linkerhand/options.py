@@ -54,8 +54,8 @@ class LinkerHandOptions(DeviceOptions):
     check_model: bool = Field(
         True, description="refuse a hand that tells another number of motors (RS-485)"
     )
-    health_every: Annotated[int, Field(ge=2)] = Field(
-        10, description="faults, and temperatures, are read once in so many exchanges"
+    health_every: Annotated[int, Field(ge=1)] = Field(
+        10, description="faults and temperatures are read once in so many exchanges"
     )
     spacing: Annotated[float, Field(ge=0.0)] | None = Field(
         None, description="pause between two frames [s]; by default 0.03 (O6), 0.005 (L10, CAN)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -222,11 +223,20 @@ async def test_what_a_can_interface_hands_back_is_no_device() -> None:
     assert (found.found, found.problem) == ((), "")
 
 
-async def test_nodes_on_a_can_bus_are_found() -> None:
+@pytest.mark.parametrize(
+    ("driver", "options"),
+    [
+        ("allegro", {}),
+        ("linkerhand", {"model": "o6"}),
+        ("linkerhand", {"model": "l10", "unit": 40}),
+    ],
+)
+async def test_nodes_on_a_can_bus_are_found(driver: str, options: dict[str, Any]) -> None:
     async with BusPool() as pool:
-        await pool.can("can0", owner="x", emulator=lambda: make_emulator("allegro", {}))
+        await pool.can("can0", owner="x", emulator=lambda: make_emulator(driver, options))
         [channel] = pool.simulations
         plan = Plan(channel, probes=(probes.can("virtual", 1_000_000),))
         async with BusPool() as asking:
             [found] = await scan([plan], asking)
-    assert [one.driver for one in found.found] == ["allegro"]
+    assert [one.driver for one in found.found] == [driver]
+    assert found.found[0].options.items() >= options.items()

@@ -15,6 +15,7 @@ from rtee.errors import (
     CommandRejected,
     ConfigError,
     DeviceFault,
+    FrameError,
     HandshakeError,
     NotConnected,
 )
@@ -78,7 +79,7 @@ def test_motors_are_found_by_their_names_or_as_told() -> None:
         ({"ranges": {"thumb_roll": [0, 1]}}, "an O6 has no motor 'thumb_roll'"),
         ({"ranges": {"index": [0, 0]}}, "motor 'index' reaches 0 to 0 rad"),
         ({"ranges": {"index": [-2, -1]}}, "set 'ranges'"),
-        ({"health_every": 1}, "'health_every'"),
+        ({"health_every": 0}, "'health_every'"),
     ],
 )
 def test_options_that_no_hand_has_are_refused(options: dict[str, Any], text: str) -> None:
@@ -122,21 +123,42 @@ async def test_a_hand_with_another_number_is_not_found() -> None:
 # --- every cycle ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("model", "tables"), [("o6", (0, 18, 24)), ("l10", (0, 40, 50))])
-async def test_faults_and_temperatures_are_read_now_and_then(
-    model: str, tables: tuple[int, int, int]
+@pytest.mark.parametrize(
+    ("model", "joint", "reads"),
+    [
+        ("o6", True, [0, 18, 0, 0, 0, 0]),
+        ("o6", False, [0, 18, 24, 0, 0, 0, 0]),
+        ("l10", True, [0, 40, 0, 0, 0, 0]),
+        ("l10", False, [0, 40, 50, 0, 0, 0, 0]),
+    ],
+)
+async def test_temperatures_and_faults_are_read_now_and_then_at_once_where_that_is_possible(
+    model: str, joint: bool, reads: list[int]
 ) -> None:
     wire = Wire()
-    async with Session(case(model=model)) as session:
+    async with Session(case(model=model, emulator={"joint_reads": joint})) as session:
         session.pool.trace = wire.trace
-        state = await session.start()
+        await session.start()
+        for _ in range(2):
+            await session.driver.sense()
         wire.clear()
         for _ in range(5):
-            state = await session.sense()
-        positions, temperatures, faults = tables
-        assert wire.read().count(positions) == 5
-        assert wire.read().count(temperatures) == wire.read().count(faults) == 1
+            state = await session.driver.sense()
+        assert wire.read() == reads
         assert set(state.temperature.tolist()) == {25.0}
+
+
+async def test_values_that_are_no_fault_codes_are_no_answer() -> None:
+    """As when the late answer to another question is taken for that about faults."""
+    async with Session(case(emulator={"joint_reads": False})) as session:
+        await session.start()
+        emulator = session.emulator
+        told = emulator.table
+        session.wire.call(
+            lambda: setattr(emulator, "table", lambda t: told(t if t < Table.FAULT else Table(0)))
+        )
+        with pytest.raises(FrameError, match="no fault codes of a LinkerHand"):
+            await session.driver.examine()
 
 
 async def test_only_what_changes_is_written_and_limits_go_with_it() -> None:

@@ -1,0 +1,75 @@
+"""The maker's published client talks to the emulated Ability Hand.
+
+It is no dependency of rtee: ``pip install ability-hand`` lets this test run. The client writes
+files into its working directory when it is imported, so it runs in a process and a folder of its
+own.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from rtee.buses.simulated import SimulatedLine
+from rtee.drivers.ability_hand.codec import touch_force
+from rtee.drivers.ability_hand.emulator import AbilityHandEmulator
+from rtee.drivers.axis import VirtualObject
+
+GOAL = [30.0, 40.0, 50.0, 60.0, 70.0, -80.0]  # what the client is asked for [degrees]
+
+CLIENT = """
+import json, sys, time
+from ah_wrapper.ah_serial_client import AHSerialClient
+
+goal = json.loads(sys.argv[2])
+reply = int(sys.argv[3])
+client = AHSerialClient(port=sys.argv[1], baud_rate=460800, reply_mode=reply, rate_hz=100)
+end = time.monotonic() + 30.0
+while time.monotonic() < end:
+    client.set_position(goal)
+    here = client.hand.get_position()
+    if here and all(abs(a - b) < 1.0 for a, b in zip(here[1:], goal[1:])):
+        break
+    time.sleep(0.01)
+time.sleep(0.3)
+hand = client.hand
+print(json.dumps([hand.get_position(), hand.get_fsr(), hand.get_current(), hand.get_velocity()]))
+client.close()
+"""
+
+
+def by_the_client(word: int) -> float:
+    """Return the force of a touch word as the client has it [N]."""
+    return 121591.0 / (33000.0 / (word * 3.3 / 4096) + 10000.0) + 0.878894 if word else 0.0
+
+
+@pytest.mark.skipif(find_spec("ah_wrapper") is None, reason="ability-hand is not installed")
+@pytest.mark.parametrize("reply", [0, 1, 2])
+def test_the_makers_client_moves_the_hand_and_reads_it(tmp_path: Path, reply: int) -> None:
+    hand = AbilityHandEmulator()
+    # Something in the way of the index finger, so that it is felt.
+    hand.axes[0].obstacle = VirtualObject(0.4, 2.0)
+    with SimulatedLine([hand], wire_time=False) as line:
+        words = [sys.executable, "-c", CLIENT, line.address, json.dumps(GOAL), str(reply)]
+        done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=60)
+    assert done.returncode == 0, done.stderr
+    [told] = [text for text in done.stdout.splitlines() if text.startswith("[")]
+    position, touch, current, velocity = json.loads(told)
+    assert position[1:] == pytest.approx(GOAL[1:], abs=1.0)
+    if reply != 2:
+        felt = hand.reply(1).touch
+        assert max(felt[:6]) > 0
+        assert max(felt[6:]) == 0
+        # Where rtee leads its line through 0, the client's begins above 0.8 N.
+        assert touch == pytest.approx([by_the_client(word) for word in felt], abs=1e-3)
+        strong = max(range(30), key=lambda taxel: felt[taxel])
+        assert touch_force(felt[strong]) == pytest.approx(touch[strong], rel=0.2)
+    if reply != 1:
+        assert current[0] == pytest.approx(hand.reply(3).currents[0] / 620.606, rel=0.01)
+    if reply != 0:
+        assert velocity == pytest.approx([0.0] * 6, abs=1.0)
