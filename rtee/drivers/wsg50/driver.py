@@ -181,8 +181,8 @@ class Wsg50Driver(Driver):
             },
         )
         every = self.spec.every or max(1.0, self.spec.rate / options.rate)
-        # One and a half of its periods leaves room for jitter.
-        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.03)
+        # One and a half of its periods leaves room for jitter; a tenth of a second for networks.
+        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.1)
 
     async def activate(self) -> None:
         """Attach to a gripper that is referenced; home one that is not where that was asked for."""

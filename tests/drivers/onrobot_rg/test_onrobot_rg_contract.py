@@ -105,6 +105,18 @@ async def test_a_motion_that_leads_past_the_reference_is_stopped() -> None:
         assert Control.STOP in controls
 
 
+async def test_a_motion_with_more_force_than_is_asked_for_now_is_stopped() -> None:
+    case = replace(TCP, options={**TCP.options, "emulator": {"haste": 1.0}})
+    async with Session(case) as session:
+        await session.start()
+        while session.emulator.axis.position > 1.1:
+            await cycled(session, FINGER.lower, 2, max_effort=[SCALE.effort.to_si(300)])
+        assert session.emulator.begun == 300
+        await cycled(session, FINGER.lower, 10, max_effort=[SCALE.effort.to_si(50)])
+        assert session.emulator.status().busy
+        assert session.emulator.begun == 50
+
+
 async def test_a_safety_switch_is_named_and_recovered_from() -> None:
     async with Session(TCP) as session:
         await session.start()
