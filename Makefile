@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test ros2-peers wheels bundle lint types layers docs bench format clean
+.PHONY: demo test heavy ros2-peers device-peers wheels bundle lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt
@@ -19,13 +19,25 @@ demo: .venv/.ready
 
 # Two processes: half of the tests wait for simulated wires and for a browser. These are real, so
 # that a test may fail when the computer is busy: it is run once more, and named in the summary.
-test: lint types layers .ros2-peers/.ready
-	$(BIN)/python -m pytest -n 2 --reruns 1 --rerun-show-tracebacks -r fEsR
+test: lint types layers .ros2-peers/.ready .device-peers/.ready
+	$(BIN)/python -m pytest -n 2 --reruns 1 --rerun-show-tracebacks -r fEsR --durations 25
+
+# Whole experiments in dynamics, too long for every commit.
+heavy: .venv/.ready
+	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2 --timeout 600
 
 # Other implementations of ROS 2 over Zenoh, which tests run against in processes of their own.
 .ros2-peers/.ready: tests/ros2/peers/requirements.txt .venv/.ready
 	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .ros2-peers -r $<
 	@touch $@
+
+# Device makers' own software, which tests let drive the emulators.
+.device-peers/.ready: tests/drivers/peers/requirements.txt .venv/.ready
+	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .device-peers -r $<
+	@touch $@
+
+device-peers: .device-peers/.ready
+	$(BIN)/python -m pytest -v tests/drivers/test_device_peers.py
 
 ros2-peers: .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py

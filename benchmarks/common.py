@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
+from pathlib import Path
 
 HELP = {
     "chromium": "measure Chromium's window, too",
+    "connections": "connections that are made, one after the other",
     "cycles": "exchanges with each fault",
     "flight": "what the flight recorder keeps [s]",
     "frames": "frames for each decoder",
@@ -65,6 +68,27 @@ def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
             said = f"{said} (default: %(default)s)"
             parser.add_argument(flag, type=type(value), default=value, help=said)
     return parser
+
+
+def own(pid: int) -> float:
+    """Return the memory that is a process' own [byte]."""
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+        if line.startswith("Pss_Anon:"):
+            return float(line.split()[1]) * 1024
+    raise SystemExit("this kernel does not tell whose memory is whose")
+
+
+def interval_of_median(values: Sequence[float]) -> tuple[float, float]:
+    """Return between which values the true median lies with at least 95 % certainty.
+
+    The number of values below it has a binomial distribution, whatever theirs is. With fewer than
+    six values no interval is certain enough: it is infinite.
+    """
+    ordered, n = sorted(values), len(values)
+    outside, k = 0.0, 0
+    while (outside := outside + math.comb(n, k) / 2**n) <= 0.025:
+        k += 1
+    return (ordered[k - 1], ordered[n - k]) if k else (-math.inf, math.inf)
 
 
 class Table:

@@ -20,7 +20,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from common import Table, command_line
+from common import Table, command_line, own
 from gui_common import COMMAND, MEGA, gui_of, mover, program, remote_window
 from gui_memory import HOUR, plot_everything, slope
 
@@ -29,14 +29,6 @@ EVERY = 2.0
 
 LOG = "\nlog: {max_file_time: 20.0, max_total_size: 2.0e7}\n"
 """A week's worth of rotations in an hour or two."""
-
-
-def own(pid: int) -> float:
-    """Return the memory that is a process' own [byte]."""
-    for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
-        if line.startswith("Pss_Anon:"):
-            return float(line.split()[1]) * 1024
-    raise SystemExit("this kernel does not tell whose memory is whose")
 
 
 def count(pid: int, what: str) -> float:

@@ -19,8 +19,6 @@ import asyncio
 import json
 import random
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -28,16 +26,15 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import anyio.to_thread
+import processes
 import zenoh
 from common import Table, command_line
-from witness import child
 
 import rtee
+from rtee.prepare import RunOptions
 from rtee.remote.client import RemoteHand
 from rtee.remote.server import Server
-from rtee.remote.session import direct, open_client, open_server
-from rtee.run import RunOptions, run_hands
+from rtee.remote.session import direct, open_client
 from rtee.types import Goal, Reference
 
 STAGES = (
@@ -119,48 +116,15 @@ def serve(arguments: argparse.Namespace) -> None:
         notes.append(Notes(loop))
         return Noted.open(loop, *others)
 
-    async def main() -> None:
-        until = anyio.Event()
-
-        async def wait() -> None:
-            await anyio.to_thread.run_sync(sys.stdin.read)
-            until.set()
-
-        async with anyio.create_task_group() as group:
-            group.start_soon(wait)
-            options = RunOptions(
-                driver="kinematic",
-                rate=arguments.rate,
-                realtime=arguments.realtime,
-                record=arguments.record,
-                log=Path(arguments.log) if arguments.record else None,
-            )
-
-            def said(line: str) -> None:
-                print(line, file=sys.stderr)
-
-            await run_hands([arguments.hand], options, serve=with_notes, until=until, say=said)
-
-    anyio.run(main)
+    options = RunOptions(
+        driver="kinematic",
+        rate=arguments.rate,
+        realtime=arguments.realtime,
+        record=arguments.record,
+        log=Path(arguments.log) if arguments.record else None,
+    )
+    processes.serve(arguments.hand, options, with_notes)
     print(json.dumps([notes[0].found, notes[0].stamps]))
-
-
-def echo() -> None:
-    """Answer a Zenoh query at once, with the time at which it came, until standard input ends."""
-    folder = tempfile.TemporaryDirectory()
-    session, endpoint = open_server(Path(folder.name) / "echo.sock")
-
-    def answer(query: zenoh.Query) -> None:
-        came = now()
-        with query:
-            query.reply(query.key_expr, str(came).encode(), express=True)
-
-    session.declare_queryable("rtee/echo", direct(answer))
-    print(endpoint, flush=True)
-    # The parent closes standard input to end it.
-    sys.stdin.read()
-    session.close()
-    folder.cleanup()
 
 
 async def send_goals(
@@ -239,7 +203,7 @@ def main() -> None:
     if arguments.role == "serve":
         serve(arguments)
     elif arguments.role == "echo":
-        echo()
+        processes.echo(lambda: str(now()).encode())  # the time at which the query came
     else:
         measure(arguments)
 
@@ -247,11 +211,7 @@ def main() -> None:
 def measure(arguments: argparse.Namespace) -> None:
     """Start the other processes, measure and print."""
     with tempfile.TemporaryDirectory() as log:
-        words = [sys.executable, __file__, *sys.argv[1:], "--log", log]
-        hand, other = (
-            child([*words, "--role", role], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-            for role in ("serve", "echo")
-        )
+        hand, other = processes.start(["serve", "echo"], "--log", log)
         assert other.stdout is not None
         endpoint = other.stdout.readline().strip()
 

@@ -93,7 +93,8 @@ def _kind(schema: dict[str, Any], field: dict[str, Any]) -> str:
         return "section"
     kind = str(field.get("type", "anything"))
     if "prefixItems" in field:
-        return "pair: " + ", ".join(_kind(schema, item) for item in field["prefixItems"])
+        items = [_kind(schema, item) for item in field["prefixItems"]]
+        return ("pair: " if len(items) == 2 else f"{len(items)} values: ") + ", ".join(items)
     if kind == "array":
         return f"list: {_kind(schema, field['items'])}"
     if kind == "object":

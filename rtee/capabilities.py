@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rtee.sample import NOTHING
+from rtee.touch import TouchSensor
 
 
 def _nothing() -> Mapping[str, Any]:
@@ -67,6 +68,8 @@ class Capabilities:
         identity: Model, firmware, serial number and the like, as the device reports them.
         grip: Force at the fingertips by effort limit from the device's sheet, by actuator.
         unlimited: Actuators whose effort it cannot limit, though it limits that of others.
+        touch: Its touch sensors, in the order in which its readings have their values. Where they
+            are on the hand may be left to hand.yaml.
     """
 
     measures: frozenset[str] = frozenset({"position"})
@@ -80,3 +83,4 @@ class Capabilities:
     identity: Mapping[str, str] = field(default_factory=_nothing)
     grip: Mapping[str, GripForce] = field(default_factory=_nothing)
     unlimited: frozenset[str] = frozenset()
+    touch: tuple[TouchSensor, ...] = ()

@@ -369,6 +369,10 @@ class MessageError(RteeError, ValueError):
     """Bytes that are no valid message, or a message with values that make no sense."""
 
 
+class WorkerLost(RteeError):
+    """A process that works for this one was ended from outside."""
+
+
 class LoopError(RteeError):
     """The loop itself failed.
 

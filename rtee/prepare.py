@@ -38,7 +38,7 @@ class RunOptions:
         rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
         realtime: Ask for real-time scheduling whatever hand.yaml says.
         log: Folder of the recordings; ``None``: as in hand.yaml.
-        record: ``False``: write no recordings; the flight recorder stays.
+        record: ``False``: write no recordings; faults are written where a folder is configured.
         duration: End after this long [s]; ``None``: never by itself.
         trace: Log the bytes of all buses.
         companions: Commands that run beside, and are ended with the hands.
@@ -107,9 +107,13 @@ class PreparedHand:
         """Return how it is to be recorded."""
         given = self.config.log
         settings = {each.name: getattr(given, each.name) for each in fields(given)}
-        settings["directory"] = options.log or given.directory
-        settings["enabled"] = options.record and (given.enabled or options.log is not None)
-        if options.driver == "replay":  # what is shown again has been recorded
+        settings["directory"] = folder = options.log or given.directory
+        settings["enabled"] = recorded = options.record and (
+            given.enabled or options.log is not None
+        )
+        # Who wants no recordings, and names no folder for them, expects no files; and what is shown
+        # again has been recorded.
+        if (not recorded and folder is None) or options.driver == "replay":
             settings["flight_recorder"] = 0.0
         return RecorderSettings(**settings)
 

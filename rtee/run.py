@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 import logging
-import os
 import sys
 import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -33,7 +32,13 @@ from rtee.loop.realtime import (
 from rtee.loop.report import EventLog, Tally, start_line, statistics_line
 from rtee.loop.service import Service
 from rtee.loop.shutdown import bring_to_rest
-from rtee.loop.shutdown_signals import Signals, companion, receive_signals, wait_for_end
+from rtee.loop.shutdown_signals import (
+    Signals,
+    beside_this_run,
+    companion,
+    receive_signals,
+    wait_for_end,
+)
 from rtee.loop.tick_driver import drive
 from rtee.prepare import PreparedHand, RunOptions, prepare
 from rtee.remote.server import RemoteSettings, Server
@@ -146,8 +151,7 @@ def _in_ros2(
         with needing_extra("ROS 2", "ros2"):
             if importlib.util.find_spec("xxhash") is None:
                 raise ImportError
-        beside = ("--beside", str(os.getpid()))
-        yield (sys.executable, "-m", "rtee", "ros2", "serve", *shown, *beside)
+        yield beside_this_run("ros2", "serve", *shown)
 
 
 def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
@@ -297,7 +301,8 @@ class _Trace:
 def _log_words(recorder: Recorder) -> str:
     status = recorder.status()
     if not status.recording:
-        return "off"
+        folder = recorder.flight_folder
+        return "off" if folder is None else f"off, but faults go to {folder}"
     return str(status.path) if status.path else f"not written: {status.problem}"
 
 

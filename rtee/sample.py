@@ -18,6 +18,8 @@ from typing import Annotated, Any, Final, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from rtee.touch import TouchReading, TouchState
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -108,6 +110,8 @@ class ActuatorState(Measurements):
             on every finger of the hand, on whichever of its links, in its order [N]; ``NaN``: not
             measured there.
         warnings: Conditions the device reports that are no faults.
+        touch: The newest reading of the sensors in ``capabilities.touch``; the same object as
+            before, or ``None``, where there is no newer one.
     """
 
     stamp: float
@@ -115,6 +119,7 @@ class ActuatorState(Measurements):
     grasped: tuple[bool | None, ...] | None = None
     extras: Mapping[str, FloatArray] = field(default_factory=lambda: NOTHING)
     warnings: tuple[str, ...] = ()
+    touch: TouchReading | None = None
 
     @classmethod
     def measured(
@@ -129,6 +134,7 @@ class ActuatorState(Measurements):
         grasped: tuple[bool | None, ...] | None = None,
         extras: Mapping[str, FloatArray] = NOTHING,
         warnings: tuple[str, ...] = (),
+        touch: TouchReading | None = None,
     ) -> ActuatorState:
         """Make a fresh state; what is left out counts as not measured (``NaN``)."""
         where = np.asarray(position, np.float64)
@@ -147,6 +153,7 @@ class ActuatorState(Measurements):
             grasped=grasped,
             extras=extras,
             warnings=warnings,
+            touch=touch,
         )
 
 
@@ -167,6 +174,7 @@ class TickRecord(Measurements):
         reference_velocity: Its velocity [rad/s | m/s].
         reference_effort: Effort limit sent to the devices [N·m | N]; ``inf``: the device's own.
         channels: Further measured channels, ``device/channel`` to values.
+        touch: What touch sensors measured last, by device; a new state is another object.
     """
 
     tick: int
@@ -178,6 +186,7 @@ class TickRecord(Measurements):
     reference_velocity: Annotated[FloatArray, Quantity("rad/s", "m/s", digits=4)]
     reference_effort: Annotated[FloatArray, Quantity("N·m", "N", digits=3)]
     channels: Mapping[str, FloatArray]
+    touch: Mapping[str, TouchState] = field(default_factory=lambda: NOTHING)
 
 
 COLUMNS: Final[Mapping[str, Quantity]] = _quantities(TickRecord)

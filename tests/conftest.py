@@ -26,9 +26,17 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+HEAVY = "RTEE_HEAVY"
+"""Variable of the environment with which tests marked as heavy run, too."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests in a browser first: they take longest, and wait for it most of the time."""
     items.sort(key=lambda item: item.get_closest_marker("browser") is None)
+    if not os.environ.get(HEAVY):
+        for item in items:
+            if item.get_closest_marker("heavy") is not None:
+                item.add_marker(pytest.mark.skip(reason="minutes of simulation: make heavy"))
 
 
 @pytest.hookimpl(optionalhook=True)

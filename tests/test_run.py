@@ -256,6 +256,33 @@ async def test_a_loop_that_fails_does_what_is_configured_and_says_why(
     assert list((folder / "logs").glob("*flight*.mcap"))
 
 
+@pytest.mark.parametrize("configured", [True, False])
+async def test_without_recordings_a_fault_goes_to_a_folder_that_was_asked_for_only(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, configured: bool
+) -> None:
+    said: list[str] = []
+    step = Controller.step
+
+    def fail_in_time(self: Controller, stamp: float, measured: Measured) -> None:
+        if said and self.active[0]:
+            raise ZeroDivisionError("a bug")
+        step(self, stamp, measured)
+
+    monkeypatch.setattr(Controller, "step", fail_in_time)
+    monkeypatch.chdir(folder)
+    config = folder / "jaw" / "hand.yaml"
+    if not configured:
+        config.write_text(config.read_text().partition("log:")[0])
+    with pytest.raises(LoopError, match="a bug"):
+        await run_hands(["jaw"], options(folder, record=False), serve=None, say=said.append)
+    written = os.listdir(folder / "logs") if configured else []
+    assert len(written) == configured
+    assert all("flight" in name for name in written)
+    assert configured or not (folder / "logs").exists()
+    assert (f"log off, but faults go to {folder / 'logs'};" in said[0]) == configured
+    assert ("log off;" in said[0]) != configured
+
+
 async def test_being_cancelled_brings_the_hand_to_rest(folder: Path) -> None:
     told: list[Reference] = []
 
@@ -295,7 +322,7 @@ def calls(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[str]:
     environment = os.environ | {
         "RTEE_CONFIG_PATH": str(folder),
-        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
         "PYTHONUNBUFFERED": "1",
     }
     command = [sys.executable, "-c", "from rtee.cli import main; main()", "run", hand, *arguments]
@@ -307,6 +334,18 @@ def start(folder: Path, *arguments: str, hand: str = "jaw") -> subprocess.Popen[
         env=environment,
         cwd=folder,
     )
+
+
+def test_the_gui_of_a_run_that_is_killed_ends_with_it(folder: Path) -> None:
+    pytest.importorskip("viser")
+    process = start(folder, "--no-log", "--gui")
+    assert process.stdout is not None
+    while "rtee: GUI at" not in (line := process.stdout.readline()):
+        assert line, process.stderr
+    process.kill()
+    # Read to its end: the GUI has ended, too, or it would hold the pipe open.
+    _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])

@@ -82,6 +82,7 @@ class BusPool:
         parity: str = "N",
         stopbits: int = 1,
         gap: float = 0.0,
+        fresh: bool = False,
         emulator: EmulatorFactory | None = None,
     ) -> SerialBus:
         """Return the line at a tty, ``socket://host:port`` or ``rfc2217://host:port``, connected.
@@ -93,6 +94,7 @@ class BusPool:
             parity: ``N``, ``E`` or ``O``.
             stopbits: 1 or 2.
             gap: Silence to keep before each request [s].
+            fresh: Throw away what came before a request, see `SerialBus`.
             emulator: Plays the device instead.
 
         Raises:
@@ -103,7 +105,7 @@ class BusPool:
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
-        return await self._on_line(SerialBus, url, line, owner, emulator, gap=gap)
+        return await self._on_line(SerialBus, url, line, owner, emulator, gap=gap, fresh=fresh)
 
     async def modbus(
         self,

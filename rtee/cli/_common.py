@@ -138,6 +138,14 @@ EffortOption = Annotated[
         "[N·m | N]; may be repeated.",
     ),
 ]
+XacroArguments = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
+    ),
+]
+# The run that has started this command: it ends with it, also when that is killed.
+BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 

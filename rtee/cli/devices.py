@@ -14,6 +14,7 @@ import typer
 from rtee.cli._common import Hand, JsonOption, complete_hand, hand_folder, report_copy
 
 if TYPE_CHECKING:
+    from rtee.deploy.needs import Needs
     from rtee.drivers.diagnosis.checks import Check
     from rtee.types import DeviceSpec
 
@@ -91,8 +92,9 @@ def doctor(
         if hand:
             found[_MODEL] = check_model(hand)
         if hand and sys.platform.startswith("linux"):
-            found["computer"] += _service(hand)
-            if certificates := check_certificates(hand):
+            checks, service = _service(hand)
+            found["computer"] += checks
+            if certificates := check_certificates(hand, service):
                 found["network"] = certificates
         if ros2:
             found["ROS 2"] = await _graph(hand)
@@ -112,17 +114,21 @@ def doctor(
     raise typer.Exit(1 if wrong else 0)
 
 
-def _service(hand: str) -> list[Check]:
-    """Return what was found about the hand's service; nothing if the hand can't be read."""
-    from rtee.deploy.check import check_service
+def _service(hand: str) -> tuple[list[Check], Needs | None]:
+    """Return what was found about the hand's service, and what that needs if there is one.
+
+    Nothing if the hand can't be read.
+    """
+    from rtee.deploy.check import check_service, is_installed
     from rtee.deploy.needs import Needs
     from rtee.errors import RteeError
     from rtee.run import RunOptions, prepare
 
     try:
-        return check_service(Needs.of(prepare(hand, RunOptions(driver="devices")), {}))
+        needs = Needs.of(prepare(hand, RunOptions(driver="devices")), {})
     except RteeError:  # the check of the model says what is wrong with it
-        return []
+        return [], None
+    return check_service(needs), needs if is_installed(needs.hand) else None
 
 
 async def _graph(hand: str | None) -> list[Check]:

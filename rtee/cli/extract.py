@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -16,7 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import JsonOption, actions_of, complete_hand, hand_folder, report_copy
+from rtee.cli._common import (
+    JsonOption,
+    XacroArguments,
+    actions_of,
+    complete_hand,
+    hand_folder,
+    report_copy,
+)
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
 
     from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
+    from rtee.exchange.reading import ReadableModel
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
@@ -46,14 +54,19 @@ def extract(
             metavar="[HAND]", help="Name of a hand, or its folder.", autocompletion=complete_hand
         ),
     ] = None,
+    arguments: XacroArguments = None,
     urdf: Annotated[
-        Path | None, typer.Option(help="A URDF instead of a hand of the configuration.")
+        Path | None,
+        typer.Option(help="A URDF, or a xacro file, instead of a hand of the configuration."),
+    ] = None,
+    mjcf: Annotated[
+        Path | None, typer.Option(help="An MJCF, as MuJoCo has it, instead of a URDF.")
     ] = None,
     srdf: Annotated[
-        Path | None, typer.Option(help="The URDF's SRDF; without it the fingers are found.")
+        Path | None, typer.Option(help="The model's SRDF; without it the fingers are found.")
     ] = None,
     package_dir: Annotated[
-        list[Path] | None, typer.Option(help="Folder to look mesh packages up in; repeatable.")
+        list[Path] | None, typer.Option(help="Folder to look packages up in; repeatable.")
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the primitives to files in this folder.")
@@ -76,18 +89,25 @@ def extract(
     """Find the primitive grasping actions of a hand."""
     from rtee.actions.openings import write_openings
     from rtee.errors import ConfigError, needing_extra
+    from rtee.exchange.reading import as_urdf
     from rtee.hand.files import check_writable
+    from rtee.hand.load import load_hand
 
     # The matrices are small; threads for their products would only slow down the searches.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if (hand is None) == (urdf is None):
-        raise ConfigError("give either a hand or --urdf")
-    if urdf is None and (srdf or package_dir):
-        raise ConfigError("--srdf and --package-dir go with --urdf")
+    words = arguments or []
+    # With a file there is no hand to name, so the first argument stands in its place.
+    if hand is not None and ":=" in hand:
+        words = [hand, *words]
+        hand = None
+    if sum(given is not None for given in (hand, urdf, mjcf)) != 1:
+        raise ConfigError("give either a hand, --urdf or --mjcf")
+    if hand is not None and (srdf or package_dir or words):
+        raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
     folder = hand_folder(hand) if hand is not None else None
     # Everything that can be refused is refused before the search, which may take minutes.
     if save and folder is None:
-        raise ConfigError("--save needs a hand of the configuration; with --urdf give --out")
+        raise ConfigError("--save needs a hand of the configuration; with a file give --out")
     from rtee.hand.own_copy import own, own_place
 
     home = own_place(folder) if save and folder else None
@@ -96,13 +116,18 @@ def extract(
         check_writable(target, folder=True)
     if report is not None and report.parent not in targets:
         check_writable(report)
-    with _uncollected():
-        with needing_extra("the extraction", "extract"):
-            from rtee.extract.extraction import extract as run
-        model = _load(folder, urdf, srdf, package_dir or [])
-        with progress_bar() as progress:
-            found = run(model, jobs=jobs, rank=rank.value, progress=progress)
-    page = {} if report is None else {report: _report(model, found, folder, jobs)}
+    with ExitStack() as made:
+        with _uncollected():
+            with needing_extra("the extraction", "extract"):
+                from rtee.extract.extraction import extract as run
+            if folder is not None:
+                model = load_hand(folder)
+            else:
+                given = as_urdf(urdf, mjcf, words, package_dir or [])
+                model = _hand_in(made.enter_context(given), srdf)
+            with progress_bar() as progress:
+                found = run(model, jobs=jobs, rank=rank.value, progress=progress)
+        page = {} if report is None else {report: _report(model, found, folder, jobs)}
     if home is not None and folder is not None:
         report_copy(folder, own(folder))
     _write(targets, page, model, found)
@@ -173,15 +198,18 @@ def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     return tried, notes
 
 
-def _load(
-    folder: Path | None, urdf: Path | None, srdf: Path | None, package_dirs: list[Path]
-) -> HandModel:
-    from rtee.hand.load import load_hand, load_model
+def _hand_in(model: ReadableModel, srdf: Path | None) -> HandModel:
+    """Load a hand from its model, with what that says besides the URDF."""
+    from rtee.hand.load import load_model
 
-    if folder is not None:
-        return load_hand(folder)
-    assert urdf is not None  # noqa: S101 - one of both is given
-    return load_model(urdf, srdf, package_dirs=package_dirs)
+    hand = load_model(
+        model.urdf, srdf, package_dirs=model.package_dirs, passive=model.passive or ()
+    )
+    return replace(
+        hand,
+        notes=(*model.notes, *hand.notes),
+        disabled_collisions=(*hand.disabled_collisions, *model.excluded),
+    )
 
 
 @contextmanager

@@ -91,7 +91,13 @@ def grasp(
         return await follow(start, f"grasp {wanted * 1e3:g} mm")
 
     result = with_hand(hand, connect, "grasp", execute, wait=wait)
-    print(result_json(result) if as_json else sentence(result, result.elements))
+    if as_json:
+        print(result_json(result))
+    else:
+        print(sentence(result, result.elements))
+        if result.grasped and not result.within:
+            least, most = (1e3 * (wanted + each) for each in (-within[0], within[1]))
+            print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
     raise typer.Exit(0 if result.within else 1)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from rtee.cli._common import check_files
+from rtee.cli._common import BesideOption, check_files
 
 _NICE = 10
 """How far the GUI's priority is below that of an ordinary program, see nice(2)."""
@@ -40,6 +41,7 @@ def gui(
         str | None,
         typer.Option(metavar="ORIGIN", help="A proxy's address, such as https://hand.example.org."),
     ] = None,
+    beside: BesideOption = None,
 ) -> None:
     """Open the hand in the browser; prints the address, with the token that opens it."""
     import anyio
@@ -63,7 +65,10 @@ def gui(
         print("rtee: no hand runs here yet; the page will show the first one that does", flush=True)
     with needing_extra("the GUI", "gui"):
         from rtee.gui.app import serve
-    anyio.run(lambda: serve(hand, access=access, port=port, endpoint=endpoint))
+    from rtee.loop.shutdown_signals import work_beside
+
+    page = partial(serve, hand, access=access, port=port, endpoint=endpoint)
+    anyio.run(work_beside, beside, page)
 
 
 def _lower_priority() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -236,6 +235,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.log.recover import recover as make_whole
+    from rtee.loop.shutdown_signals import beside_this_run
     from rtee.messages.topics import ROBOT_DESCRIPTION
     from rtee.run import RunOptions, run_hands
 
@@ -251,7 +251,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
             driver_options={"file": str(path.absolute()), "speed": speed, "repeat": repeat},
             rate=recording.rate or None,
             record=False,
-            companions=((sys.executable, "-m", "rtee", "gui"),) if gui else (),
+            companions=(beside_this_run("gui"),) if gui else (),
         )
 
         async def main() -> int:

@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "openings": ("rtee.cli.openings:openings", "List how far fingertips open."),
     "grasp-plan": ("rtee.cli.grasp_plan:grasp_plan", "Rank the actions of a hand for an object."),
     "import": ("rtee.cli.import_:import_", "Import action files of ROS End-Effector."),
+    "export": ("rtee.cli.export:export", "Write a hand's model for other programs."),
     # online
     "run": ("rtee.cli.run:run", "Run one hand or several."),
     "do": ("rtee.cli.do:do", "Execute a grasping action."),
@@ -50,6 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("rtee.cli.devices:doctor", "Report what is wrong and what to type."),
     "locate": ("rtee.cli.devices:locate", "Twitch a hand to see which one it is."),
     "calibrate": ("rtee.cli.devices:calibrate", "Calibrate a device that has offsets."),
+    "set-id": ("rtee.cli.set_id:set_id", "Give a Feetech servo its id."),
     "deploy": ("rtee.cli.deploy:app", "Make a hand a service of this computer."),
     "new-driver": ("rtee.cli.new:new_driver", "Write the skeleton of a driver package."),
     # dynamics

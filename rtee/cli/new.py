@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import complete_hand, hand_folder
+from rtee.cli._common import XacroArguments, complete_hand, hand_folder
 from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
@@ -16,13 +17,19 @@ if TYPE_CHECKING:
 
 def new(
     name: Annotated[str, typer.Argument(help="Name of the new hand.")],
-    urdf: Annotated[Path | None, typer.Option("--urdf", help="Its URDF.")] = None,
+    arguments: XacroArguments = None,
+    urdf: Annotated[
+        Path | None, typer.Option("--urdf", help="Its URDF, or a xacro file, which is run.")
+    ] = None,
+    mjcf: Annotated[
+        Path | None, typer.Option("--mjcf", help="Its MJCF, as MuJoCo has it, instead of a URDF.")
+    ] = None,
     srdf: Annotated[
         Path | None, typer.Option("--srdf", help="Its SRDF; without one the fingers are found.")
     ] = None,
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option("--package-dir", help="Folder to look package:// up in; may be repeated."),
+        typer.Option("--package-dir", help="Folder to look packages up in; may be repeated."),
     ] = None,
     source: Annotated[
         str | None,
@@ -39,20 +46,26 @@ def new(
     ] = False,
 ) -> None:
     """Make config/NAME with hand.yaml, URDF, SRDF and meshes; or copy a hand."""
-    if (urdf is None) == (source is None):
-        raise ConfigError("give either --urdf FILE or --from HAND")
-    if urdf is None:
+    if sum(given is not None for given in (urdf, mjcf, source)) != 1:
+        raise ConfigError("give either --urdf FILE, --mjcf FILE or --from HAND")
+    if source is not None:
         from rtee.hand.names import check_name
 
-        if srdf or package_dir:
-            raise ConfigError("--srdf and --package-dir go with --urdf")
+        if srdf or package_dir or arguments:
+            raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
         _copy(hand_folder(source), into / check_name(name, "hand"))
         return
     with needing_extra("making a hand from a URDF", "extract"):
         from rtee.hand.scaffold import make_hand
 
-    asked = _ask if ask else None
-    _print(make_hand(name, urdf, srdf, package_dirs=package_dir or (), into=into, ask=asked))
+    from rtee.exchange.reading import as_urdf
+
+    with as_urdf(urdf, mjcf, arguments or [], package_dir or []) as model:
+        made = make_hand(
+            name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
+            ask=_ask if ask else None, passive=model.passive, excluded=model.excluded,
+        )  # fmt: skip
+    _print(made, model.notes)
 
 
 def _ask(question: str, default: bool) -> bool:
@@ -71,14 +84,14 @@ def _known(folder: Path) -> str:
     return folder.name if folder.parent in (Path("config"), Path()) else str(folder)
 
 
-def _print(made: NewHand) -> None:
+def _print(made: NewHand, notes: Sequence[str]) -> None:
     hand = made.hand
     print(f"{made.folder} is made.")
     for finger, reason in zip(hand.fingers, made.reasons, strict=True):
         print(f"\nfinger {reason}\n  tip: {finger.tip or 'none'}")
         print(f"  moved by: {', '.join(finger.actuators) or 'nothing'}")
     print()
-    for note in made.notes:
+    for note in (*notes, *made.notes):
         print(f"note: {note}")
     print(
         f"{len(made.pairs)} pairs of links are never checked for collision; {hand.name}.srdf says "

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import ConnectOption, check_files, complete_hand
+from rtee.cli._common import BesideOption, ConnectOption, check_files, complete_hand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from rtee.ros2.serving import Shown
-
-_LOOK_EVERY = 0.5
-"""Time between two looks whether the run beside which this works is still there [s]."""
 
 _NICE = 5
 """Priority (nice) beside a run: where processors are short, its loop gets three times as much."""
@@ -44,8 +42,7 @@ def serve(
         typer.Option(help="Distribution of the other nodes: jazzy, kilted, rolling or humble."),
     ] = None,
     endpoint: ConnectOption = None,
-    # The run that has started this: it ends with it, also when that is killed.
-    beside: Annotated[int | None, typer.Option(metavar="PID", hidden=True)] = None,
+    beside: BesideOption = None,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show what happens, not only warnings.")
     ] = False,
@@ -60,6 +57,7 @@ def serve(
     import anyio
 
     from rtee.errors import needing_extra
+    from rtee.loop.shutdown_signals import work_beside
     from rtee.ros2.serving import serve as serve_hands
     from rtee.ros2.serving import warnings
 
@@ -81,14 +79,7 @@ def serve(
     if beside is not None:
         os.nice(max(0, _NICE - os.nice(0)))
 
-    async def main() -> None:
-        async with anyio.create_task_group() as group:
-            group.start_soon(serve_hands, shown, environment)
-            while beside is None or os.getppid() == beside:  # noqa: ASYNC110 - nobody tells it
-                await anyio.sleep(_LOOK_EVERY)
-            group.cancel_scope.cancel()
-
-    anyio.run(main)
+    anyio.run(work_beside, beside, partial(serve_hands, shown, environment))
 
 
 def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Shown:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,13 +24,14 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     if not gui:
         return ()
     from rtee.errors import needing_extra
+    from rtee.loop.shutdown_signals import beside_this_run
 
     with needing_extra("the GUI", "gui"):
         if importlib.util.find_spec("viser") is None:  # importing it would take a second
             raise ImportError
     # The name of a hand given by its folder is not known yet; the GUI shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
-    return ((sys.executable, "-m", "rtee", "gui", *shown),)
+    return (beside_this_run("gui", *shown),)
 
 
 def _scene(
@@ -105,7 +105,14 @@ def run(
     log: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the recordings.")
     ] = None,
-    no_log: Annotated[bool, typer.Option("--no-log", help="Write no recordings.")] = False,
+    no_log: Annotated[
+        bool,
+        typer.Option(
+            "--no-log",
+            help="Write no recordings; a fault's last minute only to a folder given with --log or"
+            " in hand.yaml.",
+        ),
+    ] = False,
     gui: Annotated[bool, typer.Option("--gui", help="Open the hands in the browser.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Show the hands as nodes of ROS 2.")] = False,
     duration: Annotated[

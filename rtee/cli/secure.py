@@ -13,6 +13,7 @@ from rtee.cli._table import Column, Row, Table
 from rtee.errors import ConfigError, needing_extra
 
 if TYPE_CHECKING:
+    from rtee.deploy.needs import Needs
     from rtee.drivers.diagnosis.checks import Check
     from rtee.messages.requests import Role
 
@@ -120,24 +121,37 @@ def list_(hand: HandArgument) -> None:
     Table(columns, tuple(rows)).show()
 
 
-def checks(name: str) -> list[Check]:
-    """Return what `rtee doctor` says about the certificates of a hand; nothing if it needs none."""
+def checks(name: str, service: Needs | None = None) -> list[Check]:
+    """Return what `rtee doctor` says about the certificates of a hand; nothing if it needs none.
+
+    Args:
+        name: The hand's name, or its folder.
+        service: What its service on this computer needs, if there is one: that one's certificates
+            are looked at.
+    """
+    from rtee.deploy.files import secure_command
     from rtee.drivers.diagnosis.checks import ok, warning, wrong
     from rtee.hand.load import load_configured
-    from rtee.remote.protection import Protection, credentials_of
+    from rtee.remote.credentials import Credentials
+    from rtee.remote.protection import credentials_of, exposed
 
     hand, config = load_configured(name)
+    command = "rtee secure" if service is None else secure_command(service)
     try:
-        Protection(hand.name, config.remote)
+        exposed(config.remote)
         known = credentials_of(hand.name, config.remote)
-        if known is not None:
-            known.read()
+        if known is None:
+            return []
+        if service is not None and service.certificates is not None:
+            known = Credentials(service.certificates)
+        if known.hidden:
+            text = f"in {known.folder}, which is not yours to read"
+            return [warning("certificate", text, f"sudo rtee doctor {name}")]
+        known.settings()
     except ConfigError as error:
-        return [wrong("network", str(error), f"rtee secure init {hand.name}")]
-    if known is None:
-        return []
+        return [wrong("network", str(error), f"{command} init {hand.name}")]
     left = (known.until - time.time()) / _DAY
-    renew = f"rtee secure renew {hand.name}"
+    renew = f"{command} renew {hand.name}"
     if left <= 0:
         found = [wrong("certificate", f"expired on {_date(known.until)}", renew)]
     elif left < _SOON:
@@ -147,7 +161,7 @@ def checks(name: str) -> list[Check]:
     for one in known.people:
         if not one.revoked and one.until - time.time() < _SOON * _DAY:
             person = one.name.rpartition(".")[0]
-            remedy = f"rtee secure add-client {hand.name} {person} --role {one.role.name.lower()}"
+            remedy = f"{command} add-client {hand.name} {person} --role {one.role.name.lower()}"
             found.append(warning(f"client {one.name}", f"until {_date(one.until)}", remedy))
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -10,11 +11,18 @@ import typer
 from rtee.cli._common import ConnectOption, RunningOption
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.errors import RequestRejected
 from rtee.sample import COLUMNS, MEASURED
 
 if TYPE_CHECKING:
     from rtee.messages.state import State
     from rtee.remote.client import RemoteHand
+    from rtee.touch import TouchState
+
+Touch = Mapping[str, "TouchState"]
+
+_DIGITS = 2
+"""Decimals of touch: sensors measure no better than 0.01 N."""
 
 _COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
 """The quantities shown."""
@@ -44,33 +52,87 @@ def state(
 
     async def execute(remote: RemoteHand) -> None:
         if once or not (follow or on_terminal()):
-            _print(remote.name, await remote.state(), as_json)
+            _print(remote.name, await remote.state(), await _touch(remote), as_json)
         elif as_json or not on_terminal():
             async for found in remote.states(rate):
-                _print(remote.name, found, as_json)
+                _print(remote.name, found, await _touch(remote), as_json)
         else:
             await _live(remote, rate)
 
     with_hand(hand, connect, "state", execute)
 
 
+async def _touch(remote: RemoteHand) -> Touch:
+    """Return what touch sensors measure; nothing from a hand that is too old to tell."""
+    try:
+        return await remote.touch_state()
+    except RequestRejected:
+        return {}
+
+
 async def _live(remote: RemoteHand, rate: float) -> None:
-    from rich.console import Console
+    from rich.console import Console, Group
     from rich.live import Live
 
     with Live(console=Console(), auto_refresh=False) as live:
         async for found in remote.states(rate):
-            live.update(_table(remote.name, found).drawn(live.console.width), refresh=True)
+            tables = [_table(remote.name, found)]
+            if touch := await _touch(remote):
+                tables.append(_touch_table(touch, found.stamp))
+            live.update(Group(*(t.drawn(live.console.width) for t in tables)), refresh=True)
 
 
-def _print(name: str, found: State, as_json: bool) -> None:
+def _print(name: str, found: State, touch: Touch, as_json: bool) -> None:
     if as_json:
-        print(to_json(_plain(name, found)), flush=True)
-    else:
-        _table(name, found).show()
+        print(to_json(_plain(name, found, touch)), flush=True)
+        return
+    _table(name, found).show()
+    if touch:
+        _touch_table(touch, found.stamp).show()
 
 
-def _plain(name: str, found: State) -> dict[str, Any]:
+def _touch_table(touch: Touch, now: float) -> Table:
+    """Return a table of touch sensors: their sums and largest taxels, and how old they are."""
+    columns = tuple(
+        Column(name, right=right, whole=True)
+        for name, right in (
+            ("touch sensor", False),
+            ("finger", False),
+            ("sum", True),
+            ("largest", True),
+            ("unit", False),
+            ("age [ms]", True),
+        )
+    )
+    rows = []
+    for state in touch.values():
+        age = "stale" if state.stale else f"{max(0.0, 1e3 * (now - state.stamp)):.0f}"
+        for sensor, total in zip(state.sensors, state.totals.tolist(), strict=True):
+            largest = float(state.of(sensor.name).max())
+            numbers = (_number(total, _DIGITS), _number(largest, _DIGITS))
+            cells = (sensor.name, sensor.finger or "–", *numbers, sensor.unit, age)
+            rows.append(Row(cells, faint=state.stale))
+    return Table(columns, tuple(rows))
+
+
+def _plain_touch(touch: Touch) -> dict[str, Any]:
+    return {
+        sensor.name: {
+            "device": state.device,
+            "link": sensor.link,
+            "finger": sensor.finger,
+            "unit": sensor.unit,
+            "total": total,
+            "values": state.of(sensor.name).tolist(),
+            "time": state.stamp,
+            "stale": state.stale,
+        }
+        for state in touch.values()
+        for sensor, total in zip(state.sensors, state.totals.tolist(), strict=True)
+    }
+
+
+def _plain(name: str, found: State, touch: Touch) -> dict[str, Any]:
     columns = (*_COLUMNS, "reference_velocity", "reference_effort", "fresh")
     return {
         "hand": name,
@@ -85,6 +147,7 @@ def _plain(name: str, found: State) -> dict[str, Any]:
         "force_error": found.force_error,
         "force_source": found.force_source,
         "joints": found.joints,
+        "touch": _plain_touch(touch),
         "channels": {channel: values.tolist() for channel, values in found.channels.items()},
     }
 

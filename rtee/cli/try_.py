@@ -200,25 +200,29 @@ def _all(
             f"rtee extract {name} --save"
         )
     known = read_results(path, made_with)
-    if not known and (old := len(read_results(path))):
+    old = {} if known else read_results(path)
+    if old:
         print(
-            f"rtee: the {old} results in {path} are outdated, made with other files of this hand "
-            "or by an earlier method; they are made anew",
+            f"rtee: the {len(old)} results in {path} are outdated, made with other files of this "
+            "hand or by an earlier method; they are made anew, and replaced at the end",
             file=sys.stderr,
         )
+        known = read_results(_unfinished(path), made_with)
     todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:
             folder = own(ready.folder)
             report_copy(ready.folder, folder)
             path = folder / FILE_NAME
-        keep = _Kept(path, made_with, known)
+        keep = _Kept(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
         processes = jobs or len(os.sched_getaffinity(0))
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
         with keep.until_done(len(todo), again), closing(coming):
             for result in _with_progress(coming, len(todo)):
                 keep.add(result)
+    if old:
+        _unfinished(path).replace(path)
     return [known[trial.key] for trial in trials]
 
 
@@ -228,6 +232,11 @@ def _done(trial: Trial, known: TrialResult | None) -> bool:
         trial.variations,
         trial.seed,
     )
+
+
+def _unfinished(path: Path) -> Path:
+    """Return the file of results that are to replace outdated ones once all are there."""
+    return path.with_name(f"{path.stem}.new{path.suffix}")
 
 
 class _Kept:
@@ -256,7 +265,8 @@ class _Kept:
 
     @contextmanager
     def until_done(self, total: int, again: bool) -> Iterator[None]:
-        """Write the results when the context ends; after an interrupt, say how many there are."""
+        """Write the results when the context ends; when interrupted, say how many there are."""
+        from rtee.errors import WorkerLost
 
         def once(*_: object) -> None:
             # Some programs send it to the process and to its group; the second must be ignored.
@@ -268,16 +278,21 @@ class _Kept:
             yield
         except KeyboardInterrupt:
             self.write()
-            same = "the same command without --again" if again else "the same command"
-            print(
-                f"rtee: interrupted; the results of {self._taken} of {total} trials are kept in "
-                f"{self._path}; {same} does the others",
-                file=sys.stderr,
-            )
+            print(f"rtee: interrupted; {self._words(total, again)}", file=sys.stderr)
             raise
+        except WorkerLost as error:
+            self.write()
+            raise WorkerLost(f"{error}; {self._words(total, again)}") from error
         finally:
             self.write()
             signal.signal(signal.SIGINT, before)
+
+    def _words(self, total: int, again: bool) -> str:
+        same = "the same command without --again" if again else "the same command"
+        return (
+            f"the results of {self._taken} of {total} trials are kept in {self._path};"
+            f" {same} does the others"
+        )
 
 
 def _with_progress(results: Iterable[TrialResult], total: int) -> Iterable[TrialResult]:

@@ -14,6 +14,14 @@ from rtee.errors import ConfigError
 from rtee.remote.credentials import HAND_KEY
 
 
+def is_installed(hand: str, root: Path = Path("/")) -> bool:
+    """Return whether a hand is a service of this computer; no if that can't be read."""
+    try:
+        return bool(Installation(root).manifest.of(hand))
+    except ConfigError:
+        return False
+
+
 def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
     """Return what was found about a hand's service; one line if it was never installed.
 

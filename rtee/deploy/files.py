@@ -254,11 +254,17 @@ def certificates_made(needs: Needs, program: str | None = None) -> list[str]:
     """Return what makes a hand's certificates where its service finds them: commands."""
     if needs.certificates is None:
         return []
+    if needs.certificates.is_relative_to(SECURE):
+        make = f"{secure_command(needs, program)} init {needs.hand}"
+        return [f"sudo install -d -o {USER} -g {USER} -m 750 {STATE}", make]
+    return [f"sudo chown -R {USER}: {needs.certificates}"]
+
+
+def secure_command(needs: Needs, program: str | None = None) -> str:
+    """Return how `rtee secure` is called for the certificates that a hand's service uses."""
     folder = needs.certificates
-    if folder.is_relative_to(SECURE):
-        make = f"env RTEE_SECURE_DIR={SECURE} {program or own_program()} secure init {needs.hand}"
-        return [f"sudo install -d -o {USER} -g {USER} -m 750 {STATE}", f"sudo -u {USER} {make}"]
-    return [f"sudo chown -R {USER}: {folder}"]
+    where = f"env RTEE_SECURE_DIR={SECURE} " if folder and folder.is_relative_to(SECURE) else ""
+    return f"sudo -u {USER} {where}{program or own_program()} secure"
 
 
 def words_of(files: Mapping[str, bytes]) -> list[str]:

@@ -167,7 +167,7 @@ class Needs:
             certificates=_certificates(prepared),
             addresses=("any",) if "any" in addresses else tuple(sorted(addresses)),
             cpus=tuple(prepared.config.realtime.cpus),
-            log=prepared.config.log.directory,
+            log=prepared.config.log.folder,
             log_size=prepared.config.log.max_total_size,
         )
 

@@ -23,11 +23,15 @@ DRIVERS: Mapping[str, str] = {
     "schunk_svh": "rtee.drivers.schunk_svh.driver:SchunkSvhDriver",
     "schunk_egu": "rtee.drivers.schunk_egu.driver:SchunkEguDriver",
     "inspire_rh56": "rtee.drivers.inspire_rh56.driver:InspireRh56Driver",
+    "ability_hand": "rtee.drivers.ability_hand.driver:AbilityHandDriver",
+    "linkerhand": "rtee.drivers.linkerhand.driver:LinkerHandDriver",
     "dynamixel": "rtee.drivers.dynamixel.driver:DynamixelDriver",
+    "feetech": "rtee.drivers.feetech.driver:FeetechDriver",
     "cia402": "rtee.drivers.cia402.driver:Cia402Driver",
     "allegro": "rtee.drivers.allegro.driver:AllegroDriver",
     "xbot2": "rtee.drivers.xbot2.driver:XBot2Driver",
     "heri_ethercat": "rtee.drivers.heri_ethercat.driver:HeriEthercatDriver",
+    "orca_touch": "rtee.drivers.orca_touch.driver:OrcaTouchDriver",
     "mujoco": "rtee.drivers.mujoco.driver:MujocoDriver",
 }
 """Name to ``module:Class``, imported only when asked for."""
@@ -42,11 +46,15 @@ EMULATORS: Mapping[str, str] = {
     "schunk_svh": "rtee.drivers.schunk_svh.emulator:SchunkSvhEmulator",
     "schunk_egu": "rtee.drivers.schunk_egu.emulator:SchunkEguEmulator",
     "inspire_rh56": "rtee.drivers.inspire_rh56.emulator:InspireRh56Emulator",
+    "ability_hand": "rtee.drivers.ability_hand.emulator:AbilityHandEmulator",
+    "linkerhand": "rtee.drivers.linkerhand.emulator:LinkerHandEmulator",
     "dynamixel": "rtee.drivers.dynamixel.emulator:DynamixelEmulator",
+    "feetech": "rtee.drivers.feetech.emulator:FeetechEmulator",
     "cia402": "rtee.drivers.cia402.emulator:Cia402Emulator",
     "allegro": "rtee.drivers.allegro.emulator:AllegroEmulator",
     "xbot2": "rtee.drivers.xbot2.emulator:XBot2Emulator",
     "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
+    "orca_touch": "rtee.drivers.orca_touch.emulator:OrcaTouchEmulator",
 }
 """The same for the emulators of the drivers' devices."""
 

@@ -96,7 +96,7 @@ class App:
 
     def choose(self, name: str) -> None:
         """Show another hand; call it from the event loop."""
-        if name not in ("–", self._wanted):
+        if self._endpoint is None and name not in ("–", self._wanted):
             self._wanted = name
             if self._leave is not None:
                 self._leave.cancel()
@@ -161,6 +161,9 @@ class App:
             raise NoHand("no hand is running here; start one with `rtee run HAND`")
         async with connect(self._wanted, endpoint=self._endpoint, client="gui") as remote:
             hand = await model_of(remote)
+            self._bridge.role = remote.role
+            if self._endpoint is not None:
+                self._hands.options = (remote.name,)
             session = Session(self._bridge, remote, hand, self._top)
             self._say(f"{remote.name}: connected", GOOD)
             self.session = session

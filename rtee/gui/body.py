@@ -24,6 +24,7 @@ class HandBody:
 
     Attributes:
         root: Name of its root frame in the scene.
+        frames: Names of the links' frames.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class HandBody:
         self._last = np.full(len(hand.joints), np.nan)
         self._shapes: dict[str, list[Any]] = {}
         self._colours: dict[str, Colour] = {}
+        self.frames: dict[str, str] = {}
         self._build(hand, triangles, colours)
 
     def _build(self, hand: Hand, triangles: LinkTriangles, colours: Mapping[str, Colour]) -> None:
@@ -67,6 +69,7 @@ class HandBody:
         pending = [(urdf.root, self.root)]
         while pending:
             link, path = pending.pop()
+            self.frames[link] = path
             self._add_shapes(urdf, link, path, triangles, colours[link])
             for joint in below.get(link, ()):
                 place = f"{path}/{joint.name}"

@@ -11,6 +11,7 @@ import viser
 
 from rtee.errors import RteeError
 from rtee.gui.visitors import Visitors
+from rtee.messages.requests import Role
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +26,7 @@ class Bridge:
 
     Attributes:
         server: The browser's server.
+        role: What the hand lets this GUI do.
     """
 
     def __init__(self, server: viser.ViserServer, visitors: Visitors | None = None) -> None:
@@ -35,6 +37,7 @@ class Bridge:
             visitors: Who has the page open, if observers may.
         """
         self.server = server
+        self.role = Role.MAINTAINER
         self._visitors = visitors
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
@@ -75,6 +78,18 @@ class Bridge:
         """Let observers, too, use these controls, and no others."""
         if self._visitors is not None:
             self._visitors.leave_to_everybody(*controls)
+
+    def may(self, role: Role) -> bool:
+        """Return whether the hand lets this GUI do what needs a role."""
+        return self.role >= role
+
+    def need(self, role: Role, *controls: Any) -> None:
+        """Disable controls unless the hand lets this GUI do what they are for."""
+        for control in () if self.may(role) else controls:
+            if isinstance(control, viser.GuiButtonGroupHandle):  # viser cannot disable one
+                control.visible = False
+            else:
+                control.disabled = True
 
     @property
     def watched(self) -> bool:

@@ -15,6 +15,7 @@ from rtee.log import Recording, Span, read
 from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray
+from rtee.touch import TouchSensor, TouchState
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
 _OTHER = "#e69f00"
@@ -108,6 +109,28 @@ class Playback:
                 for name, channel in self.recording.channels.items()
             },
         )
+
+    def touch(self) -> list[TouchState]:
+        """Return what touch sensors had measured last at the time shown."""
+        series = self.recording.touch.values()
+        known = [each for each in series if len(each) and each.t[0] <= self.time]
+        return [each.state(self._row(each.t, self.time)) for each in known]
+
+    def touch_windows(
+        self, length: float
+    ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
+        """Return the sums of touch sensors up to the time shown, thinned; see `TouchPanel`.
+
+        Args:
+            length: For how long before [s].
+        """
+        found = {}
+        for device, each in self.recording.touch.items():
+            begin, end = np.searchsorted(each.t, [self.time - length, self.time], side="right")
+            step = max(1, -(-int(end - begin) // POINTS))
+            rows = np.arange(begin, end, step)
+            found[device] = (each.sensors, each.t[rows] - self.time, each.totals[rows])
+        return found
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times relative to the time shown [s] and the columns of a quantity, thinned."""

@@ -21,6 +21,7 @@ from rtee.gui.colours import (
 )
 from rtee.gui.seen import ObjectView
 from rtee.gui.shapes import link_triangles
+from rtee.gui.taxels import TaxelView
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Hand
 from rtee.sample import FloatArray
@@ -38,6 +39,7 @@ class HandScene:
     Attributes:
         hand: The hand shown.
         seen: The object and the contact forces in it.
+        taxels: The taxels on the measured hand.
     """
 
     def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
@@ -67,6 +69,7 @@ class HandScene:
         self._strained: dict[str, float] = {}
         self._size = self._aim()
         self.seen = ObjectView(scene, self._size)
+        self.taxels = TaxelView(scene, hand, self._body.frames, self._size)
 
     def _aim(self) -> float:
         """Aim the camera at the hand, and return the hand's size [m]."""
@@ -185,6 +188,7 @@ class HandScene:
         """Remove everything of this hand from the scene."""
         self.show_contacts(())
         self.seen.remove()
+        self.taxels.remove()
         for handle in self._pressures.values():
             handle.remove()
         for body in (self._body, self._reference, self._preview):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -28,6 +28,7 @@ from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.recordings import RecordingsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.panels.touch import TouchPanel
 from rtee.gui.panels.trying import TryPanel
 from rtee.gui.playback import Playback
 from rtee.gui.scene import Contact, HandScene
@@ -39,6 +40,7 @@ from rtee.object_description import OBJECT_POSE, ObjectDescription
 from rtee.planning.result import GraspPlan
 from rtee.remote.client import RemoteHand
 from rtee.sample import FloatArray
+from rtee.touch import TouchState
 from rtee.types import Event, from_rest
 
 _STATE_RATE = 100.0
@@ -94,6 +96,7 @@ class Session:
         self._playback: Playback | None = None
         self._thing: ObjectDescription | None = None
         self._known: list[Action] = []
+        self._touched: dict[str, TouchState] = {}
         with top:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
@@ -118,6 +121,9 @@ class Session:
             self._press = gui.add_checkbox(
                 "Pressure", True, hint="Show the pressure at the tips, where the hand measures it"
             )
+            self._taxels = gui.add_checkbox(
+                "Touch", True, hint="Colour the taxels on the hand by what they measure"
+            )
             self._object = gui.add_checkbox(
                 "Object", True, hint="Show the object that a simulated hand grasps"
             )
@@ -130,6 +136,8 @@ class Session:
             self._plots = PlotsPanel(gui, hand)
         with self._panel.add_tab("Joints", viser.Icon.TABLE):
             self._table = TablePanel(gui, hand)
+        with self._panel.add_tab("Touch", viser.Icon.HAND_FINGER):
+            self._touch_panel = TouchPanel(gui)
         self._panel.dock_left()
         self._panel.set_width(_PANEL_WIDTH)
 
@@ -194,6 +202,7 @@ class Session:
             tasks.start_soon(self._follow_status)
             tasks.start_soon(self._follow_states)
             tasks.start_soon(self._follow_object)
+            tasks.start_soon(self._follow_touch)
             await self._ask_trials()
 
     async def _follow_object(self) -> None:
@@ -203,6 +212,12 @@ class Session:
                 await anyio.sleep(_STATUS_PERIOD)
                 if self._state is not None and self._has_object(self._state):
                     self._thing = await self._remote.object_description()
+
+    async def _follow_touch(self) -> None:
+        with contextlib.suppress(RequestRejected):  # an older hand cannot tell
+            async for state in self._remote.touch_states():
+                self._touched[state.device] = state
+                self._touch_panel.add(state)
 
     @staticmethod
     def _has_object(state: State) -> bool:
@@ -265,9 +280,12 @@ class Session:
         if now >= self._plots_due:
             self._plots_due = now + _PLOT_PERIOD
             self._plots.draw()
+            panel = self._touch_panel
+            panel.draw(panel.live() if playback is None else playback.touch_windows(panel.length))
         if now >= self._table_due:
             self._table_due = now + _TABLE_PERIOD
             self._table.show_state(state)
+            self._touch_panel.show(self._touch_now())
             self._felt.content = small(escape(self._scene.seen.said(tuple(self._hand.urdf.links))))
             if playback is None:
                 self._making.show_state(state)
@@ -276,6 +294,7 @@ class Session:
         self._scene.show(state.joint_position)
         self._scene.show_reference(state.reference_position if self._ghost.value else None)
         self._scene.show_effort(self._efforts(state) if self._strain.value else {})
+        self._scene.taxels.show(self._touch_now() if self._taxels.value else ())
         pressure = self._pressures(state) if self._press.value else {}
         if pressure or self._pressed:  # once more after the last contact, to hide the spheres
             self._pressed = bool(pressure)
@@ -300,13 +319,20 @@ class Session:
                         share[finger] = max(share.get(finger, 0.0), strength)
         return share
 
+    def _touch_now(self) -> Sequence[TouchState]:
+        """Return what touch sensors measure, or had measured at the time of a recording."""
+        return list(self._touched.values()) if self._playback is None else self._playback.touch()
+
     def _pressures(self, state: State) -> dict[str, float]:
         fingers = self._hand.finger_names
         for name, values in state.channels.items():
             if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
                 by_finger = np.nan_to_num(values).reshape(len(fingers), -1).max(axis=1)
                 most = max(float(by_finger.max()), 1.0)  # weak pressures stay pale
-                return {f: float(v) / most for f, v in zip(fingers, by_finger, strict=True)}
+                shares = dict(zip(fingers, (by_finger / most).tolist(), strict=True))
+                # Taxels show the same in more detail.
+                drawn = self._scene.taxels.fingers
+                return {f: share for f, share in shares.items() if f not in drawn}
         return {}
 
     def remove(self) -> None:

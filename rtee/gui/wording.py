@@ -18,9 +18,18 @@ NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
 
 
-def said(result: Result) -> tuple[str, str]:
-    """Return how a goal ended, in words, and the colour of these words."""
+def said(result: Result, *, width: bool = False) -> tuple[str, str]:
+    """Return how a goal ended, in words, and the colour of these words.
+
+    Args:
+        result: The result.
+        width: Whether the goal was to hold an object of some width.
+    """
     at = "" if result.opening is None else f" at {grip_words(result)}"
+    if width and result.grasped and not result.within:
+        return f"something of another width is held{at}", WARN
+    if width and result.reached and not result.grasped:
+        return f"nothing is held{at}", WARN
     if result.grasped:
         return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}{at}", GOOD
     if result.touched and not (result.preempted or result.cancelled or result.aborted):

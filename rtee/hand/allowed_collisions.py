@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -23,8 +22,7 @@ _CONFIGURATIONS: Final = 64
 anywhere does so in a good part of its range."""
 
 
-@dataclass(frozen=True, slots=True)
-class AllowedCollision:
+class AllowedCollision(NamedTuple):
     """Two links that need not be checked for collision.
 
     Attributes:

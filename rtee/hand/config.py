@@ -26,6 +26,7 @@ from rtee.hand.config_schema import (
     SafetySettings,
     Section,
     ThermalSettings,
+    TouchSection,
 )
 from rtee.hand.model import CLEARANCE
 from rtee.hand.names import check_name
@@ -101,6 +102,8 @@ class HandConfig(BaseModel):
     tip_friction: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default={})
     """Coefficient of friction of the fingertips' surfaces by finger, ``defaults``: of all others;
     for planners that ask for the hand's description. Unless given, the URDF's ``mu1``, if any."""
+    touch: dict[str, TouchSection] = Field(default={})
+    """Where its touch sensors are, by the names that their devices give them."""
     openings: dict[str, list[MeasuredOpening]] = Field(default={})
     """Openings measured on the real hand, by action and elements, such as ``PinchTight index
     thumb``: pairs of intensity and opening [m]."""
@@ -141,6 +144,13 @@ class HandConfig(BaseModel):
     def _allowed_devices(cls, value: dict[str, DeviceSection]) -> dict[str, DeviceSection]:
         for name in value:
             check_name(name, "device")
+        return value
+
+    @field_validator("touch")
+    @classmethod
+    def _allowed_sensors(cls, value: dict[str, TouchSection]) -> dict[str, TouchSection]:
+        for name in value:
+            check_name(name, "touch sensor")
         return value
 
     @model_validator(mode="after")

@@ -309,8 +309,9 @@ class ThermalSettings(Section):
 class LogSection(Section):
     """Recordings."""
 
-    directory: Annotated[Path, _Converted()] = Path("logs")
-    """Folder of the recordings, relative to the working directory."""
+    directory: Annotated[Path, _Converted()] | None = None
+    """Folder of the recordings, relative to the working directory; unless given, ``logs``. With
+    ``rtee run --no-log`` or ``enabled: false`` faults are written only where a folder is given."""
     enabled: bool = True
     """Record everything while the hand runs."""
     max_file_size: Positive = 1e9
@@ -320,8 +321,7 @@ class LogSection(Section):
     max_total_size: Positive = 2e10
     """The oldest recordings are deleted beyond this size of all [bytes]."""
     flight_recorder: NotNegative = 60.0
-    """This much is kept in memory, recording or not, and written when something fails [s];
-    0: nothing."""
+    """This much is kept in memory and written when something fails [s]; 0: nothing."""
     decimation: Annotated[int, Ge(1)] = 1
     """Record every n-th tick; only recordings of every tick can be recomputed."""
     tf_rate: NotNegative = 50.0
@@ -329,6 +329,11 @@ class LogSection(Section):
     [Hz]; 0: none."""
     meshes: bool = True
     """Attach the hand's meshes to recordings and put them into ``/robot_description``."""
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the recordings."""
+        return self.directory or Path("logs")
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,6 +399,47 @@ class Ros2Settings(Section):
             raise ValueError(
                 "the namespace should be of letters, digits and underscores, parted by slashes"
             )
+
+
+Vector = Annotated[tuple[float, float, float], _Converted()]
+Vectors = Annotated[tuple[Vector, ...], _Converted()]
+Cells = Annotated[int, Interval(ge=1, le=100)]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSection(Section):
+    """Where a touch sensor is on the hand, and what its values mean."""
+
+    link: str | None = None
+    """The link that it is on; unless given, its place is as the device's driver says."""
+    xyz: Vector = (0.0, 0.0, 0.0)
+    """Origin of its frame in the link's [m]."""
+    rpy: Vector = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of its frame in the link's [rad]; z leads out of the surface."""
+    grid: Annotated[tuple[Cells, Cells], _Converted()] | None = None
+    """Rows along x and columns along y of its taxels, which come row by row; the origin is in the
+    middle."""
+    pitch: Annotated[tuple[Positive, Positive], _Converted()] = (0.004, 0.004)
+    """Distance from row to row and from column to column [m]."""
+    positions: Vectors = ()
+    """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With
+    neither it has one taxel, at the origin."""
+    normals: Vectors = ()
+    """Directions out of the surface at the ``positions``; z unless given."""
+    scale: Positive | None = None
+    """Newtons that one unit of a taxel's value stands for, where the device does not measure in
+    newtons itself; only forces make a finger feel a contact."""
+
+    def __post_init__(self) -> None:
+        """Check that the taxels are given in one way."""
+        if self.link is None and (self.grid is not None or self.positions):
+            raise ValueError("should name the link that the taxels are on")
+        if self.grid is not None and self.positions:
+            raise ValueError("should have a grid or positions, not both")
+        if self.normals and len(self.normals) != len(self.positions):
+            raise ValueError("should have as many normals as positions")
+        if any(not any(normal) for normal in self.normals):
+            raise ValueError("should have normals that are longer than 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import ModelError, UserError
-from rtee.hand.config_schema import ActuatorDynamics, ActuatorLimits, DefaultLimits
+from rtee.hand.config_schema import ActuatorDynamics, ActuatorLimits, DefaultLimits, TouchSection
 from rtee.hand.model import CLEARANCE, Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
@@ -49,6 +49,7 @@ class Overrides:
         dynamics: Dynamics by actuator.
         default_dynamics: Dynamics of all actuators, where they say nothing else.
         tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
+        touch: Where touch sensors are, by name.
         clearance: Distance that clear poses keep from other links [m].
         payload: Largest mass that it may hold [kg].
         openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
@@ -66,6 +67,7 @@ class Overrides:
     dynamics: Mapping[str, ActuatorDynamics] = field(default_factory=dict)
     default_dynamics: ActuatorDynamics = field(default_factory=ActuatorDynamics)
     tip_friction: Mapping[str, float] = field(default_factory=dict)
+    touch: Mapping[str, TouchSection] = field(default_factory=dict)
     clearance: float = CLEARANCE
     payload: float = math.inf
     openings: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)

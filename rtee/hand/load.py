@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
+from rtee.hand.config_schema import TouchSection
 from rtee.hand.discovery import make_fingers
 from rtee.hand.dynamics import make_dynamics
 from rtee.hand.limits import (
@@ -116,6 +117,7 @@ def load_configured(
         dynamics=config.dynamics.actuators,
         default_dynamics=config.dynamics.defaults,
         tip_friction=config.tip_friction,
+        touch=config.touch,
         clearance=config.clearance,
         payload=math.inf if config.payload is None else config.payload,
         openings={name: tuple(pairs) for name, pairs in config.openings.items()},
@@ -124,6 +126,10 @@ def load_configured(
     )
     hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
     _check_devices(hand, config, document)
+    joint = config.ros2.gripper_joint
+    if joint and joint not in hand.actuator_names:
+        hint = suggestion(joint, hand.actuator_names)
+        raise document.error(("ros2", "gripper_joint"), f"unknown actuator '{joint}'; {hint}")
     return hand, config
 
 
@@ -263,7 +269,17 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
             lambda place, what: _refused(("dynamics", *place), what, overrides, urdf),
         ),
         tip_friction=_tip_friction(fingers, overrides, urdf),
+        touch=_touch(overrides, urdf),
     )
+
+
+def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:
+    """Return where the touch sensors are, once their links are known to exist."""
+    for name, section in overrides.touch.items():
+        if section.link is not None and section.link not in urdf.links:
+            what = f"unknown link '{section.link}'; {suggestion(section.link, urdf.links)}"
+            raise _refused(("touch", name, "link"), what, overrides, urdf)
+    return overrides.touch
 
 
 def _tip_friction(fingers: Sequence[Finger], overrides: Overrides, urdf: Urdf) -> dict[str, float]:

@@ -15,6 +15,8 @@ from rtee.hand.urdf import Urdf, UrdfGeometry
 
 FORMATS: Final = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off", ".3ds", ".fbx")
 
+_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
+
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://(.*)\Z", re.DOTALL)
 
 
@@ -66,18 +68,55 @@ def resolve_mesh(
 def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
     """Yield where a file of a package may lie, the most specific place first."""
     package, _, rest = address.partition("/")
-    # The URDF usually lies in the package that it names, or beside it.
-    roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
-    roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
-    for root in roots:
-        yield root / package / rest
-        if root.name == package:
-            yield root / rest
-    for prefix in _variable("AMENT_PREFIX_PATH"):
-        yield Path(prefix) / "share" / package / rest
+    for place in _packages(package, folder, package_dirs):
+        yield place / rest
     # A package's folder may have been copied or renamed.
     for root in (folder, *(Path(p).absolute() for p in package_dirs)):
         yield root / rest
+
+
+def _packages(package: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
+    """Yield where a package may lie by its name, the most specific place first."""
+    # A model usually lies in the package that it names, or beside it.
+    roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
+    roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
+    for root in roots:
+        yield root / package
+        if root.name == package:
+            yield root
+    for prefix in _variable("AMENT_PREFIX_PATH"):
+        yield Path(prefix) / "share" / package
+
+
+def find_package(
+    package: str, folder: Path, package_dirs: Sequence[Path | str] = ()
+) -> Path | None:
+    """Return the folder of a package; ``None`` if it is not found.
+
+    It is looked up as for ``package://`` (see `resolve_mesh`); a folder of another name counts if
+    its ``package.xml`` says that it is the package.
+
+    Args:
+        package: Its name.
+        folder: Folder of the file that names it.
+        package_dirs: Folders to look it up in, before those of the environment.
+    """
+    if package in ("", ".", "..") or "/" in package:
+        return None
+    place = next((p for p in _packages(package, folder, package_dirs) if p.is_dir()), None)
+    if place is not None:
+        return place
+    roots = (folder, *folder.parents, *(Path(p).absolute() for p in package_dirs))
+    return next((root for root in roots if _declared(root) == package), None)
+
+
+def _declared(folder: Path) -> str | None:
+    """Return the name in a folder's ``package.xml``, if it has one."""
+    file = folder / "package.xml"
+    if not file.is_file():
+        return None
+    found = _NAME.search(read_bytes(file, "package.xml", ModelError))
+    return found[1].decode("utf-8", "replace") if found else None
 
 
 def _variable(name: str) -> list[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from rtee.errors import UnknownActuator, UnknownFinger, UnknownJoint
-from rtee.hand.config_schema import ActuatorDynamics
+from rtee.hand.config_schema import ActuatorDynamics, TouchSection
 from rtee.hand.transmission import Transmission
 from rtee.hand.urdf import Urdf
 from rtee.sample import FloatArray
@@ -102,6 +102,7 @@ class Hand:
         payload: Largest mass that it may hold [kg]; infinite where that is not known.
         openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
         tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.
+        touch: Where touch sensors are, by name, as far as hand.yaml says.
     """
 
     name: str
@@ -123,6 +124,7 @@ class Hand:
         default_factory=dict, kw_only=True
     )
     tip_friction: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    touch: Mapping[str, TouchSection] = field(default_factory=dict, kw_only=True)
 
     @cached_property
     def lower(self) -> FloatArray:

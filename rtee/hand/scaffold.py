@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePosixPath
-from typing import Any, Final
+from pathlib import Path
+from typing import Any
 
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.allowed_collisions import ALWAYS, AllowedCollision, allowed_collisions
 from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.discovery import name_fingers
-from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
-from rtee.hand.meshes import resolve_mesh
-from rtee.hand.model import Finger, Hand
-from rtee.hand.names import check_name, safe_name
+from rtee.hand.local_meshes import as_utf8, with_local_meshes
+from rtee.hand.model import Finger, Hand, JointRole
+from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
-from rtee.hand.srdfwrite import format_srdf, with_disabled
-from rtee.hand.urdf import Urdf
+from rtee.hand.srdfwrite import DisabledPair, format_srdf, with_disabled, with_passive
 from rtee.hand.xmlfile import read_xml
 from rtee.hand.yamlwrite import ignore_line, rest_line
-
-_DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
-
 
 Ask = Callable[[str, bool], bool]
 """Asks a yes-or-no question; the second argument is the likelier answer."""
@@ -62,6 +56,8 @@ def make_hand(
     package_dirs: Sequence[Path | str] = (),
     into: Path | str = "config",
     ask: Ask | None = None,
+    passive: Collection[str] | None = None,
+    excluded: Sequence[DisabledPair] = (),
 ) -> NewHand:
     """Make the folder of a new hand.
 
@@ -77,6 +73,8 @@ def make_hand(
         into: Folder of the hands.
         ask: Asks about what the files cannot say for sure; without it joints that may have no motor
             are noted only.
+        passive: The joints without a motor besides the SRDF's, where that is known.
+        excluded: Pairs of links that are never checked for collision besides those found, and why.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
@@ -87,7 +85,10 @@ def make_hand(
     if target.exists():
         raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
     load = partial(load_model, urdf, srdf, name=name, package_dirs=package_dirs)
-    settled = _settle(load, searched=srdf is None, ask=ask)
+    if passive is not None:
+        load = partial(load, passive=passive)
+    settled = _settle(load, searched=srdf is None, motors_known=passive is not None, ask=ask)
+    settled = replace(settled, pairs=_with(excluded, settled))
     hand, pairs, notes = settled.hand, settled.pairs, settled.notes
     if len(hand.fingers) == 1:
         notes.append(
@@ -122,18 +123,32 @@ class _Settled:
     notes: list[str]
 
 
-def _settle(load: Callable[..., Hand], *, searched: bool, ask: Ask | None) -> _Settled:
+def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[AllowedCollision, ...]:
+    """Return the pairs of a hand and those excluded besides."""
+    there = {frozenset(pair[:2]) for pair in settled.pairs}
+    links = settled.hand.urdf.links
+    return settled.pairs + tuple(
+        AllowedCollision(*pair)
+        for pair in excluded
+        if frozenset(pair[:2]) not in there and pair[0] in links and pair[1] in links
+    )
+
+
+def _settle(
+    load: Callable[..., Hand], *, searched: bool, motors_known: bool, ask: Ask | None
+) -> _Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
     Args:
         load: Loads the hand, with what was settled so far.
-        searched: Whether the fingers are found in the tree; no joint is known to be passive then.
+        searched: Whether the fingers are found in the tree.
+        motors_known: Whether it is known which joints have motors; an SRDF says so, too.
         ask: Asks the user, if there is one.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}
     notes: list[str] = []
-    if searched:
+    if searched and not motors_known:
         passive, notes = _passive(hand, ask)
         if passive:
             chosen["passive"] = passive
@@ -245,79 +260,24 @@ def without_linkages(
 def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
     """Write the files of a hand into a folder; return what was noticed."""
     hand, pairs = settled.hand, settled.pairs
-    urdf_text, notes = _with_local_meshes(hand, folder)
-    write_atomically(folder / f"{hand.name}.urdf", urdf_text)
+    local = with_local_meshes(hand)
+    for place, source in local.meshes.items():
+        make_folder((folder / place).parent)
+        write_atomically(folder / place, read_bytes(source, "mesh", ModelError))
+    write_atomically(folder / f"{hand.name}.urdf", local.text)
     if srdf is None:
         srdf_text = format_srdf(hand, pairs, with_rest=not settled.rest)
     else:
-        srdf_text = _utf8(read_xml(srdf, "SRDF")[1])
+        srdf_text = as_utf8(read_xml(srdf, "SRDF")[1])
         # An SRDF that lists pairs was made with care; pairs are added only where it has none.
-        if not read_srdf(srdf).disabled:
+        given = read_srdf(srdf)
+        if not given.disabled:
             srdf_text = with_disabled(srdf_text, pairs)
+        standing = (j.name for j in hand.joints if j.role is JointRole.PASSIVE)
+        srdf_text = with_passive(srdf_text, [j for j in standing if j not in given.passive])
     write_atomically(folder / f"{hand.name}.srdf", srdf_text)
     write_atomically(folder / FILE_NAME, _hand_yaml(settled))
-    return notes
-
-
-def _utf8(text: str) -> str:
-    """Return the text of an XML file as it is declared when it is written in UTF-8."""
-    return '<?xml version="1.0"?>\n' + _DECLARATION.sub("", text)
-
-
-def _with_local_meshes(hand: Hand, folder: Path) -> tuple[str, list[str]]:
-    """Copy the meshes into a folder; return the URDF with their new addresses, and notes."""
-    addresses: dict[str, str] = {}
-    notes = []
-    for uri, line, needed in _meshes(hand.urdf):
-        try:
-            source = resolve_mesh(uri, hand.urdf.path, hand.package_dirs, line=line)
-        except ModelError as error:
-            if needed:
-                raise
-            notes.append(f"a visual mesh was left where it is: {error}")
-            continue
-        addresses[uri] = _copy(source, uri, folder, set(addresses.values()))
-    return with_mesh_addresses(_utf8(hand.urdf.text), addresses), notes
-
-
-def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
-    """Return every mesh once: its address, its line, and whether it is collision geometry."""
-    found: dict[str, tuple[str, int, bool]] = {}
-    # Collision meshes first: a mesh that serves for both must not be missing.
-    for needed in (True, False):
-        for link in urdf.links.values():
-            for shape in link.collisions if needed else link.visuals:
-                if shape.kind == "mesh":
-                    found.setdefault(shape.mesh, (shape.mesh, shape.line, needed))
-    return list(found.values())
-
-
-def _copy(source: Path, uri: str, folder: Path, taken: set[str]) -> str:
-    """Copy a mesh; return its path relative to the folder."""
-    place = _place(uri, source)
-    # Two packages may have meshes of the same name.
-    if place in taken:
-        stem = PurePosixPath(place)
-        numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
-        place = next(other for other in numbered if other not in taken)
-    target = folder / place
-    make_folder(target.parent)
-    write_atomically(target, read_bytes(source, "mesh", ModelError))
-    return place
-
-
-def _place(uri: str, source: Path) -> str:
-    """Return where a mesh goes: as in its address below its package, or else in ``meshes``."""
-    scheme, separator, rest = uri.partition("://")
-    if separator:
-        parts = [] if scheme == "file" else rest.split("/")[1:-1]
-    else:
-        parts = uri.split("/")[:-1]
-    parts = [part for part in parts if part not in ("", ".")]
-    # An address may come from anywhere: it must not lead out of the hand's folder.
-    if ".." in parts or not parts:
-        parts = ["meshes"]
-    return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
+    return list(local.notes)
 
 
 def _hand_yaml(settled: _Settled) -> str:

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
-from rtee.hand.allowed_collisions import AllowedCollision
 from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
+
+DisabledPair = tuple[str, str, str]
+"""Two links that are never checked for collision, and why."""
 
 _HEAD = """<?xml version="1.0"?>
 <!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->
 """
 
 
-def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: bool = True) -> str:
+def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = True) -> str:
     """Return the SRDF of a hand.
 
     Args:
@@ -39,7 +41,7 @@ def format_srdf(hand: Hand, pairs: Sequence[AllowedCollision], *, with_rest: boo
     return _HEAD + "\n".join(lines) + "\n"
 
 
-def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
+def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
     """Return the lines that disable collisions, with what they mean."""
     if not pairs:
         return []
@@ -47,20 +49,29 @@ def disabled_lines(pairs: Sequence[AllowedCollision]) -> list[str]:
         "",
         "  <!-- Pairs of links that are never checked for collision, and why. -->",
         *(
-            f"  <disable_collisions link1={quoteattr(pair.link1)} link2={quoteattr(pair.link2)} "
-            f"reason={quoteattr(pair.reason)}/>"
-            for pair in pairs
+            f"  <disable_collisions link1={quoteattr(link1)} link2={quoteattr(link2)} "
+            f"reason={quoteattr(reason)}/>"
+            for link1, link2, reason in pairs
         ),
     ]
 
 
-def with_disabled(srdf: str, pairs: Sequence[AllowedCollision]) -> str:
+def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
     """Return an SRDF's text with the pairs added before its end."""
+    return _with_lines(srdf, disabled_lines(pairs))
+
+
+def with_passive(srdf: str, joints: Sequence[str]) -> str:
+    """Return an SRDF's text with joints without a motor added before its end."""
+    return _with_lines(srdf, [f"  <passive_joint name={quoteattr(joint)}/>" for joint in joints])
+
+
+def _with_lines(srdf: str, lines: Sequence[str]) -> str:
     # As text, so that a file of the user keeps its comments and layout.
     head, end, tail = srdf.rpartition("</robot>")
-    if not end or not pairs:
+    if not end or not lines:
         return srdf
-    return head + "\n".join(disabled_lines(pairs)).lstrip("\n") + "\n" + end + tail
+    return head + "\n".join(lines).lstrip("\n") + "\n" + end + tail
 
 
 def _group(finger: Finger) -> list[str]:

@@ -66,11 +66,15 @@ def _check_root(root: Element) -> None:
     if root.tag != "robot":
         other = {"sdf": "an SDF", "mujoco": "a MuJoCo model", "COLLADA": "a COLLADA mesh"}
         what = other.get(root.tag, f"<{root.tag}>")
-        raise root.error(f"is {what}, not a URDF, whose root element is <robot>")
+        remedy = "; give it by --mjcf" if root.tag == "mujoco" else ""
+        raise root.error(f"is {what}, not a URDF, whose root element is <robot>{remedy}")
     # A frequent mistake, which would otherwise show as a URDF without links.
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
-        raise macro.error("is a xacro file; expand it first: xacro FILE > hand.urdf")
+        raise macro.error(
+            "is a xacro file; let its name end with .xacro, and rtee expands it, which runs its "
+            "expressions"
+        )
 
 
 def _links(root: Element) -> dict[str, UrdfLink]:

@@ -16,7 +16,7 @@ from rtee.errors import LogError, RteeError
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json
-from rtee.log.layout import REPLAY, Replayable
+from rtee.log.layout import REPLAY, RUN_BEGINS, Replayable
 from rtee.log.recording import Entry, Recording
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
@@ -130,7 +130,8 @@ def check(recording: Recording) -> Check:
 
 
 def _check(recording: Recording, replayable: Replayable) -> Check:
-    controller = Controller(recorded_hand(recording, replayable), replayable.settings)
+    hand = recorded_hand(recording, replayable)
+    controller = Controller(hand, replayable.settings)
     states, reference = recording.actuator_states, recording.reference
     names = tuple(spec.name for spec in replayable.actuators)
     if states.names != names or reference.names != names:
@@ -138,8 +139,12 @@ def _check(recording: Recording, replayable: Replayable) -> Check:
     computed = {name: np.empty((len(states), len(names))) for name in _QUANTITIES}
     results: list[Result] = []
     due = _steering(recording)
+    runs = deque(e.value.stamp for e in recording.events if e.value.kind == RUN_BEGINS)
     for row, measured in enumerate(_measured(recording)):
         stamp = float(states.time[row])
+        while runs and runs[0] <= stamp:
+            runs.popleft()
+            controller = Controller(hand, replayable.settings)
         for what in due(int(states.tick[row]), stamp):
             if isinstance(what, Plan):
                 controller.accept(what, stamp)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -74,17 +74,25 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of the plot: positions with their references, and efforts.
+    """A row of the plot: positions with their references, and efforts; or touch.
 
     Attributes:
-        title: The actuator or finger.
-        positions: Lines of positions and references.
-        efforts: Lines of efforts or currents.
+        title: The actuator or finger, or the device with the touch sensors.
+        positions: Lines of positions and references; of touch, the sums over the taxels.
+        efforts: Lines of efforts or currents; of touch, the largest taxels.
+        unit: Unit of touch; empty: the row is none of touch.
     """
 
     title: str
     positions: tuple[Line, ...]
     efforts: tuple[Line, ...]
+    unit: str = ""
+
+    def labels(self, effort_label: str) -> tuple[str, str]:
+        """Return what its two panels show, with units; ``effort_label`` for efforts."""
+        if self.unit:
+            return f"touch, sum [{self.unit}]", f"largest taxel [{self.unit}]"
+        return "position [rad | m]", effort_label
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +192,7 @@ def figure(
                 t, values = thinned(states.t[within], efforts[within, column])
                 forces.append(Line(name, t, values, colour, dashed=False, group=name))
         rows.append(Row(title, tuple(positions), tuple(forces)))
+    rows += _touch_rows(recording, begin, until)
     bands = bands_of(recording.spans, begin, until)
     marks = [
         (entry.t, entry.value.text if entry.value.kind == "mark" else entry.value.kind)
@@ -200,6 +209,28 @@ def figure(
         start=begin,
         end=until,
     )
+
+
+def _touch_rows(recording: Recording, start: float, end: float) -> Iterator[Row]:
+    """Yield a row for each device and unit of touch sensors."""
+    for device, series in recording.touch.items():
+        within = (series.t >= start) & (series.t <= end)
+        for unit in dict.fromkeys(sensor.unit for sensor in series.sensors):
+            sums: list[Line] = []
+            largest: list[Line] = []
+            begin = 0
+            for index, sensor in enumerate(series.sensors):
+                taxels = series.values[within, begin : begin + sensor.taxels]
+                begin += sensor.taxels
+                if sensor.unit != unit:
+                    continue
+                colour = COLOURS[index % len(COLOURS)]
+                for into, values in ((sums, series.totals[within, index]), (largest, taxels)):
+                    if values.ndim > 1:
+                        values = values.max(axis=1)
+                    t, thin = thinned(series.t[within], values)
+                    into.append(Line(sensor.name, t, thin, colour, dashed=False, group=sensor.name))
+            yield Row(f"touch: {device}", tuple(sums), tuple(largest), unit)
 
 
 def _title(recording: Recording) -> str:

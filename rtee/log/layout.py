@@ -32,6 +32,9 @@ CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES,
 REPLAY = "replay.json"
 """Name of the attachment from which the references can be recomputed."""
 
+RUN_BEGINS = "run_begins"
+"""Kind of the event with which another run begins in a recording, with a controller of its own."""
+
 MESHES = "meshes"
 """Name of the metadata record that says which attachment is the mesh of which address."""
 

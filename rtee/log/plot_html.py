@@ -44,8 +44,10 @@ def write_html(figure: Figure, path: Path) -> None:
                 trace = _trace(go, line, named=line.group not in shown and not line.dashed)
                 drawing.add_trace(trace, row=number, col=column)
                 shown.add(line.group)
-        drawing.update_yaxes(title_text=f"{row.title}<br>[rad | m]", row=number, col=1)
-        drawing.update_yaxes(title_text=figure.effort_label, row=number, col=2)
+        left, right = row.labels(figure.effort_label)
+        unit = left[left.index("[") :]
+        drawing.update_yaxes(title_text=f"{html.escape(row.title)}<br>{unit}", row=number, col=1)
+        drawing.update_yaxes(title_text=right, row=number, col=2)
     _spans(drawing, figure, count)
     head = _HEAD + _LANE_HEIGHT * (figure.lanes)
     drawing.update_xaxes(range=[figure.start, figure.end], title_text=None, gridcolor="#e5e5e5")

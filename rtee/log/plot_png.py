@@ -67,9 +67,11 @@ def _row(row: Row, left: Any, right: Any, figure: Figure) -> None:
                 alpha=0.8 if line.dashed else 1.0,
                 label="_" if line.dashed else line.name,
             )
-    left.set_ylabel("position\n[rad | m]", size=8)
-    right.set_ylabel(figure.effort_label, size=8)
-    left.set_title(f"{row.title}   (dashed: reference)", loc="left", size=9, pad=3)
+    shown, beside = row.labels(figure.effort_label)
+    left.set_ylabel(shown.replace(" [", "\n["), size=8)
+    right.set_ylabel(beside, size=8)
+    title = row.title if row.unit else f"{row.title}   (dashed: reference)"
+    left.set_title(title, loc="left", size=9, pad=3)
     if len(row.positions) > 2:
         left.legend(
             loc="lower right",

@@ -17,7 +17,15 @@ from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
 from rtee.log.record_scanner import DamagedRecordError, messages_of
-from rtee.log.recording import ActuatorSeries, Channel, Entry, JointSeries, Recording
+from rtee.log.recording import (
+    ActuatorSeries,
+    Channel,
+    Entry,
+    JointSeries,
+    Recording,
+    TouchSeries,
+    touch_series,
+)
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan
@@ -25,7 +33,9 @@ from rtee.messages import convert, topics
 from rtee.messages.codec import SECOND, channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.state import ACTUATOR_COLUMNS
+from rtee.messages.touch import sensors_of, touch_of
 from rtee.sample import COLUMNS, FloatArray
+from rtee.touch import TouchSensor, TouchState
 from rtee.types import Goal
 
 T = TypeVar("T")
@@ -259,6 +269,7 @@ class _Collector:
             device_status=entries(topics.DEVICE_STATUS, convert.DEVICE_STATUS.of),
             loop_statistics=entries(topics.LOOP_STATISTICS, convert.LOOP_STATISTICS.of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
+            touch=self._touch(start),
             object_description=things[-1].value if things else None,
             urdf=self._urdf(attachments),
             meshes=self._surveys[0].metadata.get(MESHES, {}),
@@ -308,6 +319,26 @@ class _Collector:
             time=table.scalars("time")[order],
             **{name: table.column(name, COLUMNS[name].default)[order] for name in ACTUATOR_COLUMNS},
         )
+
+    def _touch(self, start: int) -> dict[str, TouchSeries]:
+        known: dict[str, tuple[TouchSensor, ...]] = {}
+        for _, _, fields in self._messages[topics.TOUCH_SENSORS]:
+            try:
+                known |= sensors_of(fields)
+            except MessageError:
+                self._damaged += 1
+        found: dict[str, list[tuple[int, TouchState]]] = {}
+        for time, _, fields in sorted(self._messages[topics.TOUCH], key=lambda each: each[:2]):
+            try:
+                state = touch_of(fields, known)
+            except MessageError:
+                self._damaged += 1
+            else:
+                found.setdefault(state.device, []).append((time, state))
+        series, others = touch_series(found, start)
+        if others:
+            self._notes.append(f"{others} messages of other touch sensors are left out")
+        return series
 
     def _entries(self, name: str, make: Callable[[Fields], T], start: int) -> list[Entry[T]]:
         entries = []

@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
@@ -125,7 +126,7 @@ class Recorder:
             except OSError as error:
                 raise LogError(
                     f"no recording can be written here: {reason(error)}",
-                    path=self._settings.directory,
+                    path=self._settings.folder,
                 ) from error
         # A daemon: a disk that hangs must not keep the process from ending.
         self._thread = threading.Thread(target=self._run, name="rtee-recorder", daemon=True)
@@ -248,6 +249,11 @@ class Recorder:
     def dropped(self) -> int:
         """Records dropped because the writer fell behind."""
         return self._dropped
+
+    @property
+    def flight_folder(self) -> Path | None:
+        """Where the flight recorder writes; ``None`` if there is none."""
+        return None if self._writer.flight is None else self._settings.folder
 
     def status(self) -> RecorderStatus:
         """Return how the recorder is doing."""

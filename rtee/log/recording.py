@@ -17,6 +17,7 @@ from rtee.loop.plan import Plan
 from rtee.messages.codec import SECOND
 from rtee.object_description import ObjectDescription
 from rtee.sample import BoolArray, FloatArray, Measurements
+from rtee.touch import TouchSensor, TouchState, totals
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 T = TypeVar("T")
@@ -110,6 +111,76 @@ class Channel:
     values: tuple[FloatArray, ...]
 
 
+@dataclass(frozen=True)
+class TouchSeries:
+    """What the touch sensors of a device measured over time.
+
+    Attributes:
+        device: The device.
+        sensors: Its sensors.
+        t: Time since the recording's start at which the loop received it ``(k,)`` [s].
+        wall: The same since 1970 ``(k,)`` [ns].
+        time: When the oldest value was measured, CLOCK_MONOTONIC ``(k,)`` [s].
+        stale: Whether nothing newer had come for a while ``(k,)``.
+        values: Values of all taxels, one sensor after the other, in their units ``(k, n)``.
+    """
+
+    device: str
+    sensors: tuple[TouchSensor, ...]
+    t: FloatArray
+    wall: NDArray[np.int64]
+    time: FloatArray
+    stale: BoolArray
+    values: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def state(self, row: int) -> TouchState:
+        """Return one of them as a state."""
+        return TouchState(
+            self.device,
+            self.sensors,
+            self.values[row],
+            float(self.time[row]),
+            bool(self.stale[row]),
+        )
+
+    @cached_property
+    def totals(self) -> FloatArray:
+        """The sum over the taxels of each sensor ``(k, sensors)``, in its unit."""
+        return totals(self.sensors, self.values)
+
+
+def touch_series(
+    found: Mapping[str, Sequence[tuple[int, TouchState]]], start: int
+) -> tuple[dict[str, TouchSeries], int]:
+    """Return states of touch sensors as series by device, and how many fit none of them.
+
+    Args:
+        found: The states by device, each with its time since 1970 [ns], in order.
+        start: The recording's start [ns].
+    """
+    series, others = {}, 0
+    for device, states in found.items():
+        last = states[-1][1]
+        names = [(sensor.name, sensor.taxels) for sensor in last.sensors]
+        # A device may have been exchanged for one with other sensors: the last ones count.
+        same = [s for s in states if [(x.name, x.taxels) for x in s[1].sensors] == names]
+        others += len(states) - len(same)
+        wall = np.array([time for time, _ in same], dtype=np.int64)
+        series[device] = TouchSeries(
+            device,
+            last.sensors,
+            (wall - start) / SECOND,
+            wall,
+            np.array([state.stamp for _, state in same]),
+            np.array([state.stale for _, state in same]),
+            np.array([state.values for _, state in same]),
+        )
+    return series, others
+
+
 @dataclass(frozen=True, slots=True)
 class Span:
     """The time an action took.
@@ -167,6 +238,7 @@ class Recording:
         device_status: Device status, about once a second.
         loop_statistics: Loop statistics, about once a second.
         channels: Further measured channels by name.
+        touch: What touch sensors measured, by device.
         object_description: What a simulated device grasped, if it did.
         urdf: The URDF as it was read.
         meshes: Address of a mesh in the URDF to the name of its attachment.
@@ -194,6 +266,7 @@ class Recording:
     device_status: Sequence[Entry[DeviceStatus]] = ()
     loop_statistics: Sequence[Entry[LoopStatistics]] = ()
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    touch: Mapping[str, TouchSeries] = field(default_factory=dict)
     object_description: ObjectDescription | None = None
     urdf: str = ""
     meshes: Mapping[str, str] = field(default_factory=dict)

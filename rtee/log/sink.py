@@ -56,7 +56,7 @@ class DiskSink:
         self._part = 0
         self._opened = 0.0
         self._looked = 0.0
-        self._retention = Retention(settings.directory, contents.hand.name, settings.max_total_size)
+        self._retention = Retention(settings.folder, contents.hand.name, settings.max_total_size)
         self.wanted = False
         self.problem = ""
         self.written_ticks = 0
@@ -92,7 +92,7 @@ class DiskSink:
         self.problem = ""
 
     def _open(self, wall_ns: int) -> None:
-        folder = self._settings.directory
+        folder = self._settings.folder
         folder.mkdir(parents=True, exist_ok=True)
         hand = self._contents.hand.name
         for partial in folder.glob(f".{hand}_*_{FLIGHT}.mcap{_PARTIAL}"):
@@ -171,12 +171,12 @@ class DiskSink:
             cause: The fault in words.
         """
         settings = self._settings
-        path = flight_path(settings.directory, self._contents.hand.name, session_name(wall_ns))
+        path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))
         # Hidden until it is complete: a program that looks for the file finds it whole.
         partial = path.with_name(f".{path.name}{_PARTIAL}")
         preamble = self._contents.preamble(chunks[0].start, cause=cause)
         try:
-            settings.directory.mkdir(parents=True, exist_ok=True)
+            settings.folder.mkdir(parents=True, exist_ok=True)
             partial.unlink(missing_ok=True)
             file = McapFile(partial, preamble, sync=False)
             try:

@@ -104,11 +104,31 @@ def _channels(recording: Recording) -> Table:
     }
 
 
+def _touch(recording: Recording) -> Table:
+    """Return one row for each sensor and reading: its sum and its taxels."""
+    rows = [
+        (float(each.t[k]), device, sensor.name, sensor.unit, bool(each.stale[k]), i, k, each)
+        for device, each in recording.touch.items()
+        for k in range(len(each))
+        for i, sensor in enumerate(each.sensors)
+    ]
+    rows.sort(key=lambda row: row[0])
+    texts = {"device": 1, "sensor": 2, "unit": 3}
+    table: Table = {"t": np.array([row[0] for row in rows], dtype=np.float64)}
+    table |= {name: np.array([row[i] for row in rows], dtype=np.str_) for name, i in texts.items()}
+    table["stale"] = np.array([row[4] for row in rows], dtype=bool)
+    table["total"] = np.array([each.totals[k, i] for *_, i, k, each in rows], dtype=np.float64)
+    taxels = (each.state(k).of(name).tolist() for _, _, name, _, _, _, k, each in rows)
+    table["taxels"] = np.array([" ".join(f"{v:g}" for v in one) for one in taxels], dtype=np.str_)
+    return table
+
+
 _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
     topics.JOINT_STATES: lambda recording: _series(recording.joint_states),
     topics.ACTUATOR_STATES: lambda recording: _series(recording.actuator_states),
     topics.REFERENCE: lambda recording: _series(recording.reference),
     topics.CHANNELS: _channels,
+    topics.TOUCH: _touch,
     topics.GOALS: lambda recording: _entries(recording.goals),
     topics.COMMANDS: _commands,
     topics.FEEDBACK: lambda recording: _entries(recording.feedback),

@@ -23,8 +23,10 @@ from rtee.loop.plan import Plan
 from rtee.messages import convert, topics
 from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
+from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
+from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 Item = (
@@ -124,6 +126,8 @@ class LogWriter:
         self._anchor = 0
         self._sequence = 0
         self._extras: dict[str, FloatArray] = {}
+        self._touch: Mapping[str, TouchState] = {}
+        self._touch_encoder = TouchEncoder()
         self._plan: Plan | None = None
         self._grip_due = -float("inf")
         self._lost_told = 0
@@ -171,6 +175,8 @@ class LogWriter:
         self._builder.add_block(wall, self._encoder.encode(record, wall))
         if record.channels:
             self._add_extras(record, wall)
+        if record.touch is not self._touch:
+            self._add_touch(record.touch, wall)
         if self._plan is not None and record.stamp >= self._grip_due:
             self._add_grip(self._plan, record, wall)
         if self._transforms.due(record.tick):
@@ -194,6 +200,18 @@ class LogWriter:
             "value": values,
         }
         self._add(topics.CHANNELS, wall, _CHANNELS.encode(fields))
+
+    def _add_touch(self, states: Mapping[str, TouchState], wall: int) -> None:
+        """Record those of the devices' touch sensors that were measured anew, or became stale."""
+        known, self._touch = self._touch, states
+        new = [state for name, state in states.items() if known.get(name) is not state]
+        if any(s.device not in known or known[s.device].sensors is not s.sensors for s in new):
+            sensors = TOUCH_SENSORS.encode(sensors_fields(states.values(), wall))
+            self._contents.latched[topics.TOUCH_SENSORS] = sensors  # for files begun later
+            self._add(topics.TOUCH_SENSORS, wall, sensors)
+        for state in new:
+            measured = self.wall_of(state.stamp)
+            self._add(topics.TOUCH, wall, self._touch_encoder.encode(state, measured))
 
     def _add_grip(self, plan: Plan, record: TickRecord, wall: int) -> None:
         """Record the opening and the force of the fingertips."""
@@ -247,7 +265,7 @@ class LogWriter:
             return
         self.flush()
         self._compared = False
-        self._extras = {}
+        self._extras, self._touch = {}, {}
         try:
             self.sink.start(self._wall())
         except OSError:

@@ -266,6 +266,8 @@ class ContactWatch:
             # Not NaN, so this finger is measured, even if it has never touched anything.
             elif force == force:
                 self._felt.setdefault(finger, -math.inf)
+            elif self._felt:  # a sensor that has gone silent must not say "lost"
+                self._felt.pop(finger, None)
 
     def _touches(self, finger: str) -> bool | None:
         """Return whether a fingertip touches something; ``None``: that is not measured."""

@@ -18,6 +18,7 @@ from rtee.loop.opening_plan import DeviceForces
 from rtee.loop.settings import DeviceSettings
 from rtee.loop.state_aggregator import StateAggregator
 from rtee.loop.supervisor import Supervisor
+from rtee.loop.touch import TouchGatherer
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.types import Event, Lifecycle, Reference, readonly
@@ -81,7 +82,7 @@ class Devices:
             what = f"the actuator '{missing[0]}'" if missing else "a device's name is used twice:"
             raise ConfigError(f"{hand.name}: {what} is driven by no device of its own")
         self._all = tuple(self.by_name.values())
-        self.state = StateAggregator(self._all)
+        self.state = StateAggregator(self._all, TouchGatherer(hand, self._complain))
         self._active = dict.fromkeys(self.by_name, False)
         self._masks = {d.name: np.ones(len(d.indices), dtype=np.bool_) for d in self._all}
         self._max_velocity: list[float] = []
@@ -105,6 +106,8 @@ class Devices:
         active = self._active
         for device in self._all:
             link = device.connection
+            if not device.indices:  # it only measures: nothing that moves depends on it
+                continue
             if (link.lifecycle is Lifecycle.ACTIVE) is not active[device.name]:
                 self._follow(device, steer, on_lost)
             if link.rejected:
@@ -142,6 +145,13 @@ class Devices:
             # grow.
             self._refusals = {text: now}
             self._on_event(Event("rejected", device.name, text, now, "warning"))
+
+    def _complain(self, device: str, text: str) -> None:
+        """Tell of a device's reading that cannot be used, once in a while."""
+        now = self._now()
+        if now - self._refusals.get(text, -math.inf) >= _REPEAT_AFTER:
+            self._refusals = {text: now}
+            self._on_event(Event("touch_refused", device, text, now, "warning"))
 
     def movable(self) -> frozenset[int]:
         """Return the actuators that may be moved."""

@@ -325,7 +325,8 @@ class Executor:
         error = self._norms(run.present.targets, measured.position)
         # A progress bar must not go back when the hand overshoots.
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
-        if self._within(run, error) and self._settled(run):
+        arrived = self._within(run, error) and self._settled(run)
+        if arrived and not self._plausible.leaping(run.present.targets, stamp):
             run.reached[run.leg] = True
             run.progress[run.leg] = 1.0
         elif not self._over(run, measured):

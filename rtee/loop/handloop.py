@@ -169,7 +169,7 @@ class HandLoop:
         stamp = tick.due_ns * 1e-9
         devices, state, controller = self._devices, self._devices.state, self.controller
         # Sense: what the devices measured in the exchanges of the last tick, or since.
-        state.collect()
+        state.collect(stamp)
         devices.follow(self._pending.append, self._on_lost)
         # Goals and commands, in their order.
         while self._pending:
@@ -188,9 +188,8 @@ class HandLoop:
             reference_position=np.array(controller.reference_position),
             reference_velocity=np.array(controller.reference_velocity),
             reference_effort=np.array(controller.reference_effort),
-            channels=state.channels
-            if controller.stream is None
-            else {**state.channels, **controller.stream.channels},
+            channels=state.channels_with(controller.stream),
+            touch=state.touch,
         )
         # Move: send the reference; a device that answers at once is also sensed again here.
         devices.move(record, controller.max_velocity)

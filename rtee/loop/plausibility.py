@@ -32,6 +32,14 @@ _PERSISTENT = 5
 """This many implausible steps with less than `_CALM` between them are not a glitch. Being outside
 of the limits is not a step: from there an actuator may come back."""
 
+_LEAP = 0.02
+"""A measured step of more than this share of the range is a leap: possible where an actuator is
+measured rarely, but of random positions nearly every step is one."""
+
+_AGREEING = 2.5
+"""After a leap an arrival is believed when no other has come for this many times the interval
+between measurements: two more of them agree, though they come late."""
+
 
 @dataclass(slots=True)
 class _Doubt:
@@ -67,6 +75,8 @@ class Plausibility:
         self._last = [math.nan] * n
         self._left = list(self._most)
         self._changed = [-math.inf] * n
+        self._leap = [_LEAP * span if math.isfinite(span) else _LEAP for span in spans]
+        self._leaping_until = [-math.inf] * n
         self._seen = [-math.inf] * n
         self._all_seen = -math.inf
         self._doubted: dict[int, _Doubt] = {}
@@ -75,11 +85,23 @@ class Plausibility:
         """Forget what is known of some actuators, which may have been moved by hand meanwhile."""
         for i in indices:
             self._last[i] = math.nan
+            self._leaping_until[i] = -math.inf
             self._doubted.pop(i, None)
 
     def doubted(self, indices: Iterable[int]) -> bool:
         """Return whether the measured position of one of some actuators is not believed."""
         return bool(self._doubted) and any(i in self._doubted for i in indices)
+
+    def leaping(self, indices: Iterable[int], stamp: float) -> bool:
+        """Return whether one of some actuators was measured too rarely to say where it is.
+
+        It has leapt, however plausibly, and not enough measurements have come since that agree.
+
+        Args:
+            indices: The actuators.
+            stamp: Now [s].
+        """
+        return any(stamp < self._leaping_until[i] for i in indices)
 
     def broken(self, indices: Iterable[int]) -> int | None:
         """Return the first of some actuators whose measurement goes on being implausible."""
@@ -135,6 +157,10 @@ class Plausibility:
                 left += rate * (before - self._changed[i])
             if left > most:
                 left = most
+            if way > self._leap[i]:
+                # A device may also repeat an answer until it has another one.
+                repeated = min(stamp - self._changed[i], _SPARE)
+                self._leaping_until[i] = stamp + _AGREEING * max(stamp - before, repeated)
             rest = left + rate * (stamp - before) - way
             self._left[i] = most if rest > most else rest if rest > 0.0 else 0.0
             if rest < 0.0:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import sys
 import threading
-from collections.abc import AsyncIterator, Collection, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 
 import anyio
@@ -19,6 +20,8 @@ _SIGNALS = [
     if hasattr(signal, name)
 ]
 
+_LOOK_EVERY = 0.5
+"""Time between two looks whether the run beside which a program works is still there [s]."""
 
 Signals = AsyncIterator[signal.Signals] | None
 """Signals as they arrive; ``None`` outside of the main thread, which alone receives them."""
@@ -86,3 +89,38 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
             process.terminate()
         with anyio.CancelScope(shield=True):
             await process.aclose()
+
+
+def beside_this_run(*words: str) -> tuple[str, ...]:
+    """Return the line of an `rtee` command that works beside this process and ends with it.
+
+    Args:
+        words: The command and its arguments; it has the option ``--beside`` for `work_beside`.
+    """
+    return (sys.executable, "-m", "rtee", *words, "--beside", str(os.getpid()))
+
+
+async def work_beside(run: int | None, work: Callable[[], Awaitable[object]]) -> None:
+    """Work until the run that has started this process is gone, even if it was killed.
+
+    Args:
+        run: Identifier of the run's process; ``None``: work until cancelled.
+        work: What to do; it is cancelled at the end.
+    """
+
+    async def end(scope: anyio.CancelScope) -> None:
+        while os.getppid() == run:  # noqa: ASYNC110 - nobody tells it
+            await anyio.sleep(_LOOK_EVERY)
+        scope.cancel()
+
+    failure: Exception | None = None
+    async with anyio.create_task_group() as group:
+        if run is not None:
+            group.start_soon(end, group.cancel_scope)
+        try:
+            await work()
+        except Exception as error:  # a task group would wrap it, which hides a user's mistake
+            failure = error
+        group.cancel_scope.cancel()
+    if failure is not None:
+        raise failure

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
+from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.supervisor import Supervisor
+from rtee.loop.touch import TouchGatherer
 from rtee.sample import (
     MEASURED,
     ActuatorState,
@@ -19,6 +21,7 @@ from rtee.sample import (
     Measurements,
     measured_arrays,
 )
+from rtee.touch import TouchState
 from rtee.types import readonly
 
 _WORDS = {None: -1, False: 0, True: 1}
@@ -32,19 +35,23 @@ class StateAggregator:
 
     Args:
         devices: The devices, which together have every actuator once.
+        touch: Gathers what their touch sensors measure.
 
     Attributes:
         sample: What is measured of all actuators.
         grasped: What the devices themselves report ``(n,)``: 1 holding, 0 not, -1 nothing.
         fresh: Whether measured since the call before ``(n,)``.
-        channels: Further channels, ``device/channel``.
+        channels: Further channels, ``device/channel``; what touch sensors measure on the fingers
+            is one of them.
         measured: The same as lists, for the controller.
     """
 
-    def __init__(self, devices: Sequence[Supervisor]) -> None:
+    def __init__(self, devices: Sequence[Supervisor], touch: TouchGatherer) -> None:
         n = sum(len(device.indices) for device in devices)
         unmeasured = readonly([math.nan] * n)
         self._devices = tuple(devices)
+        self._touch = touch
+        self._by_taxels: dict[str, tuple[Mapping[str, FloatArray], FloatArray]] = {}
         self._indices = [np.array(device.indices, dtype=np.intp) for device in devices]
         self._where = dict(zip((d.name for d in devices), self._indices, strict=True))
         self._whole = len(devices) == 1 and tuple(devices[0].indices) == tuple(range(n))
@@ -59,8 +66,21 @@ class StateAggregator:
         nothing = [math.nan] * n
         self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
 
-    def collect(self) -> None:
-        """Merge the states that came since the last call."""
+    @property
+    def touch(self) -> Mapping[str, TouchState]:
+        """What touch sensors measured last, by device."""
+        return self._touch.states
+
+    def channels_with(self, stream: StreamPlayer | None) -> Mapping[str, FloatArray]:
+        """Return the further channels, and those of a stream if there is one."""
+        return self.channels if stream is None else {**self.channels, **stream.channels}
+
+    def collect(self, stamp: float = -math.inf) -> None:
+        """Merge the states that came since the last call.
+
+        Args:
+            stamp: Now [s]; what is older by `STALE_AFTER` becomes stale.
+        """
         new = 0
         for k, device in enumerate(self._devices):
             link = device.connection
@@ -70,6 +90,10 @@ class StateAggregator:
                 # One bit for each device: the flags of each combination are made once.
                 new |= state.fresh << k
                 self._merge(k, state)
+        for name in self._touch.outdate(stamp):
+            if name in self._by_taxels:
+                forces = self._touch.forces[name]
+                self._keep_extras(name, {**self._extras[name], TIP_FORCE: forces})
         if new != self._new:
             self._new = new
             self.fresh, self.measured.fresh = self._flags(new)
@@ -112,19 +136,34 @@ class StateAggregator:
             grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
             self.grasped = grasped
             measured.grasped = grasped.tolist()
-        name = self._devices[k].name
-        if state.extras or self._extras.get(name):
-            measured.touch = self._touch(name, state.extras)
-            # After `_touch`, which looks at the others' as they are.
-            self._extras[name] = state.extras
-            self.channels = {
-                f"{device}/{channel}": values
-                for device, channels in self._extras.items()
-                for channel, values in channels.items()
-            }
+        name, extras = self._devices[k].name, state.extras
+        if state.touch is not None:
+            self._touch.take(name, self._devices[k].driver.capabilities, state.touch)
+        felt = self._touch.forces.get(name)
+        # What the device itself says of its fingers goes before the sum of its taxels.
+        if felt is not None and TIP_FORCE not in extras:
+            # Most states come without a new reading and without anything further.
+            known = self._by_taxels.get(name)
+            if known is not None and known[0] is extras and known[1] is felt:
+                return
+            self._by_taxels[name] = extras, felt
+            extras = {**extras, TIP_FORCE: felt}
+        if extras or self._extras.get(name):
+            self._keep_extras(name, extras)
 
-    def _touch(self, device: str, extras: Mapping[str, FloatArray]) -> list[float]:
-        """Return the forces at the fingertips, each from the device that measures it."""
+    def _keep_extras(self, name: str, extras: Mapping[str, FloatArray]) -> None:
+        """Keep the further channels of a device."""
+        self.measured.touch = self._felt(name, extras)
+        # After `_felt`, which looks at the others' as they are.
+        self._extras[name] = extras
+        self.channels = {
+            f"{device}/{channel}": values
+            for device, channels in self._extras.items()
+            for channel, values in channels.items()
+        }
+
+    def _felt(self, device: str, extras: Mapping[str, FloatArray]) -> list[float]:
+        """Return the forces on the fingers, each from the device that measures it."""
         found = [extras[TIP_FORCE]] if TIP_FORCE in extras else []
         for other, channels in self._extras.items():
             if other != device and TIP_FORCE in channels:

@@ -120,7 +120,13 @@ _M = Role.MAINTAINER
 
 _ALL = (
     _request(STOP, "stop", "ClientRequest", "StopReply", "Stop all devices now; needs no lease."),
-    _request(HELLO, "hello", "ClientRequest", "Reply", "Introduce a client; gives it a secret."),
+    _request(
+        HELLO,
+        "hello",
+        "ClientRequest",
+        "Reply",
+        "Introduce a client: its secret and role.",
+    ),
     _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),
@@ -142,6 +148,7 @@ _ALL = (
     _request(CONTROL, "release", "ClientRequest", "Reply", "Release the lease."),
     _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
+    _request(ASK, "touch", "Empty", "TouchReply", "The touch sensors and what they measure."),
     _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
     _request(ASK, "object_description", "Empty", "Object", "What a simulated hand grasps."),
     _request(ASK, "info", "PostureRequest", "HandInfo", "The hand, for a grasp planner."),

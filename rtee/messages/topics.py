@@ -25,6 +25,8 @@ URDF = "urdf"
 TF = "tf"
 TF_STATIC = "tf_static"
 GRIP = "grip"
+TOUCH = "touch"
+TOUCH_SENSORS = "touch_sensors"
 
 TYPES: dict[str, str] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -46,13 +48,15 @@ TYPES: dict[str, str] = {
     TF_STATIC: "tf2_msgs/msg/TFMessage",
     STREAM_SAMPLES: "rtee_msgs/msg/StreamSample",
     GRIP: "rtee_msgs/msg/Grip",
+    TOUCH: "rtee_msgs/msg/Touch",
+    TOUCH_SENSORS: "rtee_msgs/msg/TouchSensors",
 }
 """Name of a topic to the type of its messages."""
 
 FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
 """Topics that follow from others and are recorded for other software alone."""
 
-LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT})
+LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT, TOUCH_SENSORS})
 """Topics whose last message holds until the next one: it is kept for later subscribers."""
 
 PUBLISHED = frozenset(
@@ -65,6 +69,7 @@ PUBLISHED = frozenset(
         EVENTS,
         DEVICE_STATUS,
         LOOP_STATISTICS,
+        TOUCH,
     }
 )
 """Topics that are also published on the network."""

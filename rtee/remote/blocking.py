@@ -215,6 +215,8 @@ class BlockingHand:
 
     state = _waiting(RemoteHand.state)
     states = _iterating(RemoteHand.states)
+    touch_state = _waiting(RemoteHand.touch_state)
+    touch_states = _iterating(RemoteHand.touch_states)
     events = _iterating(RemoteHand.events)
     status = _waiting(RemoteHand.status)
     ready = _waiting(RemoteHand.ready)

@@ -19,7 +19,7 @@ import anyio.to_thread
 
 from rtee.errors import RemoteError
 from rtee.hand.names import safe_name
-from rtee.messages.requests import HERE, PLAIN
+from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.credentials import common_name, person
 from rtee.remote.find import open_hand
@@ -124,6 +124,11 @@ class RemoteHand:
         self._streams = StreamClient(link, self._monitoring, self._goals)
         self._reaching = ReachClient(link, self._actions, self._goals)
 
+    @property
+    def role(self) -> Role:
+        """What this client may do; the hand refuses what needs more."""
+        return self._link.role
+
     start = _part("_goals", GoalClient.start)
     start_goal = _part("_goals", GoalClient.start_goal)
     do = _part("_goals", GoalClient.do)
@@ -146,6 +151,8 @@ class RemoteHand:
     state = _part("_monitoring", Monitoring.state)
     states = _part("_monitoring", Monitoring.states)
     collected_states = _part("_monitoring", Monitoring.collected_states)
+    touch_state = _part("_monitoring", Monitoring.touch_state)
+    touch_states = _part("_monitoring", Monitoring.touch_states)
     events = _part("_monitoring", Monitoring.events)
     feedback = _part("_monitoring", Monitoring.feedback)
     results = _part("_monitoring", Monitoring.results)

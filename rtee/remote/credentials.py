@@ -123,6 +123,17 @@ class Credentials:
                 f"cannot be read: {reason(error)}; 'rtee secure init HAND' makes it", path=path
             ) from None
 
+    @property
+    def hidden(self) -> bool:
+        """Whether they may be there, but are not this user's to look at."""
+        try:
+            with (self.folder / PEOPLE).open("rb"):
+                return False
+        except PermissionError:
+            return True
+        except OSError:
+            return False
+
     def forget(self) -> None:
         """Admit nobody until the list can be read."""
         self.people, self._stamp = (), (-1, -1)

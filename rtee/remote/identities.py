@@ -57,16 +57,17 @@ class Client:
 
     Attributes:
         name: Its name, which no other client has.
+        role: What it may do.
         way: How it came to the hand, see `HELLO`.
         secret: What it signs its requests with.
         token: Name of its liveliness token.
         rates: How fast it may send requests.
     """
 
-    __slots__ = ("_newest", "name", "rates", "secret", "token", "way")
+    __slots__ = ("_newest", "name", "rates", "role", "secret", "token", "way")
 
-    def __init__(self, name: str, way: str, token: str) -> None:
-        self.name, self.way, self.token = name, way, token
+    def __init__(self, name: str, role: Role, way: str, token: str) -> None:
+        self.name, self.role, self.way, self.token = name, role, way, token
         self.secret = secrets.token_bytes(SECRET)
         self.rates = Rates()
         self._newest: dict[str, int] = {}
@@ -107,7 +108,7 @@ class Identities:
     # --- who comes and goes
 
     def hello(self, request: IncomingRequest, way: str) -> None:
-        """Admit a client, now or as soon as its token is seen, and answer with its secret.
+        """Admit a client, now or as soon as its token is seen, and answer with its secret and role.
 
         Raises:
             RequestRejected: if it is not admitted, with the reason.
@@ -127,7 +128,7 @@ class Identities:
                 raise RequestRejected(f"there is a client '{name}' already")
             if sum(one.way == way for one in self._there.values()) >= _MOST_CLIENTS:
                 raise RequestRejected(f"there are {_MOST_CLIENTS} clients of this kind already")
-            client = Client(name, way, token)
+            client = Client(name, admitted.role, way, token)
             if token in self._tokens:
                 del self._tokens[token]
                 self._admit(client, request)
@@ -139,7 +140,7 @@ class Identities:
         # One that is gone under this name must not come back beside the new one.
         self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
         self._there[client.name] = self._by_token[client.token] = client
-        request.answer(accepted(client.secret.hex()))
+        request.answer(accepted(f"{client.secret.hex()} {client.role.name.lower()}"))
 
     def came(self, token: str) -> None:
         """Note that a token was declared."""

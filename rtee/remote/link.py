@@ -21,7 +21,7 @@ from rtee.errors import (
 )
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
-from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP, topic_for
+from rtee.messages.requests import ALIVE, CLIENTS, HELLO, PUT, REQUESTS, STOP, Role, topic_for
 from rtee.messages.schema import message_type
 from rtee.remote.fast_requests import FastRequests
 from rtee.remote.session import direct
@@ -47,12 +47,14 @@ class Link:
 
     Attributes:
         gone: Whether the hand has gone.
+        role: What this client may do, once it is connected.
     """
 
     def __init__(self, session: zenoh.Session, hand: str, client: str, way: str) -> None:
         self.hand = hand
         self.client = client
         self.gone = False
+        self.role = Role.OBSERVER
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._gone_callbacks: list[Callable[[], object]] = []
@@ -82,7 +84,10 @@ class Link:
 
     async def connect(self) -> None:
         """Introduce this client to the hand and wait until requests reach it; raises `NoHand`."""
-        self._signer.secret = bytes.fromhex((await self.request("hello", self._token_name))["text"])
+        secret, _, role = (await self.request("hello", self._token_name))["text"].partition(" ")
+        self._signer.secret = bytes.fromhex(secret)
+        # A word of a newer hand that this client does not know hides nothing from a person.
+        self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
         await self._fast.connected()
 
     def on_gone(self, callback: Callable[[], object]) -> None:

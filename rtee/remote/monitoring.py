@@ -18,9 +18,11 @@ from rtee.errors import MessageError, NoHand, NotReady
 from rtee.messages import decode_event, decode_feedback, decode_result, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
+from rtee.messages.touch import TOUCH, reply_of, touch_of
 from rtee.object_description import ObjectDescription
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo, info_of
+from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Lifecycle, LoopStatistics, Result
 
 T = TypeVar("T")
@@ -166,6 +168,33 @@ class Monitoring:
         """Ask for states at a rate [Hz]; return the topic on which they are published."""
         fields = {"client": self._link.client, "rate": rate}
         return str((await self._link.ask("stream", fields))["text"])
+
+    async def touch_state(self) -> dict[str, TouchState]:
+        """Return what touch sensors measured last, by device; empty where there are none.
+
+        Raises:
+            MessageError: if the answer makes no sense.
+        """
+        return reply_of(await self._link.ask("touch"))
+
+    async def touch_states(self) -> AsyncIterator[TouchState]:
+        """Iterate over what touch sensors measure until the hand goes; a slow reader misses some.
+
+        Each device's readings come as it gives them, at most at the hand's ``state_rate``.
+
+        Raises:
+            NoHand: if the hand goes.
+        """
+        known = {name: state.sensors for name, state in (await self.touch_state()).items()}
+        async for fields in self._messages(topics.TOUCH, TOUCH.decode):
+            with contextlib.suppress(MessageError):  # any peer may publish on the key
+                state = touch_of(fields, known)
+                if state.sensors is not known.get(state.device):
+                    # Others than before: ask where they are, but not again for each reading.
+                    known |= {n: s.sensors for n, s in (await self.touch_state()).items()}
+                    state = touch_of(fields, known)
+                    known[state.device] = state.sensors
+                yield state
 
     def events(self) -> AsyncIterator[Event]:
         """Iterate over the events from this call on.

@@ -9,7 +9,7 @@ must not be lost and may have to wait.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from zlib import crc32
@@ -34,12 +34,14 @@ from rtee.messages import (
 )
 from rtee.messages.requests import STATES
 from rtee.messages.state import StateEncoder
-from rtee.messages.topics import JOINT_STATES, REFERENCE
+from rtee.messages.topics import JOINT_STATES, REFERENCE, TOUCH
+from rtee.messages.touch import TouchEncoder, measured_at
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.lease import Lease
 from rtee.remote.outlets import Outlet, Outlets
 from rtee.remote.session import DELIVER
 from rtee.sample import TickRecord
+from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
@@ -132,11 +134,17 @@ class Streams:
         self._all: tuple[Stream, ...] = self._fixed
         self._ticks = crc32(hand.name.encode())  # so that hands on one clock take turns
         self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
+        self._touch = self._outlet(TOUCH)
+        self._touch_every = every
+        self._touch_encoder = TouchEncoder()
+        self._felt: Mapping[str, TouchState] = {}
+
+    def _outlet(self, topic: str) -> Outlet:
+        drop = zenoh.CongestionControl.DROP
+        return self._outlets.open(topic, watched=True, congestion_control=drop, express=True)
 
     def _stream(self, topic: str, every: int, encode: Callable[[TickRecord], bytes]) -> Stream:
-        drop = zenoh.CongestionControl.DROP
-        outlet = self._outlets.open(topic, watched=True, congestion_control=drop, express=True)
-        return Stream(outlet, every, encode)
+        return Stream(self._outlet(topic), every, encode)
 
     def _every(self, rate: float) -> int:
         return max(1, round(self._rate / rate))
@@ -183,6 +191,15 @@ class Streams:
         due = [each for each in self._all if self._ticks % each.every == 0 and each.outlet.wanted]
         if due:
             self._worker.put(partial(self._put, record, due))
+        if record.touch is not self._felt and self._ticks % self._touch_every == 0:
+            known, self._felt = self._felt, record.touch
+            if self._touch.wanted:
+                new = [s for name, s in record.touch.items() if known.get(name) is not s]
+                self._worker.put(partial(self._put_touch, record, new))
+
+    def _put_touch(self, record: TickRecord, states: Sequence[TouchState]) -> None:
+        for state in states:
+            self._touch.put(self._touch_encoder.encode(state, measured_at(record, state)))
 
     def _put(self, record: TickRecord, due: Sequence[Stream]) -> None:
         state = b""
@@ -201,6 +218,7 @@ class Streams:
         self._worker.close()
         for stream in streams:
             self._outlets.close(stream.outlet)
+        self._outlets.close(self._touch)
 
 
 class Publisher(Observer):

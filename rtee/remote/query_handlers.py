@@ -22,6 +22,7 @@ from rtee.hand.own_copy import TRIALS, copy_notice
 from rtee.loop.handloop import HandLoop
 from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
+from rtee.messages.touch import reply_fields
 from rtee.object_description import NO_OBJECT
 from rtee.remote.actions import action_fields, group_fields, made_of
 from rtee.remote.grasp_planning import GraspPlanning
@@ -120,6 +121,7 @@ class QueryHandlers:
         self._version = -1
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
             "stream": self._stream,
+            "touch": lambda _: reply_fields(loop.snapshot()),
             "status": self._status,
             "object_description": self._object_description,
             "info": self._info,

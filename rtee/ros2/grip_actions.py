@@ -16,6 +16,7 @@ import numpy as np
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.messages.state import State
+from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
 from rtee.ros2.face import Face
 from rtee.ros2.hand_goals import HandJob
@@ -49,8 +50,8 @@ class Command:
     Attributes:
         joint: The joint that is meant; empty: the gap between the fingertips.
         position: Where to [rad | m].
-        effort: The most effort of the joint [N·m | N], or the force of the fingertips [N]; 0: as
-            configured.
+        effort: The most effort of the joint [N·m | N], or the most force of the fingertips [N]; 0:
+            as configured. More than the hand has is as much as it has.
         speed: How fast [rad/s | m/s]; 0: as fast as the hand goes.
     """
 
@@ -214,11 +215,16 @@ class Gripper:
             widest = max(self._face.openings, key=lambda one: one.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
+        ranges = [
+            one
+            for one in self._face.openings
+            if (one.action, one.elements) == (action, tuple(elements)) or not action
+        ]
         return Goal(
             action,
             tuple(elements),
             opening=gap,
-            force=command.effort or None,
+            force=at_most(command.effort, gap, ranges) or None,
             tip_speed=command.speed or None,
         )
 
@@ -270,6 +276,27 @@ def is_stalled(state: State, limits: Sequence[float]) -> bool:
     return bool(state.grasped.any()) and not bool(moving.any())
 
 
+def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
+    """Return the force to ask for where a program gives the most that it allows.
+
+    Controllers of ROS 2 take ``max_effort`` as a bound, and programs give one for any gripper.
+
+    Args:
+        effort: The bound [N].
+        gap: The gap at which the force is needed [m].
+        ranges: What can be asked for with the actions in question.
+
+    Returns:
+        The bound; or, if all of the actions are weaker there, what the strongest of them gives.
+    """
+    strongest = max(
+        (one.forces_at(gap)[1] for one in ranges if one.narrowest <= gap <= one.widest),
+        default=0.0,
+    )
+    # 0: the force cannot be limited, so that the hand itself refuses it with its reason.
+    return min(effort, strongest) if strongest else effort
+
+
 def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
     """Return the goal that brings an actuator to a position.
 
@@ -306,7 +333,7 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
         tuple(action.elements),
         kind=kind_of(action),
         intensity=share,
-        effort={actuator.name: command.effort} if command.effort else {},
+        effort={actuator.name: min(command.effort, actuator.effort)} if command.effort else {},
         speed=min(speed, 1.0) if speed else 1.0,
     )
 

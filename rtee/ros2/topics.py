@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import anyio
 import numpy as np
 
-from rtee.errors import ModelError
+from rtee.errors import ModelError, RequestRejected
 from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.meshes import resolve_mesh
@@ -25,11 +25,13 @@ from rtee.messages import (
 )
 from rtee.messages.layout import TransformsEncoder
 from rtee.messages.state import State
+from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, measured_at, sensors_fields
 from rtee.ros2.endpoints import Publisher
 from rtee.ros2.face import Face
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.qos import LATCHED, Qos
+from rtee.touch import TouchState
 
 T = TypeVar("T")
 
@@ -133,6 +135,7 @@ class Topics:
         self._feedback = node.publisher("~/feedback", "rtee_msgs/msg/Feedback")
         self._results = node.publisher("~/results", "rtee_msgs/msg/Result")
         self._events = node.publisher("~/events", "rtee_msgs/msg/Event")
+        self._touch = TouchTopics(face)
 
     def parameters(self) -> Iterable[Parameter]:
         """Return the rate."""
@@ -153,6 +156,7 @@ class Topics:
             group.start_soon(self._relay, hand.feedback(), self._feedback, encode_feedback)
             group.start_soon(self._relay, hand.results(), self._results, encode_result)
             group.start_soon(self._relay, hand.events(), self._events, encode_event)
+            group.start_soon(self._touch.run)
             while True:
                 with anyio.CancelScope() as self._again:
                     # After a change of the rate, which is kept once it has been told.
@@ -191,6 +195,39 @@ class Topics:
                 message = wrench(header=header)
                 header.frame_id, message.wrench.force.z = frame, force
                 publisher.publish(message)
+
+
+class TouchTopics:
+    """Publishes ``~/touch`` as it is measured, and ``~/touch_sensors`` for whoever comes later.
+
+    Args:
+        face: The hand and its node.
+    """
+
+    def __init__(self, face: Face) -> None:
+        self._face = face
+        self._encoder = TouchEncoder()
+        self._touch = face.node.publisher("~/touch", "rtee_msgs/msg/Touch")
+        self._sensors = face.node.publisher(
+            "~/touch_sensors", "rtee_msgs/msg/TouchSensors", LATCHED
+        )
+
+    async def run(self) -> None:
+        """Publish until the hand goes."""
+        known: dict[str, TouchState] = {}
+        try:
+            async for state in self._face.hand.touch_states():
+                before = known.get(state.device)
+                known[state.device] = state
+                now = self._face.latest
+                if before is None or before.sensors is not state.sensors:
+                    fields = sensors_fields(known.values(), now.wall_ns)
+                    self._sensors.publish(TOUCH_SENSORS.encode(fields))
+                if self._touch.heard:
+                    wall = measured_at(now, state)
+                    self._touch.publish(self._encoder.encode(state, wall))
+        except RequestRejected:
+            return  # an older hand cannot tell
 
 
 class ControllerStates:

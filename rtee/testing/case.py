@@ -50,7 +50,8 @@ class DeviceCase:
 
     Attributes:
         driver: Registry name, entry point or ``module:Class`` of the driver.
-        actuators: The actuators it drives.
+        actuators: The actuators it drives; none for a device that only measures, which skips what
+            is about motion.
         options: The driver's options; they should allow homing on connect, quickly.
         emulator: Name of its emulator where it differs from the driver's.
         rate: Rate of the imagined loop [Hz].

@@ -12,14 +12,15 @@ from rtee.actions.library import ActionLibrary
 from rtee.commands import Command, CommandRecord, SetActive
 from rtee.errors import LoopError
 from rtee.hand.model import Hand
+from rtee.log.layout import RUN_BEGINS
 from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
 from rtee.loop.observer import LoopObserver
-from rtee.loop.plan import make_plan
+from rtee.loop.plan import Plan, make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.object_description import ObjectDescription
 from rtee.sample import ActuatorState, BoolArray, FloatArray, TickRecord, measured_arrays
-from rtee.types import Feedback, Goal, Result
+from rtee.types import Event, Feedback, Goal, Result
 
 _PATIENCE = 120.0  # longest simulated time of a goal [s]: the slowest action takes some ten
 
@@ -72,8 +73,8 @@ class HeadlessHand(Generic[P]):
         library: Its actions.
         observers: They get every tick and event.
         controller: The loop's pure core.
-        time: Simulated time since the start [s].
-        ticks: Ticks since the start.
+        time: Simulated time of the next tick, since the start [s].
+        ticks: Ticks since the start; as in the loop, the first one has the number 0.
         results: How the goals ended, by their identifiers.
     """
 
@@ -108,10 +109,16 @@ class HeadlessHand(Generic[P]):
         self.ticks = ticks
         self.results: dict[str, Result] = {}
         self._before: list[Callable[[float], None]] = []
+        self._due: list[Plan | Command] = []
+        self._latest = Measured((), (), (), (), ())
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
         self._silent = np.full(n, -1, dtype=np.int8)  # no device says whether it has grasped
         self._describe_object()
+        if ticks:
+            text = "another run begins, with a controller of its own"
+            for observer in self.observers:
+                observer.on_event(Event(RUN_BEGINS, "simulation", text, self.time))
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
@@ -134,7 +141,7 @@ class HeadlessHand(Generic[P]):
     def _apply(self, command: Command) -> None:
         for observer in self.observers:
             observer.on_command(CommandRecord(self.ticks, self.time, command))
-        self.controller.apply(command, self.time)
+        self._due.append(command)
 
     def do(self, goal: Goal) -> Result:
         """Execute a goal to its end.
@@ -153,15 +160,14 @@ class HeadlessHand(Generic[P]):
         return self.results[goal.goal_id]
 
     def start(self, goal: Goal) -> None:
-        """Begin a goal without waiting for its end; raises as `do`."""
+        """Begin a goal with the next tick, without waiting for its end; raises as `do`."""
         plan = make_plan(goal, self.hand, self.library, self._settings)
         for observer in self.observers:
             observer.on_goal(plan.goal, self.time)
             tell = getattr(observer, "on_plan", None)
             if tell is not None:
                 tell(plan, self.time)
-        self.controller.accept(plan, self.time)
-        self._tell()
+        self._due.append(plan)
 
     def wait(self, duration: float) -> None:
         """Let simulated time pass [s]."""
@@ -176,28 +182,33 @@ class HeadlessHand(Generic[P]):
             call(self.time)
         simulation, controller = self.simulation, self.controller
         simulation.advance()
-        self.ticks += 1
-        self.time = self.ticks * self._settings.period
         position, effort = simulation.position, simulation.effort
         forces = simulation.contact_forces
-        controller.step(self.time, self._measured(position, effort, forces))
+        measured = self._measured(position, effort, forces)
+        due, self._due = self._due, []
+        for what in due:
+            if isinstance(what, Plan):
+                controller.accept(what, self.time)
+            else:
+                controller.apply(what, self.time)
+        controller.step(self.time, measured)
         reference = np.array(controller.reference_position)
         limit = np.array(controller.reference_effort)
         simulation.command(reference, limit, self._everything)
         if self.observers:
             self._record(position, effort, reference, limit, forces)
         self._tell()
+        self.ticks += 1
+        self.time = self.ticks * self._settings.period
 
     def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
-        n = len(position)
-        return Measured(
-            position.tolist(),
-            effort.tolist(),
-            [float("nan")] * n,
-            [True] * n,
-            [-1] * n,
-            touch=tip_forces([forces]),
-        )
+        # One object, as in the loop: plans find in it what is measured as they begin.
+        measured, n = self._latest, len(position)
+        measured.position, measured.effort = position.tolist(), effort.tolist()
+        measured.temperature = [float("nan")] * n
+        measured.fresh, measured.grasped = [True] * n, [-1] * n
+        measured.touch = tip_forces([forces])
+        return measured
 
     def _record(
         self,

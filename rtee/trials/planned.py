@@ -122,7 +122,15 @@ def _simulation(
     with TemporaryDirectory() as folder:
         _add_pieces(built.spec, thing, pose @ place, Path(folder))
         model: mujoco.MjModel = built.spec.compile()
-    return Simulation(model, hand, options, hand.actuator_names, period, built.servos, built.notes)
+    return Simulation(
+        model,
+        hand,
+        options,
+        hand.actuator_names,
+        period,
+        built.servos,
+        (*built.notes, *built.following),
+    )
 
 
 def _turned(axis: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ import signal
 import threading
 from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
 from multiprocessing.connection import Connection
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, RteeError, needing_extra
+from rtee.errors import ConfigError, RteeError, WorkerLost, needing_extra
 from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -102,6 +103,9 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
         name: The hand, by name or folder.
         trials: What is tried.
         jobs: Number of processes.
+
+    Raises:
+        WorkerLost: if one of the processes was ended from outside.
     """
     if jobs < 2 or len(trials) < 2:
         for trial in trials:
@@ -122,6 +126,10 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
             leash.close()
             for future in as_completed(futures):
                 yield future.result()
+        except BrokenProcessPool as error:
+            raise WorkerLost(
+                "a process that did trials was ended from outside, perhaps for want of memory"
+            ) from error
         finally:
             held.close()
             pool.shutdown(wait=False, cancel_futures=True)

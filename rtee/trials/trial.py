@@ -12,7 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.errors import ActionError
+from rtee.errors import ActionError, ConfigError
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
@@ -106,7 +106,7 @@ def run_trial(
 
     Raises:
         UnknownAction: if there is no such action.
-        ConfigError: if the object is none.
+        ConfigError: if the object is none, or no place is left.
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(trial.action, trial.elements)
@@ -119,6 +119,10 @@ def run_trial(
     places = robust_places(simulation, library, action, thing, trial.places)
     if not places:
         return TrialResult(trial, False, "the object fits nowhere between the fingers")
+    if skip >= len(places):
+        raise ConfigError(
+            f"there are {len(places)} places for the object, so that leaving out {skip} leaves none"
+        )
     varied = _Varied(hand, library, settings, trial, progress)
     tried: list[_Tried] = []
     ticks = 0

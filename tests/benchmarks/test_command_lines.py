@@ -73,6 +73,23 @@ def test_options_take_the_types_of_their_defaults(benchmarks: None) -> None:
     assert parser.parse_args([]).only is None
 
 
+def test_the_interval_of_a_median(benchmarks: None) -> None:
+    import math
+    import random
+
+    from common import interval_of_median
+
+    assert interval_of_median([1.0, 2.0, 3.0]) == (-math.inf, math.inf)
+    assert interval_of_median([3.0, 6.0, 1.0, 2.0, 4.0, 5.0]) == (1.0, 6.0)
+    assert interval_of_median([float(n) for n in range(10)]) == (1.0, 8.0)  # as in tables
+    chance = random.Random(1)
+    hits = 0
+    for _ in range(2000):
+        low, high = interval_of_median([chance.expovariate(1.0) for _ in range(15)])
+        hits += low <= math.log(2.0) <= high  # the median of that distribution
+    assert 0.95 <= hits / 2000 < 0.99
+
+
 def test_a_table_is_markdown_in_columns(
     benchmarks: None, capsys: pytest.CaptureFixture[str]
 ) -> None:

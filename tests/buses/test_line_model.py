@@ -59,6 +59,6 @@ def test_one_half_duplex_device_makes_the_line_half_duplex() -> None:
     assert Wire([Answering()], duplex=Duplex.FULL).duplex is Duplex.FULL
 
 
-def test_only_the_hand_with_a_pair_of_wires_for_each_direction_is_full_duplex() -> None:
+def test_only_devices_with_a_pair_of_wires_for_each_direction_are_full_duplex() -> None:
     full = {name for name in EMULATORS if find_emulator(name).duplex is Duplex.FULL}
-    assert full == {"schunk_svh"}
+    assert full == {"schunk_svh", "orca_touch"}

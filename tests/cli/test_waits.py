@@ -18,8 +18,6 @@ def test_the_gui_of_a_hand_that_does_not_run(
     monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RTEE_CONNECT", raising=False)
     monkeypatch.setattr(sys, "argv", ["rtee", "gui", "schunk_svh"])
-    # The command runs in this process, whose priority it must leave to the tests that follow.
-    monkeypatch.setattr("rtee.cli.gui._lower_priority", lambda: None)
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import pwd
 import shutil
 import subprocess
 import sys
+import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -397,6 +400,44 @@ def test_the_doctor_looks_for_the_certificates(root: Path, tmp_path: Path) -> No
         file.write("rtee:x:4711:4711::/var/lib/rtee:/usr/sbin/nologin\n")
     os.chown(folder / "hand.key", 4711, 4711)
     assert verdicts(root, hand)[what] == (Verdict.OK, "")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
+def test_the_doctor_says_that_certificates_are_not_to_be_looked_at() -> None:
+    pytest.importorskip("cryptography", reason="needs the extra secure")
+    from rtee.cli.secure import checks
+    from rtee.remote.authority import make_authority
+
+    # Folders of pytest are root's alone.
+    with tempfile.TemporaryDirectory(prefix="rtee-", dir="/tmp") as place:
+        folder = Path(place)
+        hand = write_hand(folder, more="remote: {listen: ['tls/0.0.0.0:7447']}\n")
+        folder.chmod(0o755)
+        secure = folder / "secure" / "jaw"
+        make_authority(secure, "jaw")
+        secure.parent.chmod(0o700)
+        service = replace(needs_of(hand), certificates=secure)
+        (own,) = checks(str(hand), service)
+        assert (own.verdict, own.text[:5]) == (Verdict.OK, "until")
+        os.seteuid(pwd.getpwnam("nobody").pw_uid)
+        try:
+            (hidden,) = checks(str(hand), service)
+        finally:
+            os.seteuid(0)
+        assert hidden.verdict is Verdict.WARNING
+        assert hidden.text == f"in {secure}, which is not yours to read"
+        assert hidden.remedy == f"sudo rtee doctor {hand}"
+
+
+def test_the_certificates_of_a_service_are_made_by_its_user(tmp_path: Path) -> None:
+    from rtee.cli.secure import checks
+
+    hand = write_hand(tmp_path, more="remote: {listen: ['tls/0.0.0.0:7447']}\n")
+    (missing,) = checks(str(hand), needs_of(hand))
+    assert missing.verdict is Verdict.WRONG
+    assert "/var/lib/rtee/secure/jaw" in missing.text
+    assert missing.remedy.startswith("sudo -u rtee env RTEE_SECURE_DIR=/var/lib/rtee/secure ")
+    assert missing.remedy.endswith(" secure init jaw")
 
 
 # --- the command ---------------------------------------------------------------------------------

@@ -154,7 +154,9 @@ def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
     ("name", "request_", "answer"),
     [
         ("qb_softhand", "3A 3A 01 02 00 00", "3A 3A 01 02 00 00"),
+        ("ability_hand", "7E 50 A0 10 7E", "7E 10" + " 00" * 70 + " F0 7E"),
         ("inspire_rh56", "EB 90 01 04 11 E8 03 01 02", "90 EB 01 04 11 E8 03 01 02"),
+        ("feetech", "FF FF 01 02 01 FB", "FF FF 01 02 00 FC"),
         ("dynamixel", "FF FF FD 00 01 03 00 01 19 4E", "FF FF FD 00 01 07 00 55 00 B0 04"),
     ],
 )

@@ -68,6 +68,7 @@ def test_a_drill_on_the_palm_is_given_farther_out() -> None:
     assert simulation.surroundings.position_in_hand == pytest.approx(start[:3, 3])
 
 
+@pytest.mark.heavy
 def test_heri_ii_puts_an_object_into_the_container(tmp_path: Path) -> None:
     outcome = heri_objects.run(tmp_path, pictures=False, transfers=heri_objects.TRANSFERS[:1])
     assert passed(outcome)
@@ -85,6 +86,7 @@ def test_an_experiment_that_fails_says_so(tmp_path: Path) -> None:
     assert cells(outcome.conditions[0])[-1] == "NO"
 
 
+@pytest.mark.heavy
 @pytest.mark.browser
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(find_browser() is None, reason="no Chromium was found")
@@ -114,7 +116,17 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
     assert found == variants.EXPECTED[variant]
 
 
-@pytest.mark.parametrize("gripper", same_object.GRIPPERS, ids=lambda gripper: gripper.name)
+@pytest.mark.parametrize(
+    "gripper",
+    [
+        pytest.param(
+            gripper,
+            id=gripper.name,
+            marks=[pytest.mark.heavy] if gripper.name == "qb_softhand" else [],
+        )
+        for gripper in same_object.GRIPPERS
+    ],
+)
 def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_path: Path) -> None:
     outcome = Outcome("placed")
     same_object.in_dynamics(gripper, tmp_path, outcome, pictures=False, variations=0)

@@ -13,7 +13,7 @@ import anyio
 import numpy as np
 import pytest
 import viser
-from remote.serving import make_hand, make_library, serving
+from remote.serving import Config, Remote, free_endpoint, make_hand, make_library, serving
 
 import rtee
 from rtee.actions.library import ActionLibrary
@@ -24,7 +24,9 @@ from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+from rtee.messages.requests import Role
 from rtee.messages.state import State
+from rtee.remote import credentials
 
 pytestmark = pytest.mark.anyio
 
@@ -76,6 +78,44 @@ async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path
     for counts in (controls, nodes, commands):
         assert counts[0] > 3
         assert set(counts) == {counts[0]}, f"something of the hands before is left: {counts}"
+
+
+@pytest.mark.parametrize("role", list(Role))
+async def test_what_its_certificate_does_not_allow_cannot_be_used(
+    server: viser.ViserServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, role: Role
+) -> None:
+    authority = pytest.importorskip("rtee.remote.authority", exc_type=ImportError)
+    secure = tmp_path / "secure" / "small"
+    authority.make_authority(secure, "small")
+    identity = tmp_path / "one.pem"
+    authority.write_private(identity, authority.add_client(secure, "one", role)[1])
+    monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
+    monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(identity))
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    hand = make_hand(tmp_path)
+    async with (
+        serving(hand, make_library(hand), config=Config(Remote(listen=[endpoint]))) as served,
+        anyio.create_task_group() as group,
+    ):
+        app = App(server, None, endpoint)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        await has(app, ActionKind.TIMED, "wave")
+        controls = [c for c in server.gui._gui_input_handle_from_uuid.values() if c.visible]
+        # Other panels have buttons of these names, too.
+        chosen = {word for c in controls for word in getattr(c, "options", ())} - {"Open", "Cancel"}
+        words = chosen | {str(c.label) for c in controls if not getattr(c, "disabled", True)}
+        words |= {c.label for c in server.gui._command_handle_from_uuid.values() if not c.disabled}
+        assert {"STOP", "Stop the hand", "Search", "Preview", "Effort"} <= words
+        moving = {"Open", "Open the hand", "Cancel", "Do", "Do wave", "Jog (holds the hand)"}
+        changing = {"Save as generic action", "Rename", "Compose", "Start", "Set mark"}
+        changing.add("Holding effort [%]")
+        assert words & moving == (moving if role >= Role.OPERATOR else set())
+        assert words & changing == (changing if role >= Role.MAINTAINER else set())
+        assert app.session is not None
+        await app.session._header._do_stop()
+        assert "stopped by one-gui-" in (await served.event("stop")).text
+        group.cancel_scope.cancel()
 
 
 async def test_closing_it_after_a_jog_is_no_loss(server: viser.ViserServer, tmp_path: Path) -> None:

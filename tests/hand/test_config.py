@@ -103,6 +103,12 @@ WRONG = [
     ("devices:", "driver: devices\nlimbs:", "limbs: unknown key", "limbs"),
     ("devices:", "loop: {stall: {tme: 1}}\ndevices:", "loop.stall.tme: unknown key; did", "tme"),
     ("devices:", "thermal: {warn: 90}\ndevices:", "thermal: should rise", "thermal"),
+    (
+        "devices:",
+        "ros2: {gripper_joint: lft}\ndevices:",
+        "ros2.gripper_joint: unknown actuator 'lft'; did you mean 'left'",
+        "ros2",
+    ),
     ("devices:", "profile: {kind: fast}\ndevices:", "profile.kind: should be 'jerk_limited'", None),
 ]
 

@@ -112,7 +112,7 @@ WRONG = [
         "the mesh's scale is zero",
         "<mesh",
     ),
-    ('<robot name="gripper">', "<robot><xacro:x/>", "expand it first", None),
+    ('<robot name="gripper">', "<robot><xacro:x/>", "end with .xacro", None),
 ]
 
 

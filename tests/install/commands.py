@@ -77,6 +77,8 @@ OFFLINE = (
     needs("extract claw --save", "extract"),
     needs("extract --urdf claw.urdf", "extract"),
     needs("grasp-plan claw --object box:0.02x0.02x0.03", "extract"),
+    Case("export claw --urdf --srdf exported", "written to exported/claw.urdf"),
+    needs("export claw --mjcf exported", "sim"),
     Case("actions claw", "PinchTight"),
     needs("openings claw --save", "extract"),
     Case("openings robotiq_2f_85", "PinchTight"),
@@ -116,6 +118,8 @@ EXTRACTED = (
     needs("grasp-plan nipper --object box:0.02x0.02x0.03 --check", "sim"),
     needs("extract nipper --report nipper.html", "plot"),
     needs("try nipper PinchTight left right", "sim"),
+    needs("new other --mjcf other.xml", "sim"),
+    needs("new other --urdf other.urdf.xacro", "xacro"),
 )
 """With the extra ``extract``."""
 

@@ -77,6 +77,43 @@ async def test_no_answer_by_chance_counts_as_reached(hand: Hand, seed: int) -> N
             assert (result.reached, result.aborted) == (False, True)
 
 
+class SlowLiar(KinematicDriver):
+    """Says every tenth of a second that it is anywhere, and the same in between."""
+
+    seed = 0
+
+    async def sense(self) -> ActuatorState:
+        state = await super().sense()
+        chance = random.Random(self.seed + int(state.stamp / 0.1))
+        spec = self.plants[0].spec
+        position = chance.uniform(spec.lower, spec.upper)
+        return replace(state, position=np.array([position, *state.position[1:]]))
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("every", [1, 20], ids=["repeated", "measured rarely"])
+@pytest.mark.parametrize("seed", range(4))
+async def test_no_plausible_answer_by_chance_counts_as_reached(
+    hand: Hand, seed: int, every: int
+) -> None:
+    one = device(hand, rate=200.0, every=every)
+    driver = SlowLiar(one.spec, BusPool())
+    driver.seed = seed * 10**6
+    async with running(hand, LoopSettings(rate=200.0), [(one, driver)]) as rig:
+        result = await rig.do("Trig", "index", timeout=9.0, tolerance=0.05)
+        assert (result.reached, result.succeeded) == (False, False)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("every", [1, 20])
+async def test_an_honest_device_that_is_measured_rarely_arrives(hand: Hand, every: int) -> None:
+    one = device(hand, rate=200.0, every=every)
+    driver = KinematicDriver(one.spec, BusPool())
+    async with running(hand, LoopSettings(rate=200.0), [(one, driver)]) as rig:
+        for action in (("Trig", "index"), ("open",)):
+            assert (await rig.do(*action)).reached
+
+
 @pytest.mark.anyio
 async def test_a_glitch_is_told_and_ends_nothing(hand: Hand) -> None:
     one = device(hand)

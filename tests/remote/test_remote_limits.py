@@ -15,6 +15,7 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
+from rtee.loop.settings import LoopSettings
 from rtee.messages.identity import Signer, claim_of
 from rtee.messages.requests import REQUESTS
 from rtee.remote import command_handlers, query_handlers, rates
@@ -188,6 +189,55 @@ async def test_stalled_subscribers_hold_up_nobody(hand: Hand, library: ActionLib
             await process.aclose()
 
 
+READERS = """
+import sys, time, anyio, rtee
+from contextlib import AsyncExitStack
+from rtee.remote.session import direct
+async def main():
+    async with AsyncExitStack() as stack:
+        for number in range(20):
+            hand = await stack.enter_async_context(rtee.connect("small", client=f"r{number}"))
+            await stack.enter_async_context(hand.collected_states(1000.0))
+        print("there", flush=True)
+        await anyio.to_thread.run_sync(sys.stdin.readline)
+        # Zenoh has one thread here that reads, for all sessions; another goes on to say that they
+        # are alive.
+        block = direct(lambda _: time.sleep(1e6))
+        subscriber = hand._link._session.declare_subscriber("rtee/small/**", block)
+        print("blocked", flush=True)
+        await anyio.sleep_forever()
+anyio.run(main)
+"""
+"""Twenty sessions that stop to read, and still say that they are alive."""
+
+
+@pytest.mark.parametrize("how", ["frozen", "blocked"])
+async def test_twenty_sessions_that_stop_to_read_hold_up_nobody(
+    hand: Hand, library: ActionLibrary, how: str
+) -> None:
+    async with serving(hand, library, settings=LoopSettings(rate=1000.0)) as served:
+        readers = await started(READERS)
+        async with rtee.connect("small") as other, other.collected_states(100.0) as states:
+            assert len(served.server._identities) == 21
+            before = _memory()
+            if how == "frozen":
+                os.kill(readers.pid, signal.SIGSTOP)
+            else:
+                assert readers.stdin is not None
+                await readers.stdin.send(b"\n")
+                assert await printed_line(readers) == b"blocked"
+            for intensity in (0.1, 0.2) * 6:  # some seconds, for which states go on to come
+                states.drain()
+                assert (await other.do("Trig", "index", intensity=intensity)).reached
+                await other.status()  # fails when there is no answer within 5 s
+                assert states.drain()
+            # No more than the megabyte that the hand keeps for each that does not read.
+            assert _memory() - before < 20 * LARGEST
+            assert served.server.outbox.dropped == 0
+        readers.kill()
+        await readers.aclose()
+
+
 async def test_only_so_many_actions_can_be_added(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -235,7 +285,7 @@ def test_who_was_interrupted_comes_back_with_its_token() -> None:
         IncomingRequest(request, question, lambda data, _: answers.append(data), ""), "here"
     )
     signer = Signer("one")
-    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"])
+    signer.secret = bytes.fromhex(request.answer.decode(answers[0])["text"].split()[0])
 
     def ask() -> str:
         proof = signer.attachment(signer.number(), "status", b"").encode()

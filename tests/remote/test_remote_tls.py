@@ -77,6 +77,7 @@ async def test_each_role_may_do_what_it_should(
             monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(file))
             async with rtee.connect(endpoint=endpoint) as remote:
                 assert remote.client.startswith(f"{role.name.lower()}-python-")
+                assert remote.role is role
                 assert (await remote.status()).hand == "small"
                 assert (await anext(remote.states(50.0))).names
                 assert list(await remote.stop()) == ["sim"]

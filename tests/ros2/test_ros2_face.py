@@ -24,6 +24,7 @@ from rtee.ros2.qos import LATCHED
 from rtee.ros2.serving import Shown, overridden, warnings
 from rtee.ros2.topics import description, ros_name
 from rtee.sample import ActuatorState
+from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceStatus, Lifecycle
 
 from .facing import a_hand_in_ros, facing, robot
@@ -107,6 +108,29 @@ async def test_forces_at_the_fingertips(
             index = await others.listen("/small/tip_forces/index", WRENCH)
     assert (index[0].header.frame_id, index[0].wrench.force.z) == ("index_tip", 1.5)
     assert thumb == []  # nothing is measured there
+
+
+async def test_touch(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:
+    pad = TouchSensor("pad", 2, link="thumb_tip", position=np.zeros((2, 3)), normal=np.eye(3)[:2])
+    async with serving(hand, library) as served:
+        sense, driver = served.driver.sense, served.driver
+        driver.capabilities = replace(driver.capabilities, touch=(pad,))
+
+        async def felt() -> ActuatorState:
+            reading = TouchReading(np.array([0.5, 1.0]), time.monotonic())
+            return replace(await sense(), touch=reading)
+
+        driver.sense = felt  # what the kinematic driver measures, and touch
+        async with facing(Shown("small", settings, configured=hand)), robot(settings) as others:
+            touch = await others.listen("/small/touch", "rtee_msgs/msg/Touch")
+            kind = "rtee_msgs/msg/TouchSensors"
+            sensors = await others.listen("/small/touch_sensors", kind, LATCHED)
+    assert (touch[0].name, touch[0].unit, list(touch[0].value)) == (["pad"], ["N"], [0.5, 1.0])
+    assert list(touch[0].total) == [1.5]
+    assert abs(time.time() - touch[0].header.stamp.sec) < 60
+    [told] = sensors[0].sensors
+    assert (told.name, told.link, told.finger) == ("pad", "thumb_tip", "thumb")
+    assert list(told.normal) == [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
 async def test_rate(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:

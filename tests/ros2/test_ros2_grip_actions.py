@@ -90,6 +90,22 @@ async def test_the_gap_in_metres(settings: Ros2Settings) -> None:
         assert outcome.result.position == pytest.approx(0.086, abs=2e-3)
 
 
+async def test_more_force_than_the_hand_has_is_all_that_it_has(settings: Ros2Settings) -> None:
+    """``max_effort`` is a bound: MoveIt's examples give 100 N for any gripper."""
+    async with a_gripper(settings) as (served, robot):
+        client = await client_of(robot, f"/{NAME}/gripper_cmd", SIMPLE)
+        outcome = await (await client.send_goal(simple_goal(client, 0.03, 900.0))).result(30)
+        assert outcome.result.reached_goal
+        assert served.watcher.goals[-1].force == pytest.approx(222.0, rel=0.01)
+        parallel = await client_of(robot, f"/{NAME}/gripper_cmd", PARALLEL)
+        asked = parallel_goal(parallel, name=["finger_joint"], position=[0.4], effort=[900.0])
+        outcome = await (await parallel.send_goal(asked)).result(30)
+        assert outcome.result.reached_goal
+        [(joint, effort)] = served.watcher.goals[-1].effort.items()
+        assert joint == "finger_joint"
+        assert 0.0 < effort < 900.0
+
+
 async def test_an_object_in_the_way(settings: Ros2Settings) -> None:
     async with a_gripper(settings) as (served, robot):
         served.driver.place_object("finger_joint", 0.5)
@@ -117,7 +133,7 @@ async def test_what_a_gripper_refuses(
         refused = [
             (simple, simple_goal(simple, math.nan), "the position must be a finite number"),
             (simple, simple_goal(simple, 0.2), "the nearest is 8"),
-            (simple, simple_goal(simple, 0.03, 900.0), "at most 222 N"),
+            (simple, simple_goal(simple, 0.03, -1.0), "the effort must be 0"),
             (parallel, parallel_goal(parallel), "takes one position"),
             (
                 parallel,

@@ -9,15 +9,21 @@ from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ReadHoldingRegistersRequest
 
 from rtee.buses.modbus_frames import AnswerParser, RtuRequests, TcpRequests, rtu_frame
+from rtee.drivers.ability_hand import codec as ability
 from rtee.drivers.allegro import codec as allegro
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402 import codec as cia402
 from rtee.drivers.dynamixel.codec import InstructionParser
+from rtee.drivers.feetech import codec as feetech
+from rtee.drivers.feetech.table import FAMILIES
+from rtee.drivers.feetech.table import State as FeetechState
 from rtee.drivers.heri_ethercat import codec as heri
 from rtee.drivers.inspire_rh56 import codec as rh56
 from rtee.drivers.inspire_rh56.memory import Memory, Rh56Properties
+from rtee.drivers.linkerhand import codec as linkerhand
 from rtee.drivers.onrobot_3fg import codec as onrobot
 from rtee.drivers.onrobot_rg import codec as rg
+from rtee.drivers.orca_touch import codec as orca
 from rtee.drivers.qb_softhand import codec as qb
 from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
@@ -200,6 +206,37 @@ RH56_REPLIES = [
     )
 ]
 
+FEETECH_REQUESTS = [
+    bytes.fromhex(text)
+    for text in (
+        "FF FF 01 02 01 FB",
+        "FF FF 01 09 03 2A 01 FF 00 00 03 E8 DD",
+        "FF FF FE 06 82 38 0F 01 02 2F",
+    )
+]
+FEETECH_REPLIES = [
+    bytes.fromhex(text)
+    for text in (
+        "FF FF 01 04 20 01 FF DA",
+        "FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1",
+    )
+]
+
+ABILITY_COMMANDS = [
+    bytes.fromhex(text)
+    for text in (
+        "7E 50 A0 10 7E",
+        "7E 50 10 99 19 99 19 99 19 99 19 99 19 67 E6 D9 7E",
+        "7E 50 10 7D 5E 7D 5D" + " 00" * 10 + " A5 7E",
+    )
+]
+ABILITY_REPLIES = [
+    bytes.fromhex(
+        "7E 10" + " 99 19 00 00" * 5 + " 67 E6 00 00 23 61 45" + " 00" * 42 + " 01 5F 7E"
+    ),
+    bytes.fromhex("7E 12" + " 99 19 36 01" * 5 + " 67 E6 36 01" + " 28 00" * 6 + " 00 ED 7E"),
+]
+
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
     Decoder("Modbus TCP requests", NETWORK, parser=TcpRequests, limit=260, lost=0),
@@ -245,6 +282,12 @@ DECODERS = [
         [bytes.fromhex("01 F4 02 EE 00 00 00 01")],
         decode=registers(4, onrobot.Command.from_registers),
         errors=(FrameError,),
+    ),
+    Decoder(
+        "LinkerHand version",
+        [bytes.fromhex("00 06 00 01 00 01 00 52 00 10 00 10")],
+        decode=registers(6, linkerhand.Version.from_registers),
+        errors=(linkerhand.LinkerFrameError,),
     ),
     Decoder(
         "OnRobot RG state",
@@ -302,6 +345,50 @@ DECODERS = [
         decode=lambda data: rh56.Report.from_bytes(data[:12], data[36:]),
         errors=(rh56.Rh56FrameError,),
     ),
+    Decoder(
+        "Ability Hand commands",
+        ABILITY_COMMANDS,
+        parser=ability.CommandParser,
+        prefix=b"\x7e",
+        limit=ability.CommandParser.LIMIT + 1,
+    ),
+    Decoder(
+        "Ability Hand replies",
+        ABILITY_REPLIES,
+        parser=ability.ReplyParser,
+        prefix=b"\x7e",
+        limit=ability.ReplyParser.LIMIT + 1,
+    ),
+    Decoder(
+        "Ability Hand reply",
+        [frame[1:-2] for frame in ABILITY_REPLIES],
+        decode=ability.Reply.from_frame,
+        errors=(ability.AbilityFrameError,),
+    ),
+    Decoder(
+        "ORCA touch requests",
+        [bytes.fromhex("55aa000310000400ea"), bytes.fromhex("55aa00101600010001d9")],
+        parser=orca.RequestParser,
+        prefix=orca.RequestParser.HEADER,
+        limit=orca.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch answers",
+        [
+            bytes.fromhex("aa55000310000400444404005e"),
+            orca.Stream(0, bytes(30)).to_bytes(),
+            orca.Encoders(0, bytes(34)).to_bytes(),
+        ],
+        parser=orca.AnswerParser,
+        prefix=orca.AnswerParser.HEADER,
+        limit=orca.AnswerParser.LIMIT,
+    ),
+    Decoder(
+        "ORCA touch forces",
+        [bytes(6 + 3 * 4)],
+        decode=lambda data: orca.Forces.from_bytes(data, orca.Content(3), (4,)),
+        errors=(orca.OrcaFrameError,),
+    ),
     Decoder("qb SoftHand frames", QB, parser=qb.Parser, prefix=qb.HEADER, limit=qb.Parser.LIMIT),
     Decoder(
         "Dynamixel instructions",
@@ -309,6 +396,25 @@ DECODERS = [
         parser=InstructionParser,
         prefix=b"\xff\xff\xfd\x00",
         limit=InstructionParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech requests",
+        FEETECH_REQUESTS,
+        parser=feetech.RequestParser,
+        prefix=feetech.HEADER,
+        limit=feetech.RequestParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech replies",
+        FEETECH_REPLIES,
+        parser=feetech.ReplyParser,
+        prefix=feetech.HEADER,
+        limit=feetech.ReplyParser.LIMIT,
+    ),
+    Decoder(
+        "Feetech state",
+        [bytes.fromhex("00 08 00 00 00 00 4A 1E 00 00 00 00 08 00 00")],
+        decode=lambda data: FeetechState.from_bytes(FAMILIES["sts"], data, 0x20),
     ),
     Decoder(
         "qb parameter list",

@@ -21,6 +21,7 @@ from rtee.hand.catalog import hand_names
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings, Recording, read
+from rtee.log.check import check
 from rtee.loop.configure import loop_settings
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.recorded import recorder_for
@@ -129,3 +130,31 @@ def test_two_runs_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
         assert len(one) > 50
         assert one.tobytes() == two.tobytes()
     assert [e.value for e in first.results] == [e.value for e in second.results]
+
+
+def test_a_recording_at_simulated_time_can_be_computed_anew(tmp_path: Path) -> None:
+    first = start("robotiq_2f_85", folder=tmp_path, object="sphere:0.03")
+    (recorder,) = first.observers
+    first.do(Goal("Grasp", goal_id="first"))
+    first.start(Goal("open", goal_id="second"))  # ends as pre-empted
+    first.wait(0.05)
+    first.do(Goal("Grasp", goal_id="third", intensity=0.5))
+    # As a trial at another place of the object: a hand of its own in the same recording.
+    ready = bench("robotiq_2f_85")
+    first.simulation.reset()
+    again = HeadlessHand(
+        first.hand,
+        ready.library,
+        loop_settings(load_configured("robotiq_2f_85")[1], rate=200.0),
+        first.simulation,
+        [recorder],
+        ticks=first.ticks,
+    )
+    again.do(Goal("Grasp", goal_id="again"))
+    recorder.close()
+    recording = read(next(tmp_path.glob("*.mcap")))
+    assert recording.actuator_states.tick[0] == 0
+    found = check(recording)
+    assert found.same, found
+    assert (found.goals, found.missing) == (4, 0)
+    assert found.ticks == again.ticks

@@ -19,7 +19,8 @@ from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.errors import ConfigError
 from rtee.hand.own_copy import copy_hand
-from rtee.trials.store import read_results
+from rtee.trials.result import Trial, TrialResult
+from rtee.trials.store import fingerprint, read_results, write_results
 
 GRIPPER = "robotiq_2f_85"
 
@@ -44,8 +45,8 @@ def start(hand: Path) -> subprocess.Popen[str]:
     )
 
 
-def wait_for_a_result(hand: Path) -> None:
-    while not read_results(hand / "trials.yaml"):
+def wait_for_a_result(hand: Path, file: str = "trials.yaml") -> None:
+    while not read_results(hand / file):
         time.sleep(0.05)
 
 
@@ -89,6 +90,48 @@ def test_what_is_found_outlives_a_kill_and_the_workers_do_not(hand: Path) -> Non
     while group(sweep.pid):
         time.sleep(0.05)
     assert 0 < len(read_results(hand / "trials.yaml")) < 36
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks into /proc")
+def test_a_worker_that_is_killed_is_told_in_one_sentence(hand: Path) -> None:
+    sweep = start(hand)
+    wait_for_a_result(hand)
+    worker = next(
+        one
+        for one in group(sweep.pid)
+        if b"spawn_main" in Path(f"/proc/{one}/cmdline").read_bytes()
+    )
+    os.kill(worker, signal.SIGKILL)
+    _, said = sweep.communicate()
+    kept = read_results(hand / "trials.yaml")
+    assert sweep.returncode == 1
+    assert said == (
+        "rtee: a process that did trials was ended from outside, perhaps for want of memory; "
+        f"the results of {len(kept)} of 36 trials are kept in config/mine/trials.yaml; the same "
+        "command does the others\n"
+    )
+    while group(sweep.pid):
+        time.sleep(0.05)
+
+
+def test_outdated_results_stay_until_all_new_ones_are_there(hand: Path) -> None:
+    old = [TrialResult(Trial("Grasp", (), "sphere:0.07"), True)]
+    write_results(hand / "trials.yaml", "0", old)
+    before = (hand / "trials.yaml").read_text()
+    sweep = start(hand)
+    wait_for_a_result(hand, "trials.new.yaml")
+    os.killpg(sweep.pid, signal.SIGINT)
+    _, said = sweep.communicate()
+    assert "the 1 results in config/mine/trials.yaml are outdated" in said
+    assert "are kept in config/mine/trials.new.yaml; the same command does the others" in said
+    assert (hand / "trials.yaml").read_text() == before
+    kept = set(read_results(hand / "trials.new.yaml"))
+    words = [str(hand), "--all", "--variations", "0", "--object", "sphere:0.03", "--jobs", "1"]
+    CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
+    found = read_results(hand / "trials.yaml", fingerprint(hand))
+    assert kept <= set(found)
+    assert {result.trial.object for result in found.values()} >= {"sphere:0.03"}
+    assert not (hand / "trials.new.yaml").exists()
 
 
 def test_a_hand_without_actions_is_told_what_to_type(hand: Path) -> None:

@@ -45,6 +45,7 @@ def test_what_is_wider_than_the_gripper_is_not_lifted() -> None:
     assert moments[-1] == "lift"
 
 
+@pytest.mark.heavy
 def test_variations_are_counted() -> None:
     what = Transfer("Grasp", object="box:0.04x0.04x0.05", by=(0.1, 0.0), places=1, variations=2)
     result = transfer(what)

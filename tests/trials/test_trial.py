@@ -155,6 +155,12 @@ def test_without_closing_it_falls() -> None:
     assert result.reason == "it was not grasped"
 
 
+def test_places_cannot_all_be_left_out() -> None:
+    ready = bench(GRIPPER)
+    with pytest.raises(ConfigError, match=r"there are \d+ places .* leaving out 100 leaves none"):
+        run_trial(ready.hand, ready.library, ready.settings, BALL, skip=100)
+
+
 def test_an_unknown_action_is_refused() -> None:
     ready = bench(GRIPPER)
     with pytest.raises(UnknownAction):

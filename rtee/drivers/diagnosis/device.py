@@ -15,7 +15,15 @@ from rtee.drivers.diagnosis.port import check_address
 from rtee.drivers.diagnosis.probes import can
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
-from rtee.errors import BusBusy, DeviceFault, DriverError, HandshakeError, NotConnected, RteeError
+from rtee.errors import (
+    BusBusy,
+    DeviceFault,
+    DriverError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+    UserError,
+)
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec
 
@@ -125,6 +133,8 @@ async def _fit(driver: Driver) -> Check:
         needs = await patiently(driver.examine)
     except DeviceFault as fault:
         return wrong("fault", f"{fault.code}: {fault.name}", fault.hint or "`rtee recover`")
+    except UserError as error:
+        return wrong("fault", str(error), "correct its options in hand.yaml, or calibrate it")
     except RteeError as error:
         return wrong("fault", str(error), "check the cable")
     if needs:

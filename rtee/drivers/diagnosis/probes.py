@@ -25,6 +25,10 @@ _OWNER = "scan"
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
+_SERVO = 0.02
+"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
+
+_LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +197,33 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
     return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
 
 
+def linkerhand() -> Probe:
+    """Return a probe for LinkerHands on RS-485, right and left ones."""
+    from rtee.drivers.linkerhand.codec import BAUDRATE, LEFT, MODELS, RIGHT
+    from rtee.drivers.linkerhand.link import ModbusLink
+
+    async def listen(bus: ModbusBus, address: str) -> list[Found]:
+        found = []
+        for unit in (RIGHT, LEFT):
+            for name, model in MODELS.items():
+                link = ModbusLink(bus, model, unit, _LINKER_ANSWER, 0, model.spacing)
+                try:
+                    version = await link.version()
+                except (BusTimeout, FrameError, ModbusRefusal):
+                    continue
+                if version is not None and version.motors == model.count:
+                    options = {"port": address, "model": name, "unit": unit}
+                    what = f"LinkerHand {model.name}, unit {unit}"
+                    found.append(Found("linkerhand", what, options))
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.modbus(address, owner=_OWNER, baudrate=BAUDRATE)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("LinkerHand", ask)
+
+
 # --- serial protocols --------------------------------------------------------------------------
 
 
@@ -235,6 +266,26 @@ def softhand(devices: Sequence[int]) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("qb SoftHand", ask)
+
+
+def ability_hand() -> Probe:
+    """Return a probe for the Ability Hand with the address and the rate from the factory."""
+    from rtee.drivers.ability_hand.codec import ADDRESS, BAUDRATES, Command, Header, ReplyParser
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        try:
+            await bus.transact(Command(ADDRESS, Header.READ).to_bytes(), ReplyParser(), 0.1, 1)
+        except (BusTimeout, FrameError):
+            return []
+        return [
+            Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
+        ]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("PSYONIC Ability Hand", ask)
 
 
 def rh56(units: Sequence[int]) -> Probe:
@@ -322,6 +373,70 @@ def dynamixel(baudrate: int) -> Probe:
         return await _ended(bus, listen(bus, address))
 
     return Probe("Dynamixel", ask)
+
+
+def feetech(baudrate: int) -> Probe:
+    """Return a probe for Feetech servos at one rate.
+
+    All answer to a broadcast ping at once, which tells only whether there is somebody; then every
+    id is asked. A line that carries every rate alike has servos answer at all of them; they are
+    then found at the rate that they report.
+    """
+    from rtee.drivers.feetech.codec import (
+        BROADCAST,
+        LARGEST_ID,
+        Frame,
+        Instruction,
+        ReplyParser,
+    )
+    from rtee.drivers.feetech.identity import recognise
+    from rtee.drivers.feetech.link import FeetechLink
+    from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES
+
+    async def anybody(bus: SerialBus) -> bool:
+        ping = Frame(BROADCAST, Instruction.PING).to_bytes()
+        try:
+            await bus.transact(ping, ReplyParser(), _ANSWER, 0)
+        except FrameError:
+            return True  # several at once make no valid frame of it
+        except BusTimeout:
+            return False
+        return True
+
+    async def listen(bus: SerialBus, address: str) -> list[Found]:
+        if not await anybody(bus):
+            return []
+        link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
+        for number in range(LARGEST_ID + 1):
+            try:
+                about = (await link.read(number, 0, 7)).params
+            except (BusTimeout, FrameError):
+                continue
+            model = recognise(about[3:5])
+            family = "" if model is None else model.family
+            what = f"servo with model bytes {about[3:5].hex(' ').upper()}"
+            name = what if model is None else model.name
+            told = about[BAUD_RATE.address]
+            rate = BAUD_RATES[told] if told < len(BAUD_RATES) else baudrate
+            found.append(
+                Found(
+                    "feetech" if family else "",
+                    f"{name}, id {number}, firmware {about[0]}.{about[1]}, {rate} baud",
+                    {
+                        "port": address,
+                        "baudrate": rate,
+                        **({"family": family} if family else {}),
+                        "id": number,
+                    },
+                )
+            )
+        return found
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=_OWNER, baudrate=baudrate, fresh=True)
+        return await _ended(bus, listen(bus, address))
+
+    return Probe("Feetech", ask)
 
 
 # --- CAN ---------------------------------------------------------------------------------------

@@ -13,6 +13,9 @@ from rtee.errors import BusBusy, BusError
 DYNAMIXEL_RATES = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
 """Rates at which Dynamixels are looked for [baud]: as from the factory, then the usual ones."""
 
+FEETECH_RATES = (1_000_000, 115_200, 500_000)
+"""Rates at which Feetech servos are looked for [baud]: as from the factory, by TTL and RS-485."""
+
 
 @dataclass(frozen=True, slots=True)
 class Address:
@@ -67,11 +70,14 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
     return (
         probes.wsg50(),
         probes.svh(),
+        probes.ability_hand(),
         probes.softhand(range(1, 10)),
         probes.rh56(range(1, 5)),
+        probes.linkerhand(),
         probes.modbus(115200, "N", units or (*range(1, 17),), name="Robotiq"),
         probes.modbus(1_000_000, "E", units or (65, 66, 67), name="OnRobot"),
         probes.modbus(115200, "E", units or (12, 65, 66, 67), name="SCHUNK EGU, OnRobot"),
+        *(probes.feetech(rate) for rate in FEETECH_RATES),
         *(probes.dynamixel(rate) for rate in DYNAMIXEL_RATES),
     )
 

@@ -7,31 +7,24 @@ import contextlib
 import math
 import time
 from collections import Counter
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import ClassVar
 
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
-from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.dynamixel import setup, table
-from rtee.drivers.dynamixel.calibration import (
-    Calibrated,
-    differences,
-    read_calibration,
-    write_calibration,
-)
 from rtee.drivers.dynamixel.cycle import ServoCycle
 from rtee.drivers.dynamixel.options import DynamixelOptions
 from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
+from rtee.drivers.servo_lines import Calibrated, CalibratesServos, zeros_of
 from rtee.drivers.wiring import check_names
-from rtee.errors import CalibrationError, RteeError
+from rtee.errors import RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -51,7 +44,7 @@ GAINS = {"p": table.POSITION_P, "i": table.POSITION_I, "d": table.POSITION_D}
 """Registers of the gains that can be tuned."""
 
 
-class DynamixelDriver(Driver):
+class DynamixelDriver(CalibratesServos):
     """Dynamixel X servos on one line.
 
     A cycle is one group read of current, velocity and position, and one group write of goal
@@ -105,26 +98,12 @@ class DynamixelDriver(Driver):
         await link.run(cycle.find, _SLOW)
         # After finding: the calibration belongs to these very servos, or it is refused.
         if options.calibration is not None:
-            self._adopt_calibration(cycle, options.calibration)
+            zeros = zeros_of(options.calibration, self.spec.name, _as_calibrated(cycle))
+            for scale, zero in zip(cycle.scales, zeros, strict=True):
+                scale.zero = zero
         await link.run(partial(link.choose_read, options.fast), _ONE_SERVO)
         self._describe(cycle)
         await link.run(cycle.unwrap, _SLOW)
-
-    def _adopt_calibration(self, cycle: ServoCycle, path: Path) -> None:
-        """Take the zeros of a calibration, if its servos are these; raises `CalibrationError`."""
-        stored = read_calibration(path, self.spec.name)
-        for scale, now in zip(cycle.scales, _as_calibrated(cycle), strict=True):
-            then = stored.get(now.actuator)
-            if then is None:
-                raise CalibrationError(self.spec.name, f"'{now.actuator}' is not calibrated")
-            changed = differences(then, now)
-            if changed:
-                raise CalibrationError(
-                    self.spec.name,
-                    f"'{now.actuator}' is not as it was calibrated: {'; '.join(changed)}; "
-                    "calibrate again, or set it back",
-                )
-            scale.zero = then.zero
 
     def _describe(self, cycle: ServoCycle) -> None:
         """Refine the capabilities by what was found."""
@@ -234,27 +213,11 @@ class DynamixelDriver(Driver):
 
     # --- calibration -------------------------------------------------------------------------
 
-    async def calibrate(
-        self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
-    ) -> list[Calibrated]:
-        """Take the pose that the user puts the hand into for its rest posture; store the zeros.
-
-        Args:
-            path: File to write.
-            rest: Angles of the rest posture [rad], in the order of the actuators.
-            ready: Called with what to do; returns when it is done.
-
-        Raises:
-            BusError: if the line fails.
-            ConfigError: if the file cannot be written.
-        """
+    async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
+        """Take the present positions for a posture [rad]; raises `BusError`."""
         cycle = self.connection.link
-        await self.deactivate()
-        await ready("Put every joint into the rest posture; the servos are without torque.")
         await cycle.link.run(partial(cycle.set_zeros, rest), _SLOW)
-        found = _as_calibrated(cycle)
-        write_calibration(path, found)
-        return found
+        return _as_calibrated(cycle)
 
 
 def _as_calibrated(cycle: ServoCycle) -> list[Calibrated]:

@@ -24,6 +24,7 @@ from rtee.drivers.dynamixel.codec import (
 from rtee.drivers.dynamixel.servo import QUARTER_TURN, Servo, ServoProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
+from rtee.drivers.servo_emulator import ServoLine
 
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
@@ -56,12 +57,11 @@ class LineProperties:
     fast: bool = True
 
 
-class DynamixelEmulator(Emulator, Grasps):
+class DynamixelEmulator(ServoLine[Servo], Grasps):
     """Servos on one line; all receive every instruction, each answers for itself.
 
     Attributes:
         properties: Properties of the line.
-        servos: The servos by id.
         counts: Instructions heard, by instruction.
     """
 
@@ -72,11 +72,11 @@ class DynamixelEmulator(Emulator, Grasps):
     BAUDRATES = frozenset(table.BAUD_RATES)
 
     def __init__(self, properties: LineProperties | None = None) -> None:
-        super().__init__()
-        self.properties = properties or LineProperties()
-        made = self.properties
-        self._all = [Servo(i, made.special.get(i, made.servo)) for i in made.ids]
+        made = self.properties = properties or LineProperties()
         self._parser = InstructionParser()
+        super().__init__(
+            [Servo(i, made.special.get(i, made.servo)) for i in made.ids], self._parser
+        )
         self._shown_rate = 0
         self.counts: dict[int, int] = {}
 
@@ -103,36 +103,21 @@ class DynamixelEmulator(Emulator, Grasps):
         made.baudrate = int(options.get("baudrate") or made.baudrate)
         return made
 
-    @property
-    def servos(self) -> dict[int, Servo]:
-        """The servos by id."""
-        return {servo.number: servo for servo in self._all}
-
-    def power_cycle(self, now: float) -> None:
-        """Cut the supply of all servos and bring it back."""
-        for servo in self._all:
-            servo.reboot(now)
-        self._parser.reset()
-
-    def line_reset(self) -> None:
-        """Forget the bytes of an incomplete packet."""
-        self._parser.reset()
-
     def inject(self, fault: str) -> None:
         """Put a fault into the first servo (hardware errors) or all (the rest)."""
         super().inject(fault)
         if fault in _HARDWARE:
-            self._all[0].cause |= _HARDWARE[fault]
-            self._all[0].fail(_HARDWARE[fault])
+            self.ordered[0].cause |= _HARDWARE[fault]
+            self.ordered[0].fail(_HARDWARE[fault])
 
     def clear(self, fault: str | None = None) -> None:
         """Take a fault away; hardware errors stay latched until a reboot."""
         super().clear(fault)
-        self._all[0].cause = Hardware(0)
+        self.ordered[0].cause = Hardware(0)
 
     def on_faults(self) -> None:
         """Block the servos while they are stuck, and have them answer as the model they are."""
-        for servo in self._all:
+        for servo in self.ordered:
             servo.axis.stuck = "stuck" in self.faults
             # 350 is an XL-320, which has another control table.
             model = 350 if "wrong_device" in self.faults else servo.properties.model
@@ -143,7 +128,7 @@ class DynamixelEmulator(Emulator, Grasps):
         strongest = float(table.CURRENT_LIMIT.default)
         return [
             Closing(servo.axis, made.start, made.start + made.closing, strongest)
-            for servo in self._all
+            for servo in self.ordered
             for made in [servo.properties]
         ]
 
@@ -152,12 +137,6 @@ class DynamixelEmulator(Emulator, Grasps):
     ) -> None:
         """Put an object in a servo's way, met at a position [pulse]; stiffness in mA per pulse."""
         self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
-
-    def step(self, now: float) -> list[bytes]:
-        """Let time pass; servos send nothing without a request."""
-        for servo in self._all:
-            servo.step(now)
-        return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
         """Take bytes from the host and return the answers."""
@@ -168,7 +147,7 @@ class DynamixelEmulator(Emulator, Grasps):
             if "silent" in self.faults:
                 continue
             self.counts[packet.instruction] = self.counts.get(packet.instruction, 0) + 1
-            for servo in self._all:
+            for servo in self.ordered:
                 # Every instruction on the line feeds the bus watchdog, whichever servo it is for.
                 servo.heard(now)
             answers += self._answers(packet, now)
@@ -178,7 +157,7 @@ class DynamixelEmulator(Emulator, Grasps):
         """Set the register of the baud rate to the rate of the line."""
         if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
             self._shown_rate = self.baudrate
-            for servo in self._all:
+            for servo in self.ordered:
                 servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
     def _crc_errors(self, now: float) -> list[bytes]:
@@ -196,9 +175,7 @@ class DynamixelEmulator(Emulator, Grasps):
 
     def _listening(self, numbers: Iterable[int], now: float) -> list[Servo]:
         """Return the servos of these ids that can answer, in this order."""
-        servos = self.servos
-        found = [servos[n] for n in numbers if n in servos]
-        return [s for s in found if not s.unplugged and now >= s.silent_until]
+        return [servo for servo in self.listening(numbers, now) if not servo.unplugged]
 
     def _answers(self, packet: InstructionPacket, now: float) -> list[bytes]:
         params = packet.params

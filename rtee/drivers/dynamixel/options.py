@@ -5,46 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from rtee.drivers import servo_lines
 from rtee.drivers.dynamixel.table import BAUD_RATES, CENTER, LATENCY, PULSES
 from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.servo_lines import check_line
 
 Gain = Annotated[int, Field(ge=0, le=16383)]
 
 
-class ServoOptions(BaseModel):
+class ServoOptions(servo_lines.ServoOptions):
     """Options of one servo.
 
     Attributes:
         id: Its id on the line.
         zero: Its position where the joint is at 0 rad [pulse], within one turn.
-        direction: +1 or -1: sense of its pulses with the joint's angle.
-        gear: Its turns per turn of the joint.
-        model: Model number expected; else any.
         drive_mode: Drive mode expected; a servo set up otherwise is refused.
         p: Proportional gain; else that of the line.
         i: Integral gain.
         d: Derivative gain.
         current: Largest current [A]; else that of the line.
         current_unit: Current per count [A]; else that of the model.
-        torque_per_ampere: Torque per current [N·m/A]; else that of the model.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: Annotated[int, Field(ge=0, le=252)]
     zero: Annotated[float, Field(ge=0, lt=PULSES)] = CENTER
-    direction: Literal[1, -1] = 1
-    gear: Positive = 1.0
-    model: int | None = None
     drive_mode: int = 0
     p: Gain | None = None
     i: Gain | None = None
     d: Gain | None = None
     current: Positive | None = None
     current_unit: Positive | None = None
-    torque_per_ampere: Positive | None = None
 
 
 class DynamixelOptions(DeviceOptions):
@@ -94,9 +86,5 @@ class DynamixelOptions(DeviceOptions):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.baudrate not in BAUD_RATES:
-            raise ValueError(f"baudrate is one of {', '.join(str(b) for b in BAUD_RATES)}")
-        ids = [servo.id for servo in self.servos.values()]
-        if len(set(ids)) != len(ids):
-            raise ValueError("two servos have the same id")
+        check_line(self.baudrate, BAUD_RATES, [servo.id for servo in self.servos.values()])
         return self

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,8 @@ from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions, ServoOptions
 from rtee.drivers.dynamixel.table import MODELS, Mode, Register, model_of
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
+from rtee.drivers.servo_lines import check_present
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError
 
 MODES: Mapping[str, Mode] = {
     "current_based_position": Mode.CURRENT_BASED_POSITION,
@@ -82,26 +83,8 @@ def find(
         BusError: if the line fails.
     """
     models = {servo.id: link.ping(servo.id) for servo in servos.values()}
-    missing = [n for n, model in models.items() if model is None]
-    if len(missing) == len(models):
-        raise NotConnected(
-            device,
-            f"none of {len(models)} servos answers at {port}",
-            hint="is their supply on, and is it the right port and baud rate? `rtee scan` searches",
-        )
-    wrong = [
-        f"{s.id} ({name}) is {_named(models[s.id])}, not {_named(s.model)}"
-        for name, s in servos.items()
-        if s.model is not None and models[s.id] is not None and models[s.id] != s.model
-    ]
-    if missing or wrong:
-        problems = [f"no {', '.join(str(n) for n in missing)}"] if missing else []
-        raise HandshakeError(
-            device,
-            f"servos {_ranges([s.id for s in servos.values()])}",
-            "; ".join(problems + wrong),
-            hint="check ids and cables; `rtee scan` lists the servos there are",
-        )
+    expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
+    check_present(device, port, expected, models, _named)
     for name, servo in servos.items():
         if servo.model is None and models[servo.id] not in MODELS:
             raise HandshakeError(
@@ -128,13 +111,6 @@ def find(
 
 def _named(model: int | None) -> str:
     return "unknown" if model is None else model_of(model).name
-
-
-def _ranges(numbers: Sequence[int]) -> str:
-    ordered = sorted(numbers)
-    if ordered == list(range(ordered[0], ordered[-1] + 1)) and len(ordered) > 2:
-        return f"{ordered[0]} to {ordered[-1]}"
-    return ", ".join(str(n) for n in ordered)
 
 
 def prepare(

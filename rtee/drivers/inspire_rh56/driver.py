@@ -42,6 +42,7 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.drivers.inspire_rh56.link import FrameLink, ModbusLink, Rh56Link, WriteRefused
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of, scales_of
+from rtee.drivers.inspire_rh56.tactile import TactileReader, sensors
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusError,
@@ -54,6 +55,7 @@ from rtee.errors import (
     RteeError,
 )
 from rtee.sample import ActuatorState, FloatArray
+from rtee.touch import TouchReading
 from rtee.types import DeviceSpec, Reference
 
 _CLEARING = 0.2
@@ -97,12 +99,16 @@ class InspireRh56Driver(Driver):
         self._angles = [KEEP] * COUNT
         self._forces: list[int] | None = None
         self._speeds: list[int] | None = None
+        areas = self.options.areas
+        self._tactile = TactileReader(areas) if areas else None
+        self._touch: TouchReading | None = None
         pairs = zip(spec.actuators, self._scales, strict=True)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "effort", "current", "temperature", "grasped"}),
             accepts=frozenset({"position", "max_effort", "max_velocity"}),
             recoverable=True,
             grip={actuator.name: scale.grip for actuator, scale in pairs},
+            touch=sensors(areas),
         )
 
     # --- life --------------------------------------------------------------------------------
@@ -187,6 +193,8 @@ class InspireRh56Driver(Driver):
         turnaround = self.options.turnaround
         reading = sum(link.read_time(size, turnaround) for size in sizes)
         once = reading + link.write_time(WORDS, turnaround)
+        if self._tactile is not None:
+            once += link.read_time(self._tactile.largest, turnaround)
         # Without a turnaround a network gives no bound; a millisecond is less than any hand takes.
         return 1.0 / max(once, 1e-3)
 
@@ -230,6 +238,8 @@ class InspireRh56Driver(Driver):
         report = await self._measured()
         stamp = time.monotonic()
         self._check(report)
+        if self._tactile is not None:
+            self._touch = await self._tactile.read(self.connection.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.angle(report.angles[motor]) for motor, scale in both]
         self._here = np.array(position)
@@ -240,6 +250,7 @@ class InspireRh56Driver(Driver):
             current=[report.currents_ma[motor] * 1e-3 for motor in self._motors],
             temperature=[float(report.temperatures[motor]) for motor in self._motors],
             grasped=tuple(_WORDS.get(report.states[motor]) for motor in self._motors),
+            touch=self._touch,
         )
 
     def _check(self, report: Report) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rtee.drivers.axis import Axis
+from rtee.drivers.inspire_rh56 import tactile
 from rtee.drivers.inspire_rh56.codec import (
     BAUDRATES,
     COUNT,
@@ -83,6 +84,7 @@ class Memory:
         moves: Set-points of angles taken.
         begun: Force limits in force when the last motion began [g].
         errors: Error bits of the motors.
+        taxels: Bytes of the taxels' registers; of a hand without tactile sensors, none.
     """
 
     def __init__(self, properties: Rh56Properties) -> None:
@@ -108,6 +110,7 @@ class Memory:
         self._fastest = fastest
         self._faults: frozenset[str] = frozenset()
         self._bytes = bytearray(LAST - FIRST)
+        self.taxels = bytearray(tactile.LAST - tactile.FIRST if properties.model == "dftp" else 0)
         self._bias = list(properties.force_bias)
         self._calibrating = 0.0
         self._put(Register.HAND_ID, bytes([properties.unit]))
@@ -164,6 +167,9 @@ class Memory:
 
     def read(self, address: int, size: int) -> bytes | None:
         """Return registers, or ``None`` where it refuses."""
+        at = address - tactile.FIRST
+        if at >= 0 and at + size <= len(self.taxels):
+            return bytes(self.taxels[at : at + size])
         hole = range(Register.ANGLE + WORDS, Register.FORCE)
         known = address >= FIRST and address + size <= LAST
         if self.properties.unknown == "refused" and (
@@ -177,6 +183,11 @@ class Memory:
         stroke = [round((OPEN - angle) * 2) for angle in report.angles]  # 0 to 2000, closed
         self._put(Register.STROKE, table(stroke))
         return self._get(address, size)
+
+    def press(self, area: str, taxel: int, value: int) -> None:
+        """Have a taxel of an area measure a value, until it is given another."""
+        at = next(a for a in tactile.AREAS if a.name == area).address - tactile.FIRST + 2 * taxel
+        self.taxels[at : at + 2] = value.to_bytes(2, "little")
 
     def report(self) -> Report:
         """Return what it measures."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE
 from rtee.drivers.inspire_rh56.scales import FORCES, Force, Scale
+from rtee.drivers.inspire_rh56.tactile import AREAS, Area
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.wiring import check_names, numbers_of
 from rtee.errors import ConfigError
@@ -76,6 +77,11 @@ class InspireRh56Options(DeviceOptions):
     reading: Literal["auto", "block", "separate"] = Field(
         "auto", description="angles and the rest in one exchange, or in two; `auto` tries"
     )
+    touch: Literal["off", "tips", "fingers", "all"] = Field(
+        "off",
+        description="taxels of a `dftp` that are read over Modbus TCP: those of the tips, of the "
+        "fingers, or all",
+    )
     check_every: Annotated[int, Field(ge=1)] = Field(
         50, description="set-points are read back every so many exchanges"
     )
@@ -88,6 +94,25 @@ class InspireRh56Options(DeviceOptions):
     def modbus(self) -> bool:
         """Whether it is talked to by Modbus."""
         return self.protocol == "modbus" or self.port.startswith("tcp://")
+
+    @model_validator(mode="after")
+    def _has_taxels(self) -> Self:
+        if self.touch != "off" and not (self.model == "dftp" and self.port.startswith("tcp://")):
+            raise ValueError("touch needs model dftp and Modbus TCP (port: tcp://HOST:6000)")
+        return self
+
+    @property
+    def areas(self) -> tuple[Area, ...]:
+        """The arrays of taxels that are read."""
+        match self.touch:
+            case "off":
+                return ()
+            case "tips":
+                return tuple(area for area in AREAS if area.name.endswith(("_tip", "_top")))
+            case "fingers":
+                return tuple(area for area in AREAS if area.name != "palm")
+            case _:
+                return AREAS
 
     @property
     def most(self) -> int:

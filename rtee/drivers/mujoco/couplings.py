@@ -162,7 +162,7 @@ def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
     coupling = hand.transmission.couplings[hand.joint_index(joint.name)]
     if coupling.actuator is None:
         return joint.lower, joint.upper
-    ends = [coupling.value(u) for u in sample(*_range(hand.actuators[coupling.actuator]))]
+    ends = [coupling.value(u) for u in sample(*span(hand.actuators[coupling.actuator]))]
     return min(joint.lower, *ends), max(joint.upper, *ends)
 
 
@@ -181,7 +181,7 @@ def add_couplings(
             line = (mimic.offset, mimic.multiplier, 0.0, 0.0, 0.0)
             _add_equality(spec, follower.joint, follower.master, line)
             continue
-        lower, upper = _range(follower.actuator)
+        lower, upper = span(follower.actuator)
         data, error = fit(follower.coupling, lower, upper)
         motor = motor_joint(hand, follower.actuator.name)
         _add_equality(spec, follower.joint, motor, data)
@@ -198,7 +198,8 @@ def add_couplings(
     return notes
 
 
-def _range(actuator: ActuatorSpec) -> tuple[float, float]:
+def span(actuator: ActuatorSpec) -> tuple[float, float]:
+    """Return the range of an actuator over which couplings are fitted [rad | m]."""
     lower = actuator.lower if math.isfinite(actuator.lower) else -_CONTINUOUS_SPAN
     upper = actuator.upper if math.isfinite(actuator.upper) else _CONTINUOUS_SPAN
     return lower, upper
@@ -247,7 +248,7 @@ def _shares(slopes: FloatArray, known: ActuatorDynamics) -> FloatArray | None:
 
 
 def _mean_slope(follower: Follower) -> float:
-    lower, upper = _range(follower.actuator)
+    lower, upper = span(follower.actuator)
     value = follower.coupling.value
     return (value(upper) - value(lower)) / (upper - lower)
 
@@ -313,7 +314,7 @@ class _Curves:
     """How joints follow their actuators, tabulated: cubic between the points of a fine grid."""
 
     def __init__(self, group: Sequence[Follower]) -> None:
-        ranges = np.array([_range(f.actuator) for f in group]).reshape(-1, 2)
+        ranges = np.array([span(f.actuator) for f in group]).reshape(-1, 2)
         self._lower = ranges[:, 0]
         self._step = (ranges[:, 1] - ranges[:, 0]) / (_SAMPLES - 1)
         duals = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 import anyio
@@ -16,7 +17,8 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
 from rtee.errors import CommandRejected, NotConnected, needing_extra
 from rtee.hand.load import load_hand
-from rtee.sample import ActuatorState
+from rtee.sample import ActuatorState, FloatArray
+from rtee.touch import TouchReading
 from rtee.types import DeviceSpec, Reference
 
 if TYPE_CHECKING:
@@ -52,6 +54,10 @@ class MujocoDriver(Driver):
         self._thread = anyio.CapacityLimiter(1)
         self._affordable = _AFFORDABLE * (spec.every or 1) / spec.rate
         self._cost = 0.0
+        period = (spec.every or 1) / spec.rate
+        self._touch_every = max(1, round(1.0 / (self._options.touch_rate * period)))
+        self._touch: TouchReading | None = None
+        self._turn = 0
         names = [actuator.name for actuator in spec.actuators]
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort", "contact_force"}),
@@ -83,6 +89,7 @@ class MujocoDriver(Driver):
             make_simulation, hand, self._options, names, period
         )
         self.object_description = self._simulation.object_description
+        self.capabilities = replace(self.capabilities, touch=self._simulation.taxels.sensors)
         for note in self._simulation.notes:
             log.info("%s: %s", self.spec.name, note)
 
@@ -98,13 +105,21 @@ class MujocoDriver(Driver):
             self._advance()
         else:
             await anyio.to_thread.run_sync(self._advance, limiter=self._thread)
-        extras = {"contact_force": simulation.contact_forces, **simulation.seen}
+        now = time.monotonic()
+        extras: dict[str, FloatArray] = simulation.seen
+        if not simulation.taxels.sensors:
+            # A hand with touch sensors feels with them, as a real one does.
+            extras = {"contact_force": simulation.contact_forces, **extras}
+        elif self._turn % self._touch_every == 0:
+            self._touch = TouchReading(simulation.taxels.read(simulation.data), now)
+        self._turn += 1
         return ActuatorState.measured(
             simulation.position,
-            time.monotonic(),
+            now,
             velocity=simulation.velocity,
             effort=simulation.effort,
             extras=extras,
+            touch=self._touch,
         )
 
     def _advance(self) -> None:

@@ -64,11 +64,13 @@ class Built:
         spec: The model; objects may still be added before it is compiled.
         servos: The motors, by actuator.
         notes: What was made up, one sentence each.
+        following: How joints follow their actuators where that is not a gear, one sentence each.
     """
 
     spec: mujoco.MjSpec
     servos: Mapping[str, Servo]
     notes: tuple[str, ...]
+    following: tuple[str, ...]
 
 
 def quaternion(rpy: tuple[float, float, float]) -> FloatArray:
@@ -112,13 +114,22 @@ def _has_substance(hand: Hand, link: str) -> bool:
     return any(found.collisions or found.mass > 0.0 for found in links)
 
 
-def _add_shape(
+def add_shape(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     shape: UrdfGeometry,
     name: str,
     triangles: Callable[[], tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.int64]]]],
 ) -> mujoco.MjsGeom:
+    """Add a shape of a link to its body.
+
+    Args:
+        spec: The model.
+        body: The link's body.
+        shape: The shape.
+        name: Its name in the model.
+        triangles: Gives the vertices and faces of a mesh in the link's frame.
+    """
     geom = body.add_geom(name=name, pos=shape.xyz, quat=quaternion(shape.rpy))
     match shape.kind:
         case "box":
@@ -195,8 +206,7 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
             continue
         slide = actuator.kind is JointKind.PRISMATIC
         body = mount.add_body(name=name, gravcomp=1.0)  # a rotor has no weight that turns it
-        body.mass, body.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
-        body.explicitinertial = True
+        _set_tiny(body)
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
         joint = body.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0])
         _limit(joint, actuator)
@@ -226,10 +236,16 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
     for geom in geoms:
         geom.mass = link.mass / len(geoms)
     if not geoms:
-        body.mass = link.mass
+        body.mass, body.ipos = link.mass, [0.0, 0.0, 0.0]
         body.inertia = [max(_TINY_INERTIA, _POINT * link.mass)] * 3
         body.explicitinertial = True
     return False
+
+
+def _set_tiny(body: mujoco.MjsBody) -> None:
+    # With its centre of mass: MuJoCo writes no inertia of a body without it.
+    body.mass, body.ipos, body.inertia = _TINY_MASS, [0.0, 0.0, 0.0], [_TINY_INERTIA] * 3
+    body.explicitinertial = True
 
 
 def _add_links(
@@ -268,7 +284,7 @@ def _add_links(
                 if meshes_done:
                     continue
                 meshes_done = True
-            geom = _add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
+            geom = add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
             geom.density = options.density
             make_hard(geom, hand_friction(options.friction, tip=name in tips))
             # The group that MuJoCo's viewers hide by default: collision shapes.
@@ -278,8 +294,7 @@ def _add_links(
             if not _set_inertia(body, link, geoms):
                 without_inertia.append(name)
         elif not link.collisions and joint is not None and joint.moving:
-            body.mass, body.inertia = _TINY_MASS, [_TINY_INERTIA] * 3
-            body.explicitinertial = True
+            _set_tiny(body)
             without_mass.append(name)
         elif link.collisions:
             without_mass.append(name)
@@ -359,11 +374,11 @@ def build(
         add_motor(spec, servo, motor_joint(hand, servo.actuator))
         notes += [servo.note] if servo.note else []
     add_locks(spec, hand)
-    notes += add_couplings(spec, hand, servos, options)
+    following = add_couplings(spec, hand, servos, options)
     # A first compilation gives masses and contacts at rest, on which the rest depends.
     resting = mujoco.MjData(spec.compile())
     resting.qpos[:] = rest_position(resting.model, hand)
     mujoco.mj_forward(resting.model, resting)
     _hold_passive_joints_up(spec, hand, resting)
     notes += leave_pairs_out(spec, hand, resting, touch)
-    return Built(spec, servos, tuple(notes))
+    return Built(spec, servos, tuple(notes), tuple(following))

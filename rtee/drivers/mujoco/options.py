@@ -37,6 +37,10 @@ class SimOptions(BaseModel):
         carrier: What carries the hand: a fixed mount, a vertical lift, or an arm with six
             degrees of freedom that follows a script. A hand that is carried reaches down, else
             the base frame is the world's.
+        touch: Touch sensors: ``hand``: where hand.yaml places some; ``off``: none; a grid such as
+            ``4x4`` (rows along the pad, columns): on each fingertip. With them, the fingers feel
+            what these measure instead of all contacts.
+        touch_rate: Rate at which they measure [Hz].
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -57,3 +61,5 @@ class SimOptions(BaseModel):
     object_scale: float = Field(default=1.0, ge=0.1, le=10)
     support: Literal["held", "table", "floating"] = "held"
     carrier: Literal["fixed", "lift", "arm"] = "fixed"
+    touch: str = Field(default="hand", pattern=r"^(hand|off|[1-9]\d?x[1-9]\d?)$")
+    touch_rate: float = Field(default=100.0, gt=0, le=2000)

@@ -273,4 +273,6 @@ def make_simulation(
             if container is not None:
                 add_container(built.spec, shape.lowest(pose), container)
     model: mujoco.MjModel = built.spec.compile()
-    return Simulation(model, hand, options, actuators, period, built.servos, built.notes)
+    return Simulation(
+        model, hand, options, actuators, period, built.servos, (*built.notes, *built.following)
+    )

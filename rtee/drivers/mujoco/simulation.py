@@ -15,6 +15,7 @@ from rtee.drivers.mujoco.pairs import rest_position
 from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
+from rtee.drivers.mujoco.taxels import Taxels
 from rtee.hand.model import Hand
 from rtee.sample import BoolArray, FloatArray
 
@@ -30,6 +31,7 @@ class Simulation:
         effort_limit: Their effort limits ``(n,)`` [N·m | N].
         notes: What was assumed about the hand, one sentence each.
         object_description: What the object looks like, if there is one.
+        taxels: The touch sensors.
     """
 
     def __init__(
@@ -80,6 +82,7 @@ class Simulation:
         self._bias = model.actuator_biasprm[self._motor].copy()
         self._integral: FloatArray = np.array([servos[name].ki for name in actuators])
         self._forces = FingerForces(model, hand)
+        self.taxels = Taxels(model, hand, options)
         self._couplings = Couplings(model, hand)
         self._powered = True
         self.surroundings = Surroundings(model, self.data, options)
@@ -105,7 +108,11 @@ class Simulation:
         # Before the step: the tangents belong to the positions from which it starts.
         self._couplings.renew(self.data.qpos)
         step = self._speed * self._period
-        reference = self.data.ctrl[self._motor]
+        reference, position = self.data.ctrl[self._motor], self.data.qpos[self._qpos]
+        # A reference that has gone on into an object turns back with the actuator, not after having
+        # come back to it: that is how fast a real servo follows.
+        turned = (reference - position) * (self._target - position) < 0.0
+        reference = np.where(turned, position, reference)
         self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
         if self._integral.any():
             self._integrate()

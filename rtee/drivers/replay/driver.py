@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
-from rtee.sample import MEASURED, ActuatorState
+from rtee.sample import MEASURED, NOTHING, ActuatorState
+from rtee.touch import TouchReading, TouchState
 from rtee.types import DeviceSpec, Reference
 
 _PATIENCE = 0.02
@@ -64,6 +66,9 @@ class ReplayDriver(Driver):
         self._shown = -1
         self._begin: float | None = None
         self._patience = 0.0
+        self._devices: tuple[str, ...] = ()
+        self._felt: Mapping[str, TouchState] = NOTHING
+        self._touch: TouchReading | None = None
         self.capabilities = Capabilities(
             measures=frozenset(MEASURED),
             identity={"model": "replay", "file": self._options.file.name},
@@ -76,6 +81,10 @@ class ReplayDriver(Driver):
             RecordedStates, self._options.file, self.spec.hand, names
         )
         self.object_description = await anyio.to_thread.run_sync(self._states.object_description)
+        sensors = await anyio.to_thread.run_sync(self._states.touch_sensors)
+        self._devices = tuple(sensors)
+        together = tuple(sensor for each in sensors.values() for sensor in each)
+        self.capabilities = replace(self.capabilities, touch=together)
         await self._rewind()
         self._begin = None
         self.ended = False
@@ -101,7 +110,18 @@ class ReplayDriver(Driver):
             fresh=fresh,
             grasped=None if max(words) < 0 else tuple(_WORDS[word] for word in words),
             extras=block.extras[row],
+            touch=self._reading(block.touch[row]),
         )
+
+    def _reading(self, states: Mapping[str, TouchState]) -> TouchReading | None:
+        """Return what touch sensors measured, of all recorded devices together."""
+        if states is not self._felt:
+            self._felt = states
+            values = [states[name].values for name in self._devices if name in states]
+            current = values and not any(state.stale for state in states.values())
+            if len(values) == len(self._devices) and current:
+                self._touch = TouchReading(np.concatenate(values), self.now())
+        return self._touch
 
     async def move(self, reference: Reference) -> None:
         """See `Driver.move`: a recording cannot be moved, so this does nothing."""

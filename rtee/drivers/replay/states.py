@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -17,9 +18,20 @@ from rtee.errors import LogError, MessageError
 from rtee.messages import convert
 from rtee.messages.codec import channels_of
 from rtee.messages.schema import MessageType, message_type, recorded_type
-from rtee.messages.topics import ACTUATOR_STATES, CHANNELS, OBJECT, TYPES, log_topic
+from rtee.messages.topics import (
+    ACTUATOR_STATES,
+    CHANNELS,
+    OBJECT,
+    TOUCH,
+    TOUCH_SENSORS,
+    TYPES,
+    log_topic,
+)
+from rtee.messages.touch import TOUCH_SENSORS as TOUCH_SENSORS_TYPE
+from rtee.messages.touch import sensors_of, touch_of
 from rtee.object_description import ObjectDescription
 from rtee.sample import COLUMNS, MEASURED, FloatArray
+from rtee.touch import TouchSensor, TouchState
 
 Extras = Mapping[str, FloatArray]
 
@@ -33,12 +45,14 @@ class Block:
         values: The quantities of `rtee.sample.MEASURED`, in its order ``(k, m, n)``.
         grasped: The device's own report ``(k, n)``: 1 holding, 0 not holding, -1 no report.
         extras: Further channels at each of them, such as pressure.
+        touch: The newest readings of touch sensors by device at each of them.
     """
 
     stamp: FloatArray
     values: FloatArray
     grasped: np.ndarray[Any, np.dtype[np.int8]]
     extras: tuple[Extras, ...]
+    touch: tuple[Mapping[str, TouchState], ...]
 
 
 class RecordedStates:
@@ -62,7 +76,9 @@ class RecordedStates:
         try:
             self._reader = make_reader(self._file)
             self._topic = self._choose(hand)
-            self._extras_topic = f"{self._topic.removesuffix(ACTUATOR_STATES)}{CHANNELS}"
+            before = self._topic.removesuffix(ACTUATOR_STATES)
+            self._extras_topic = f"{before}{CHANNELS}"
+            self._touch_topics = (f"{before}{TOUCH}", f"{before}{TOUCH_SENSORS}")
             self._columns = self._find(actuators)
         except (McapError, MessageError, ValueError) as error:
             self._file.close()
@@ -98,11 +114,13 @@ class RecordedStates:
             raise LogError(f"has no states of the actuator '{missing[0]}'", path=self.path)
         return [names.index(name) for name in actuators]
 
-    def _messages(self) -> Iterator[tuple[dict[str, Any], Extras]]:
-        """Yield every state, with the further channels as they were last."""
+    def _messages(self) -> Iterator[tuple[dict[str, Any], Extras, Mapping[str, TouchState]]]:
+        """Yield every state, with further channels and readings of touch as they were last."""
         extras: Extras = {}
         channels: Extras = {}
-        topics = [self._topic, self._extras_topic]
+        sensors: dict[str, tuple[TouchSensor, ...]] = {}
+        touch: Mapping[str, TouchState] = {}
+        topics = [self._topic, self._extras_topic, *self._touch_topics]
         kinds: dict[str, MessageType] = {}
         for schema, channel, message in self._reader.iter_messages(topics=topics):
             topic = channel.topic
@@ -112,7 +130,14 @@ class RecordedStates:
                 kinds[topic] = recorded_type(name, text) if text else message_type(name)
             fields = kinds[topic].decode(message.data)
             if topic == self._topic:
-                yield fields, extras
+                yield fields, extras, touch
+            elif topic in self._touch_topics:
+                with contextlib.suppress(MessageError):
+                    if topic == self._touch_topics[1]:
+                        sensors |= sensors_of(fields)
+                    else:
+                        state = touch_of(fields, sensors)
+                        touch = {**touch, state.device: state}
             else:
                 channels = {**channels, **_channels(fields)}  # a message holds those that changed
                 extras = _short(channels)
@@ -121,12 +146,13 @@ class RecordedStates:
         """Read the states from the beginning, in blocks of at most this many."""
         messages = self._messages()
         while found := list(islice(messages, size)):
-            rows = [row for row, _ in found]
+            rows = [row for row, *_ in found]
             yield Block(
                 stamp=np.array([row["time"] for row in rows]),
                 values=np.array([[self._column(row, name) for name in MEASURED] for row in rows]),
                 grasped=np.array([self._column(row, "grasped") for row in rows]),
-                extras=tuple(extras for _, extras in found),
+                extras=tuple(extras for _, extras, _ in found),
+                touch=tuple(touch for *_, touch in found),
             )
 
     def _column(self, row: dict[str, Any], name: str) -> NDArray[Any]:
@@ -135,6 +161,15 @@ class RecordedStates:
             values: NDArray[Any] = row[name][self._columns]
             return values
         return np.full(len(self._columns), COLUMNS[name].default)
+
+    def touch_sensors(self) -> dict[str, tuple[TouchSensor, ...]]:
+        """Return the touch sensors by device, as they were first known."""
+        found = next(self._reader.iter_messages(topics=[self._touch_topics[1]]), None)
+        if found is None:
+            return {}
+        with contextlib.suppress(MessageError):
+            return sensors_of(TOUCH_SENSORS_TYPE.decode(found[2].data))
+        return {}
 
     def object_description(self) -> ObjectDescription | None:
         """Return what a simulated device grasped, if it did."""

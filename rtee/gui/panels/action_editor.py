@@ -11,6 +11,7 @@ from rtee.gui.panels.parts import PartsPanel
 from rtee.gui.panels.tuning import TuningPanel
 from rtee.gui.wording import NOTHING, offer
 from rtee.hand.model import Hand
+from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
@@ -33,6 +34,7 @@ class EditPanel:
         self._do = gui.add_button_group(
             "", ("Rename", "Delete", "Undo"), hint="Undo brings back what was deleted last"
         )
+        bridge.need(Role.MAINTAINER, self._name, self._do)
         self._do.on_click(lambda event: self._clicked(str(event.target.value)))
 
     def offer(self, actions: Sequence[Action]) -> None:
@@ -93,6 +95,7 @@ class MakingPanel:
             self._edit = EditPanel(bridge, remote)
         with gui.add_folder("Tune", expand_by_default=False):
             self._tuning = TuningPanel(bridge, remote)
+        bridge.need(Role.MAINTAINER, self._name, self._store, save)
         save.on_click(lambda _: bridge.call(self._save))
 
     async def _save(self) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from rtee.actions.types import Action, ActionKind, kind_of
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.cards import Card, Show
+from rtee.gui.panels.holding import HoldingPanel
 from rtee.gui.trial_results import Tried
 from rtee.remote.client import RemoteHand
 from rtee.trials.result import TrialResult
@@ -46,6 +47,7 @@ class ActionsPanel:
         self._hand = hand
         self._show = show
         self._remark = remark
+        self._holding = HoldingPanel(bridge, hand)
         self._search = gui.add_text(
             "Search", "", hint="Show only actions whose name or elements contain this"
         )
@@ -64,7 +66,9 @@ class ActionsPanel:
     async def refresh(self) -> list[Action]:
         """Ask the hand for its actions; rebuilds only the cards whose actions have changed."""
         actions = await self._hand.actions()
-        openings = {(each.action, each.elements): each for each in await self._hand.openings()}
+        offered = await self._hand.openings()
+        openings = {(each.action, each.elements): each for each in offered}
+        self._holding.offer(offered)
         if not self._moves:  # which fingers an actuator moves does not change
             self._moves = {a.name: a.fingers for a in (await self._hand.info()).actuators}
         groups = grouped(actions)

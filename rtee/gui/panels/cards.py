@@ -17,6 +17,7 @@ from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, small
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import GoalOptions
 from rtee.remote.openings import OpeningRange
@@ -89,7 +90,7 @@ class Card:
             self._add_more(gui)
             self._buttons = gui.add_button_group(
                 "",
-                ("Do", "Preview", "Cancel"),
+                ("Do", "Preview", "Cancel") if bridge.may(Role.OPERATOR) else ("Preview",),
                 hint="Do: execute it. Preview: show where it leads. Cancel: hold the hand as it is",
                 order=4,
             )
@@ -101,6 +102,7 @@ class Card:
         self._command = gui.add_command(
             f"Do {self.name}", description="Execute it as it is set in its card"
         )
+        bridge.need(Role.OPERATOR, self._touch, self._command)
         self._command.on_trigger(lambda _: self._begin())
         self.words = " ".join((self.name, *self._elements_of_all())).lower()
 

@@ -72,11 +72,12 @@ class Execution:
         name, elements = key_of(action)
         await self.follow(self._hand.start(name, *elements, **options))
 
-    async def follow(self, start: Awaitable[RunningGoal]) -> None:
+    async def follow(self, start: Awaitable[RunningGoal], *, width: bool = False) -> None:
         """Begin a goal and show its progress and result.
 
         Args:
             start: Sends the goal.
+            width: Whether the goal is to hold an object of some width.
         """
         self._reset()
         try:
@@ -87,7 +88,7 @@ class Execution:
         self._goal_id = running.goal.goal_id
         result = await running.result(self._progress)
         if result.goal_id == self._goal_id:
-            self._end(result)
+            self._end(result, width=width)
 
     def _reset(self) -> None:
         self._bar.value = 0.0
@@ -103,12 +104,12 @@ class Execution:
             if name in self._inner:
                 self._inner[name].value = round(100.0 * progress, 1)
 
-    def _end(self, result: Result) -> None:
+    def _end(self, result: Result, *, width: bool) -> None:
         if result.reached or result.grasped:
             self._bar.value = 100.0
             for bar in self._inner.values():
                 bar.value = 100.0
-        self._say(*said(result))
+        self._say(*said(result, width=width))
 
     def _say(self, text: str, colour: str) -> None:
         self._word.content = small(f'<span style="color:{colour}">{escape(text)}</span>')

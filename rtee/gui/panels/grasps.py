@@ -14,6 +14,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD
 from rtee.gui.trial_results import object_name
 from rtee.gui.wording import said, small
+from rtee.messages.requests import Role
 from rtee.planning.result import GraspPlan, Ranking
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import GoalOptions
@@ -78,7 +79,7 @@ class GraspsPanel:
             gui.add_html(small(f'<ul style="margin:0;padding-left:1.2em">{reasons}</ul>'))
             buttons = gui.add_button_group(
                 "",
-                ("Show", "Pre-shape", "Grasp"),
+                ("Show", "Pre-shape", "Grasp") if self._bridge.may(Role.OPERATOR) else ("Show",),
                 hint="Show: the grasp as a ghost. Pre-shape: open the hand for the object. Grasp: "
                 "close on it, with the intensity and the effort planned",
             )

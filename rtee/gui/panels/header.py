@@ -8,6 +8,7 @@ import viser
 
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import STOP
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 from rtee.types import DeviceStatus, Lifecycle
@@ -74,6 +75,7 @@ class Header:
             gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
         bridge.leave_to_everybody(self._stop, self._commands[0])
+        bridge.need(Role.OPERATOR, self._open, self._recover, *self._commands[1:])
         self._commands[0].on_trigger(bridge.clicked(self._do_stop))
         self._commands[1].on_trigger(bridge.clicked(hand.open))
         self._commands[2].on_trigger(bridge.clicked(hand.cancel))
@@ -95,6 +97,8 @@ class Header:
             holder = "this GUI"
         doing = f" · running <b>{escape(status.action)}</b>" if status.action else ""
         lines.append(f"held by {holder}{doing}")
+        if not self._bridge.may(Role.MAINTAINER):
+            lines.append(f"this GUI's certificate: <b>{self._bridge.role.name.lower()}</b>")
         if status.recording:
             lines[-1] += " · ● recording"
         if status.recording_trouble:

@@ -9,6 +9,7 @@ from rtee.errors import RemoteError
 from rtee.gui.bridge import Bridge
 from rtee.gui.wording import short_names
 from rtee.hand.model import Hand
+from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 
@@ -64,6 +65,7 @@ class JogPanel:
                 )
                 slider.on_update(lambda _, at=index: self._moved(at))
                 self._sliders.append(slider)
+        bridge.need(Role.OPERATOR, self._hold, self._speed, self._follow)
         self._hold.on_update(lambda _: bridge.call(self._acquire_or_release))
         self._follow.on_update(lambda _: bridge.call(self._stream))
 

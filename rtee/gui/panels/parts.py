@@ -10,6 +10,7 @@ from rtee.actions.build import StepPlan
 from rtee.actions.types import Action, ActionReference, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.wording import NOTHING, described, offer, small
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 
 
@@ -54,6 +55,7 @@ class PartsPanel:
         self._make = gui.add_button_group(
             "", ("Compose", "Sequence"), hint="Compose: all at once. Sequence: one after the other"
         )
+        bridge.need(Role.MAINTAINER, self._name, self._store, self._make)
         self._add.on_click(lambda _: self._append())
         self._edit.on_click(lambda event: self._edited(str(event.target.value)))
         self._make.on_click(lambda event: self._save(str(event.target.value)))

@@ -14,9 +14,11 @@ from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.playback import Playback, open_playback, timeline
 from rtee.gui.wording import NOTHING, offer
+from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
 from rtee.log.rotation import recordings
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
@@ -32,9 +34,9 @@ _REDRAW = 0.1
 def configured_folder(hand: str) -> Path:
     """Return the folder of a hand's recordings: that of its configuration, if it has one here."""
     try:
-        return Path(load_configured(hand)[1].log.directory)
+        return load_configured(hand)[1].log.folder
     except RteeError:
-        return Path("logs")
+        return LogSection().folder
 
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
@@ -91,6 +93,7 @@ class RecordingsPanel:
                 "Go to", (NOTHING,), hint="Start of an action, or a mark, in the recording"
             )
         self._places: dict[str, float] = {}
+        bridge.need(Role.MAINTAINER, record, self._text, mark)
         record.on_click(lambda event: bridge.call(lambda: self._record(str(event.target.value))))
         mark.on_click(lambda _: bridge.call(self._mark))
         self._folder.on_update(lambda _: self._refresh())

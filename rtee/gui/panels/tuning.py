@@ -7,6 +7,7 @@ import math
 from rtee.errors import RequestRejected
 from rtee.gui.bridge import Bridge
 from rtee.gui.wording import NOTHING
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
@@ -41,6 +42,7 @@ class TuningPanel:
             visible=False,
         )
         self._set = gui.add_button("Set gain", hint="Change it now; needs the lease", visible=False)
+        bridge.need(Role.MAINTAINER, self._holding, self._value, self._set)
         self._holding.on_update(lambda _: self._hold())
         self._which.on_update(lambda _: self._recall())
         self._value.on_update(lambda _: self._type())

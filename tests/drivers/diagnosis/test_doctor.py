@@ -177,6 +177,13 @@ async def test_another_device_is_found_out() -> None:
             "32: overload in servo 1 (jaw)",
         ),
         (
+            "feetech",
+            "jaw",
+            {"family": "sts", "servos": {"jaw": {"id": 1}}},
+            "overload",
+            "32: overload in servo 1 (jaw)",
+        ),
+        (
             "onrobot_rg",
             "finger_joint",
             {"baudrate": 1_000_000},
@@ -185,6 +192,7 @@ async def test_another_device_is_found_out() -> None:
         ),
         ("schunk_egu", "left_finger_joint", {}, "overcurrent", "222: motor current too high"),
         ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
+        ("linkerhand", "index_bend", {}, "encoder", "3: index: encoder error"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
         ("schunk_svh", "hand_Pinky", {}, "", "none, but not homed"),
     ],
@@ -205,6 +213,17 @@ async def test_what_keeps_a_device_from_being_active_is_told(
     assert check.verdict is (Verdict.WRONG if fault else Verdict.WARNING)
     assert check.text == text
     assert "recover" in check.remedy
+
+
+async def test_a_zero_that_cannot_be_right_is_told_with_what_to_do() -> None:
+    servo = {"id": 1, "zero": 4000}
+    with SimulatedLine([make_emulator("feetech", {})], wire_time=False) as line:
+        spec = gripper(options={"port": line.address, "family": "sts", "servos": {"jaw": servo}})
+        spec = replace(spec, driver="feetech", actuators=(actuator("jaw", 0.0, 0.8),))
+        async with BusPool() as pool:
+            check = named(await check_device(spec, pool), "fault")
+    assert "would have to go from 4000 to 4522, but takes 0 to 4095" in check.text
+    assert check.remedy == "correct its options in hand.yaml, or calibrate it"
 
 
 async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:

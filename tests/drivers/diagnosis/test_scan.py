@@ -41,6 +41,9 @@ def device(name: str, **properties: object) -> Emulator:
         ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
         ("schunk_svh", {}, "SCHUNK SVH, firmware"),
         ("inspire_rh56", {"unit": 3}, "Inspire RH56, unit 3"),
+        ("linkerhand", {}, "LinkerHand O6, unit 39"),
+        ("linkerhand", {"model": "l10", "unit": 40}, "LinkerHand L10, unit 40"),
+        ("ability_hand", {}, "PSYONIC Ability Hand, address 80"),
     ],
 )
 async def test_a_device_on_a_line_is_found_with_its_options(
@@ -124,6 +127,34 @@ async def test_three_servos_at_two_rates_are_found_at_their_own() -> None:
         (12, 1_000_000),
     }
     assert len(found.found) == 3
+
+
+@pytest.mark.parametrize("echo", [False, True])
+async def test_servos_of_two_families_on_a_line_are_found_with_theirs(echo: bool) -> None:
+    lines = [
+        make_emulator("feetech", {"family": "scs", "emulator": {"ids": [1, 2], "echo": echo}}),
+        make_emulator("feetech", {"family": "sts", "emulator": {"ids": [11]}}),
+    ]
+    with SimulatedLine(lines, wire_time=False) as line:
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=(probes.feetech(500_000),))], pool)
+    assert [(one.driver, one.what) for one in found.found] == [
+        ("feetech", "SCS0009, id 1, firmware 3.10, 1000000 baud"),
+        ("feetech", "SCS0009, id 2, firmware 3.10, 1000000 baud"),
+        ("feetech", "STS3215, id 11, firmware 3.10, 1000000 baud"),
+    ]
+    assert found.found[2].options == {
+        "port": found.address, "baudrate": 1_000_000, "family": "sts", "id": 11,
+    }  # fmt: skip
+
+
+async def test_a_servo_of_a_model_that_is_not_known_is_told() -> None:
+    servos = make_emulator("feetech", {"emulator": {"ids": [5], "servo": {"model": 0x1234}}})
+    with SimulatedLine([servos], wire_time=False) as line:
+        found = await scanned(line, units=[])
+    assert [(one.driver, one.what) for one in found.found] == [
+        ("", "servo with model bytes 34 12, id 5, firmware 3.10, 1000000 baud")
+    ]
 
 
 @pytest.mark.parametrize(

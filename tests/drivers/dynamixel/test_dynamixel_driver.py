@@ -417,7 +417,7 @@ async def test_calibration_is_taken_stored_and_compared(tmp_path: Path) -> None:
 
 
 def test_a_missing_calibration_is_told(tmp_path: Path) -> None:
-    from rtee.drivers.dynamixel.calibration import read_calibration
+    from rtee.drivers.servo_lines import read_calibration
 
     with pytest.raises(CalibrationError, match="rtee calibrate"):
         read_calibration(tmp_path / "none.json", "line")

@@ -257,3 +257,16 @@ def test_shares_that_move_nothing_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ModelError, match="moves no joint"):
         build_hand(configured(tmp_path, text), SimOptions())
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.025, 0.035])
+def test_a_grip_opens_at_once(radius: float) -> None:
+    """The reference has gone on into the object; it does not come back from there first."""
+    hand = load_hand("robotiq_2f_85")
+    simulation = simulate(hand, object=f"sphere:{radius}")
+    closed = hand.rest + 0.8
+    run(simulation, closed, 2.0)
+    gripped = simulation.position
+    assert (gripped < closed - 0.05).all()
+    run(simulation, hand.rest, 0.1)
+    assert (simulation.position < gripped - 0.05).all()

@@ -77,7 +77,7 @@ def test_what_was_made_up_is_noted(tmp_path: Path) -> None:
 
 def test_the_error_of_a_single_polynomial_is_stated() -> None:
     rigid = replace(load_hand("heri_ii"), dynamics={})
-    notes = build_hand(rigid, SimOptions()).notes
+    notes = build_hand(rigid, SimOptions()).following
     assert any("LFB1__LFP1_1" in note and "off" in note for note in notes)
 
 

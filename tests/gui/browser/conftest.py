@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 REBOUND = "rebound.test"
 """A foreign name that the browser takes for this computer."""
 
-BALL = ("--object", "sphere:0.03", "--option", "support=floating")
+BALL = ("--object", "sphere:0.03", "--option", "support=floating", "--option", "touch=4x4")
 """It stays between the fingers when they open, so that each test finds it as the others did."""
 
 DRIVERS = {

@@ -76,6 +76,30 @@ def test_fingers_stop_where_they_touch(
         window.button("Open").click()
 
 
+def test_an_object_is_held_by_its_width_and_a_force(
+    squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = squeezer
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place / "run"))
+    panel = window.folder("Hold an object", unfold=True)
+    with rtee.connect_blocking(SQUEEZER) as hand:
+        window.type("Width [mm]", "60", panel)
+        window.type("Force [N]", "30", panel)
+        window.choose("Fingers", "finger_1 + finger_2", panel)
+        window.button("Grasp", panel).click()
+        held = window.says(re.compile(r"grasped with finger_1, finger_2 at [\d.]+ mm"), panel)
+        state = hand.state()
+        assert state.force == pytest.approx(30.0, rel=0.25)
+        assert f"{1e3 * state.opening:.0f}" in (held.text_content() or "")
+        window.button("Open").click()
+        # The ball is wider than what is asked for: held, but outside of the tolerance.
+        window.type("Width [mm]", "20", panel)
+        window.button("Grasp", panel).click()
+        window.says("something of another width is held at 6", panel)
+
+        window.button("Open").click()
+
+
 def test_what_trials_found_is_on_the_card(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")

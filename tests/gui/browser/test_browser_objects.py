@@ -55,6 +55,19 @@ def test_contact_forces_are_drawn_and_told(squeezer: Window) -> None:
     felt.wait_for(state="hidden")
 
 
+def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
+    window = squeezer
+    grasp(window)
+    window.tab("Touch")
+    window.says("finger_1_tip")
+    window.says(re.compile(r"^\d\d+\.\d\d$"))  # newtons, of a sum or the largest taxel
+    window.tab("View")
+    toggle(window, "Touch")
+    window.field("Touch").click()
+    window.button("Open").click()
+    window.tab("Plots")
+
+
 @pytest.mark.timeout(600)
 def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path) -> None:
     window = squeezer

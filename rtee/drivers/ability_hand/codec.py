@@ -1,0 +1,374 @@
+"""The Ability Hand's frames, byte stuffing, replies and touch words; no I/O.
+
+Source: the maker's interface document (API frames over UART or RS-485) and its published client.
+Where the two print the touch words differently, the client's order is taken. Frames are stuffed:
+``7E``, the frame with ``7E`` and ``7D`` escaped, ``7E``. The checksum is the two's complement of
+the sum of all bytes before it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Self
+
+MOTORS = ("index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator")
+"""The six motors, in the order of every frame."""
+COUNT = len(MOTORS)
+TOUCHING = ("index", "middle", "ring", "pinky", "thumb")
+"""The fingers with touch sensors, in the order of the touch words."""
+SITES = 6
+"""Touch sensors of a finger."""
+SENSORS = SITES * len(TOUCHING)
+BAUDRATES = (
+    460_800, 1200, 38_400, 56_000, 57_600, 76_800, 115_200, 230_400, 250_000, 921_600, 1_000_000,
+)  # fmt: skip
+"""Rates that a hand can be set to [baud], the one from the factory first; those between 1200 and
+38,400 are not published, and above 460,800 only RS-485 works."""
+ADDRESS = 0x50
+"""Address from the factory."""
+API_TIME = 0.3
+"""Silence after which the hand leaves API mode, at most [s]."""
+
+_FLAG, _ESCAPE, _FLIP = 0x7E, 0x7D, 0x20
+_TOUCH = 45
+"""Bytes of the thirty touch words of 12 bits."""
+_WORDS = struct.Struct("<6h")
+_PAIRS = struct.Struct("<12h")
+COUNTS = 32767 / math.radians(150.0)
+"""Counts of a position per radian: full scale is 150 degrees."""
+_RATE = 32767 / math.radians(3000.0)
+"""Counts of a commanded velocity per rad/s: full scale is 3000 degrees per second."""
+_ROTOR = 4.0
+"""Counts of a reported velocity per rad/s of the rotor."""
+AMPERE = 620.606
+"""Counts of a current per ampere; the client's number, which depends on the hardware."""
+DUTY = 3546
+"""Counts of a duty cycle of 100 %."""
+GEARS = (649.0,) * 5 + (162.45,)
+"""Turns of the rotor per turn of the joint."""
+_TORQUE = 1.49e-3
+"""Torque of the rotor per ampere [N·m/A]."""
+TORQUES = tuple(gear * _TORQUE for gear in GEARS)
+"""Torque of a joint per ampere [N·m/A], without the gear's losses."""
+
+
+class AbilityFrameError(ValueError):
+    """Bytes that are no frame of an Ability Hand, or no reply that it could give."""
+
+
+class Header(IntEnum):
+    """What a command asks for; the low nibble of a set-point or of `READ` selects the reply."""
+
+    POSITION = 0x10
+    VELOCITY = 0x20
+    CURRENT = 0x30
+    DUTY = 0x40
+    READ = 0xA0
+    LEAVE = 0x7C
+
+
+SET_POINTS = (Header.POSITION, Header.VELOCITY, Header.CURRENT, Header.DUTY)
+"""Headers of commands that carry six words and enter API mode."""
+
+
+def checksum(data: bytes) -> int:
+    """Return the byte that makes the sum of all bytes 0."""
+    return -sum(data) & 0xFF
+
+
+def stuffed(frame: bytes) -> bytes:
+    """Return a frame as it goes over the wire."""
+    out = frame.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
+    return b"\x7e" + out + b"\x7e"
+
+
+def unstuffed(run: bytes) -> bytes:
+    """Return the frame between two flags.
+
+    Raises:
+        AbilityFrameError: if an escape byte is the last.
+    """
+    if _ESCAPE not in run:
+        return run
+    out, flip = bytearray(), 0
+    for byte in run:
+        if not flip and byte == _ESCAPE:
+            flip = _FLIP
+        else:
+            out.append(byte ^ flip)
+            flip = 0
+    if flip:
+        raise AbilityFrameError("a frame ends with an escape byte")
+    return bytes(out)
+
+
+class _Parser:
+    """Cuts a stuffed stream at its flags; each flag ends a frame and begins the next."""
+
+    LIMIT = 2 * 72 + 2
+    """Most bytes of a frame on the wire: the longest reply, all of it escaped."""
+
+    def __init__(self) -> None:
+        self._run = bytearray()
+        self.errors = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a frame may still be completed."""
+        return len(self._run)
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._run.clear()
+
+    def _frames(self, data: bytes) -> list[bytes]:
+        """Return the complete frames, checksums taken off."""
+        *ends, rest = data.split(b"\x7e")
+        found = []
+        for part in ends:
+            run = bytes(self._run) + part
+            self._run.clear()
+            # Between two frames there is nothing, or stray zero bytes.
+            if not run.strip(b"\0"):
+                continue
+            frame = self._checked(run) if len(run) <= self.LIMIT else None
+            if frame is None:
+                self.errors += 1
+            else:
+                found.append(frame)
+        # One byte more than a frame can have is enough to know that this is none.
+        self._run += rest[: self.LIMIT + 1 - len(self._run)]
+        return found
+
+    @staticmethod
+    def _checked(run: bytes) -> bytes | None:
+        try:
+            frame = unstuffed(run)
+        except AbilityFrameError:
+            return None
+        return frame[:-1] if len(frame) > 2 and not sum(frame) & 0xFF else None
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command of the host.
+
+    Attributes:
+        address: Of the hand.
+        header: What is asked for.
+        words: The six set-points [counts], of the headers that carry them.
+    """
+
+    address: int
+    header: int
+    words: tuple[int, ...] = ()
+
+    def to_bytes(self) -> bytes:
+        """Return the command as it goes over the wire."""
+        frame = bytes((self.address, self.header))
+        if self.words:
+            frame += _WORDS.pack(*self.words)
+        return stuffed(frame + bytes([checksum(frame)]))
+
+    @classmethod
+    def from_frame(cls, frame: bytes) -> Self:
+        """Read it from a frame without its checksum.
+
+        Raises:
+            AbilityFrameError: if it is too short, or its set-points are incomplete.
+        """
+        if len(frame) < 2:
+            raise AbilityFrameError(f"{len(frame)} bytes are no command")
+        words: tuple[int, ...] = ()
+        if frame[1] & 0xF0 in SET_POINTS:
+            if len(frame) != 2 + _WORDS.size:
+                raise AbilityFrameError(f"{len(frame)} bytes are no set-points")
+            words = _WORDS.unpack_from(frame, 2)
+        return cls(frame[0], frame[1], words)
+
+
+class CommandParser(_Parser):
+    """Finds commands in a stream, for a hand."""
+
+    def feed(self, data: bytes) -> list[Command]:
+        """Receive bytes and return the commands that they complete."""
+        found = []
+        for frame in self._frames(data):
+            try:
+                found.append(Command.from_frame(frame))
+            except AbilityFrameError:
+                self.errors += 1
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a hand measures, in counts and in the order of `MOTORS`.
+
+    Attributes:
+        variant: 1: positions, currents, touch; 2: positions, velocities, touch; 3: positions,
+            currents, velocities.
+        positions: `COUNTS` per radian.
+        currents: `AMPERE` per ampere.
+        velocities: Four per rad/s of the rotor.
+        touch: 12 bits of each of the thirty sensors.
+        limited: Whether the hand limits a motor, for heat or a collision.
+    """
+
+    variant: int
+    positions: tuple[int, ...]
+    currents: tuple[int, ...] = ()
+    velocities: tuple[int, ...] = ()
+    touch: tuple[int, ...] = ()
+    limited: tuple[bool, ...] = (False,) * COUNT
+
+    @classmethod
+    def from_frame(cls, frame: bytes) -> Self:
+        """Read it from a frame without its checksum.
+
+        Raises:
+            AbilityFrameError: if no Ability Hand can reply that.
+        """
+        variant = (frame[0] & 0x0F) + 1 if frame else 0
+        with_touch = variant in (1, 2)
+        size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
+        # Which class a reply echoes is documented for positions alone, so all are taken.
+        if not 1 <= variant <= 3 or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
+            raise AbilityFrameError(f"no header of a reply: {frame[:1].hex()}")
+        if len(frame) != size:
+            raise AbilityFrameError(f"{len(frame)} bytes are no reply of variant {variant}")
+        if frame[-1] & 0xC0:
+            raise AbilityFrameError(f"no status of six motors: {frame[-1]:#04x}")
+        pairs = _PAIRS.unpack_from(frame, 1)
+        second, rest = pairs[1::2], frame[1 + _PAIRS.size : -1]
+        return cls(
+            variant,
+            pairs[::2],
+            () if variant == 2 else second,
+            second if variant == 2 else (() if with_touch else _WORDS.unpack(rest)),
+            _touch_words(rest) if with_touch else (),
+            tuple(bool(frame[-1] >> motor & 1) for motor in range(COUNT)),
+        )
+
+    def to_frame(self) -> bytes:
+        """Return the frame without its checksum."""
+        second = self.velocities if self.variant == 2 else self.currents
+        pairs = [word for pair in zip(self.positions, second, strict=True) for word in pair]
+        rest = _WORDS.pack(*self.velocities) if self.variant == 3 else _touch_bytes(self.touch)
+        status = sum(1 << motor for motor, limited in enumerate(self.limited) if limited)
+        head = bytes([Header.POSITION + self.variant - 1])
+        return head + _PAIRS.pack(*pairs) + rest + bytes([status])
+
+    def to_bytes(self) -> bytes:
+        """Return the reply as it goes over the wire."""
+        frame = self.to_frame()
+        return stuffed(frame + bytes([checksum(frame)]))
+
+
+class ReplyParser(_Parser):
+    """Finds replies in a stream, for a host."""
+
+    def feed(self, data: bytes) -> list[Reply]:
+        """Receive bytes and return the replies that they complete."""
+        found = []
+        for frame in self._frames(data):
+            try:
+                found.append(Reply.from_frame(frame))
+            except AbilityFrameError:
+                self.errors += 1
+        return found
+
+
+def _touch_words(data: bytes) -> tuple[int, ...]:
+    words: list[int] = []
+    # Three bytes hold two words: the low nibble of the middle one belongs to the first.
+    for low, middle, high in zip(data[::3], data[1::3], data[2::3], strict=True):
+        words += (low | (middle & 0x0F) << 8, middle >> 4 | high << 4)
+    return tuple(words)
+
+
+def _touch_bytes(words: Sequence[int]) -> bytes:
+    out = bytearray()
+    for first, second in zip(words[::2], words[1::2], strict=True):
+        out += bytes((first & 0xFF, first >> 8 | (second & 0x0F) << 4, second >> 4))
+    return bytes(out)
+
+
+# --- units ---------------------------------------------------------------------------------------
+
+
+def _clipped(value: float, most: int = 32767) -> int:
+    return round(min(max(value, -most), most))
+
+
+def angle(counts: int) -> float:
+    """Return a position [rad]."""
+    return counts / COUNTS
+
+
+def angle_counts(position: float) -> int:
+    """Return the counts of a position [rad], which stay within 150 degrees."""
+    return _clipped(position * COUNTS)
+
+
+def velocity(counts: int, motor: int) -> float:
+    """Return the reported velocity of a motor's joint [rad/s]."""
+    return counts / _ROTOR / GEARS[motor]
+
+
+def velocity_counts(rate: float, motor: int) -> int:
+    """Return the counts by which a hand reports the velocity of a motor's joint [rad/s]."""
+    return _clipped(rate * _ROTOR * GEARS[motor])
+
+
+def rate(counts: int) -> float:
+    """Return a commanded velocity [rad/s]."""
+    return counts / _RATE
+
+
+def rate_counts(commanded: float) -> int:
+    """Return the counts of a commanded velocity [rad/s]."""
+    return _clipped(commanded * _RATE)
+
+
+def effort(counts: int, motor: int) -> float:
+    """Return the torque of a motor's joint [N·m] at a current [counts]."""
+    return counts / AMPERE * TORQUES[motor]
+
+
+def effort_counts(torque: float, motor: int) -> int:
+    """Return the current [counts] of a torque of a motor's joint [N·m]."""
+    return _clipped(torque / TORQUES[motor] * AMPERE)
+
+
+_OFFSET = 0.878894
+"""What the client's line tells at no conductance [N]."""
+_SLOPE = 121_591.0
+"""Force of a touch sensor by its conductance [N·Ω]."""
+_VOLTS = 3.3 / 4096
+_NEAR = 319
+"""Word at which half of the line's force is its offset; below, a line through 0 takes its place,
+since a sensor that nothing touches would tell a newton else."""
+
+
+def touch_force(word: int) -> float:
+    """Return the force on a touch sensor [N]; a placeholder of the maker, not a calibration."""
+    if word < _NEAR:
+        return word / _NEAR * touch_force(_NEAR)
+    return _SLOPE / (33_000.0 / (word * _VOLTS) + 10_000.0) + _OFFSET
+
+
+def touch_word(force: float) -> int:
+    """Return the 12 bits of a touch sensor at a force [N]."""
+    near = touch_force(_NEAR)
+    if force < near:
+        return max(0, round(force / near * _NEAR))
+    resistance = _SLOPE / (force - _OFFSET)
+    # At the sensor's end nothing is left beside the resistor in series.
+    return (
+        4095 if resistance <= 20_000.0 else min(4095, round(33_000 / (resistance - 1e4) / _VOLTS))
+    )

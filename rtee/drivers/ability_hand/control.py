@@ -1,0 +1,96 @@
+"""From the targets of the six motors to the words of a command, in each mode. No I/O."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rtee.drivers.ability_hand import codec
+from rtee.drivers.ability_hand.codec import COUNT, Header, Reply
+
+SPEEDS = (8.068,) * 5 + (40.34,)
+"""Largest velocities of the joints, from the maker's model [rad/s]."""
+EFFORTS = (6.0,) * 5 + (1.2,)
+"""Largest efforts of the joints, likewise [N·m]."""
+_REFERRED = tuple((gear / codec.GEARS[0]) ** 2 for gear in codec.GEARS)
+"""What gains are multiplied by: the rotors are alike, and act through gears of different ratios."""
+
+
+class MotorControl:
+    """Where the six motors go, and what to send for it; signs are those of the wire.
+
+    With velocities and currents the position control is here: a velocity proportional to the error,
+    or a torque from error and velocity, both limited. One command sets all six motors, so one that
+    nobody asked keeps where it was when the first command went out.
+
+    Attributes:
+        header: Of the set-points that it makes.
+        approach: Velocity by position error [1/s].
+        stiffness: Effort of a digit by position error [N·m/rad]; that of the thumb's rotation is as
+            much less as the square of its gear's ratio.
+        damping: Effort against velocity, likewise [N·m·s/rad].
+        targets: Where each motor goes [rad].
+    """
+
+    def __init__(
+        self, header: Header, *, approach: float, stiffness: float, damping: float
+    ) -> None:
+        self.header = header
+        self.approach = approach
+        self.stiffness = stiffness
+        self.damping = damping
+        self.targets = [0.0] * COUNT
+        self._feed = [0.0] * COUNT
+        self._speeds = list(SPEEDS)
+        self._efforts = list(EFFORTS)
+
+    def hold(self, reply: Reply) -> None:
+        """Let every motor stay where it is."""
+        self.targets = [codec.angle(counts) for counts in reply.positions]
+        self._feed = [0.0] * COUNT
+        self._speeds, self._efforts = list(SPEEDS), list(EFFORTS)
+
+    def aim(
+        self, motor: int, target: float, feed: float, max_velocity: float, max_effort: float
+    ) -> None:
+        """Send one motor somewhere.
+
+        Args:
+            motor: Its place in the frames.
+            target: Where to [rad].
+            feed: Velocity of the target [rad/s].
+            max_velocity: Velocity not to be exceeded, which may be infinite [rad/s].
+            max_effort: Effort not to be exceeded, likewise [N·m].
+        """
+        self.targets[motor] = target
+        self._feed[motor] = feed
+        self._speeds[motor] = min(abs(max_velocity), SPEEDS[motor])
+        self._efforts[motor] = min(abs(max_effort), EFFORTS[motor])
+
+    def words(self, reply: Reply) -> tuple[int, ...]:
+        """Return the six words of the next command, given what was measured last."""
+        if self.header is Header.POSITION:
+            return tuple(codec.angle_counts(target) for target in self.targets)
+        here = [codec.angle(counts) for counts in reply.positions]
+        errors = [target - at for target, at in zip(self.targets, here, strict=True)]
+        if self.header is Header.VELOCITY:
+            return tuple(
+                codec.rate_counts(_within(self.approach * error + feed, most))
+                for error, feed, most in zip(errors, self._feed, self._speeds, strict=True)
+            )
+        torques = self._torques(errors, reply.velocities)
+        return tuple(codec.effort_counts(torque, motor) for motor, torque in enumerate(torques))
+
+    def _torques(self, errors: Sequence[float], velocities: Sequence[int]) -> list[float]:
+        # The first replies of a hand in fast mode may be of another variant, without velocities.
+        counts = velocities or (0,) * COUNT
+        torques = []
+        for motor, error in enumerate(errors):
+            rate = codec.velocity(counts[motor], motor)
+            torque = self.stiffness * error + self.damping * (self._feed[motor] - rate)
+            torques.append(_within(_REFERRED[motor] * torque, self._efforts[motor]))
+        return torques
+
+
+def _within(value: float, most: float) -> float:
+    return math.copysign(min(abs(value), most), value)

@@ -1,0 +1,345 @@
+"""Drives an Ability Hand: six motors and thirty touch sensors on a serial line."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.buses.serial import SerialBus
+from rtee.buses.timing import wire_time
+from rtee.capabilities import Capabilities
+from rtee.drivers.ability_hand import codec
+from rtee.drivers.ability_hand.codec import (
+    API_TIME,
+    COUNT,
+    MOTORS,
+    SITES,
+    TOUCHING,
+    Command,
+    Header,
+    Reply,
+    ReplyParser,
+)
+from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
+from rtee.drivers.ability_hand.options import AbilityHandOptions, motors_of
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.options import read_options
+from rtee.errors import BusTimeout, DeviceFault, FrameError, NotConnected, RteeError
+from rtee.sample import ActuatorState, FloatArray
+from rtee.touch import TouchReading, TouchSensor
+from rtee.types import DeviceSpec, Reference
+
+PATIENCE = 0.5
+"""Longest time for an exchange that belongs to no cycle [s]."""
+_LEFT = 1
+"""Code of the fault that the hand has left API mode; the hand itself knows no codes."""
+_JUMP = codec.angle_counts(0.1)
+"""What a position may differ by from the one before, beyond what speed explains [counts]."""
+_FASTEST = tuple(2.0 * codec.COUNTS * speed for speed in SPEEDS)
+"""Speed at which a change of position counts as damage: twice the joint's largest [counts/s]."""
+_MOVED = codec.angle_counts(0.05)
+"""A finger that changed its place by more has moved: 0.05 rad are 3 mm at its tip [counts]."""
+_SENT = 17 + 1
+"""Bytes of set-points on the wire, and one for a byte that is escaped."""
+_RECEIVED = {1: 74 + 2, 2: 74 + 2, 3: 41 + 1}
+"""The same for replies, by their variant."""
+_FORCES: FloatArray = np.array([codec.touch_force(word) for word in range(4096)])
+"""Force of each word of a touch sensor [N]."""
+_SENSORS = tuple(
+    TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095)) for finger in TOUCHING
+)
+_GAINS = {"velocity": ("approach",), "current": ("stiffness", "damping")}
+
+
+class AbilityHandDriver(Driver):
+    """An Ability Hand.
+
+    Every command is answered by what the hand measures, so a cycle is one exchange: `move` sends
+    the set-points of all six motors, and `sense` returns what came back, or asks without a command
+    where there was none. Until a reference asks for motion the hand is only read, which leaves it
+    to its own control.
+
+    A hand that hears nothing for 0.3 s leaves API mode and may move by itself. Where it did, that
+    is a fault, and recovering from it begins where the fingers are.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = AbilityHandOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = options = read_options(AbilityHandOptions, spec)
+        self._motors = motors_of(spec, options)
+        self._signs = [-1.0 if MOTORS[m] in options.reverse else 1.0 for m in self._motors]
+        self._control = MotorControl(
+            options.header,
+            approach=options.approach,
+            stiffness=options.stiffness,
+            damping=options.damping,
+        )
+        self.connection: Connection[SerialBus] = Connection(spec)
+        self._attached = Attached(spec.actuators)
+        self._parser = ReplyParser()
+        self._deadline = PATIENCE
+        self._reply: Reply | None = None
+        self._doubted: Reply | None = None
+        self._waiting = False
+        self._stamp = -math.inf
+        self._in_api = False
+        self._moved = False
+        self._here: FloatArray = np.full(len(self._motors), math.nan)
+        accepts, refuses = {"position"}, {}
+        if options.mode == "velocity":
+            accepts.add("max_velocity")
+        if options.mode == "current":
+            accepts.add("max_effort")
+        else:
+            refuses["max_effort"] = "'mode: current' in its options takes one"
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", *self._told()}),
+            accepts=frozenset(accepts),
+            refuses=refuses,
+            recoverable=True,
+            gains=_GAINS.get(options.mode, ()),
+            touch=_SENSORS if options.touch and options.variant != 3 else (),
+        )
+
+    def _told(self) -> tuple[str, ...]:
+        currents, velocities = ("effort", "current"), ("velocity",)
+        return {1: currents, 2: velocities, 3: currents + velocities}[self.options.variant]
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the line and see whether an Ability Hand answers; moves nothing."""
+        options = self.options
+        self._in_api = self._moved = self._waiting = False
+        self._reply = self._doubted = None
+        self._deadline = PATIENCE
+        bus = await self.connection.open(
+            self.buses.serial(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                emulator=emulator_of(self.spec, "ability_hand"),
+            ),
+            lambda bus: bus,
+        )
+        try:
+            # Twice: in fast mode, the form of a reply is that of the request before.
+            await self._read()
+            reply = await self._read()
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no Ability Hand answers at address {options.address} on {options.port}",
+                hint="check supply, wires, `address` and `baudrate`, and that the hand is set to "
+                "UART or RS-485 with byte stuffing: from the factory it is set to I2C",
+            ) from error
+        best = self._best_rate(bus)
+        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
+        every = self.spec.every or math.ceil(self.spec.rate / best)
+        usual = max(1.5 * every / self.spec.rate, 5.0 / best)
+        self._deadline = self.spec.deadline or usual
+        self.capabilities = replace(
+            self.capabilities,
+            best_rate=best,
+            identity={
+                "model": "PSYONIC Ability Hand",
+                "address": f"{options.address:#04x}",
+                "reply": f"variant {reply.variant}",
+                "touch": "told" if any(reply.touch) else "silent, or without sensors",
+            },
+        )
+
+    def _best_rate(self, bus: SerialBus) -> float:
+        count = _SENT + _RECEIVED[self.options.variant]
+        once = wire_time(count, bus.line.baudrate) + self.options.turnaround
+        # 1000 Hz is what the maker's client does at best.
+        return 1.0 / max(once, 1e-3)
+
+    async def activate(self) -> None:
+        """Take the hand over as it is: only a reference that asks for motion enters API mode."""
+        await self._check()
+        with self._unhurried():
+            self._control.hold(await self._read())
+        self._attached.begin(range(len(self._motors)))
+
+    @contextlib.contextmanager
+    def _unhurried(self) -> Iterator[None]:
+        usual, self._deadline = self._deadline, PATIENCE
+        try:
+            yield
+        finally:
+            self._deadline = usual
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def _read(self) -> Reply:
+        """Return what the hand measures, without a command."""
+        return await self._exchange(Header.READ)
+
+    async def _exchange(self, header: Header, words: tuple[int, ...] = ()) -> Reply:
+        """Send a command and return what the hand measures; raises `BusError`."""
+        command = Command(self.options.address, header + self.options.variant - 1, words)
+        if words:
+            self._in_api = True
+        reply = await self.connection.link.transact(
+            command.to_bytes(),
+            self._parser,
+            self._deadline,
+            self.options.retries,
+            whom=f"address {self.options.address}",
+        )
+        now = time.monotonic()
+        if not self._plausible(reply, now):
+            self._doubted = reply
+            raise FrameError(
+                self.options.port, "a finger would have jumped; is the line disturbed?"
+            )
+        self._reply, self._doubted, self._stamp = reply, None, now
+        return reply
+
+    def _plausible(self, reply: Reply, now: float) -> bool:
+        """Return whether no joint moved faster than it can, or the reply before said so, too.
+
+        A checksum of one byte lets some damage pass, and positions steer the hand.
+        """
+        before = self._doubted or self._reply
+        if before is None:
+            return True
+        elapsed = now - self._stamp
+        ways = [abs(n - o) for n, o in zip(reply.positions, before.positions, strict=True)]
+        return all(way <= _JUMP + fast * elapsed for way, fast in zip(ways, _FASTEST, strict=True))
+
+    async def _check(self) -> None:
+        """See whether the hand left API mode, for it heard nothing, and moved by itself since.
+
+        Raises:
+            DeviceFault: if it did; what was commanded before would make it jump back.
+            BusError: if it does not answer.
+        """
+        if self._in_api and time.monotonic() - self._stamp > API_TIME:
+            before, self._waiting = self._reply, False
+            reply = await self._read()
+            self._in_api = False
+            self._attached.begin(range(len(self._motors)))
+            if before is not None:
+                pairs = zip(before.positions, reply.positions, strict=True)
+                self._moved = any(abs(old - new) > _MOVED for old, new in pairs)
+        if self._moved:
+            raise DeviceFault(
+                self.spec.name,
+                _LEFT,
+                f"it heard nothing for {API_TIME:g} s, went back to its own control, and moved",
+                hint="see that nothing was dropped, then `rtee recover`",
+            )
+
+    async def sense(self) -> ActuatorState:
+        """Return what the hand measures: the answer to the last command, if there was one."""
+        await self._check()
+        waiting, self._waiting = self._waiting, False
+        reply = self._reply if waiting and self._reply is not None else await self._read()
+        both = tuple(zip(self._motors, self._signs, strict=True))
+        position = [sign * codec.angle(reply.positions[m]) for m, sign in both]
+        self._here = np.array(position)
+        velocity = effort = current = None
+        if reply.velocities:
+            velocity = [sign * codec.velocity(reply.velocities[m], m) for m, sign in both]
+        if reply.currents:
+            effort = [sign * codec.effort(reply.currents[m], m) for m, sign in both]
+            current = [abs(reply.currents[m]) / codec.AMPERE for m, _ in both]
+        touch = None
+        if reply.touch and self.capabilities.touch:
+            touch = TouchReading(_FORCES[list(reply.touch)], self._stamp)
+        limited = [MOTORS[m] for m in self._motors if reply.limited[m]]
+        warnings = (f"limited by the hand (heat or contact): {', '.join(limited)}",)
+        return ActuatorState.measured(
+            position,
+            self._stamp,
+            velocity=velocity,
+            effort=effort,
+            current=current,
+            warnings=warnings if limited else (),
+            touch=touch,
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Send the set-points of all motors, which brings back what the hand measures."""
+        await self._check()
+        if self._attached:
+            # One command sets all motors, and what they are set to cannot be read.
+            if len(self._attached.left(reference, self._here)) == len(self._motors):
+                return
+            self._attached.begin()
+        asked = reference.mask.tolist()
+        for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
+            if asked[i]:
+                limits = self.spec.actuators[i]
+                position = min(max(float(reference.position[i]), limits.lower), limits.upper)
+                self._control.aim(
+                    motor,
+                    sign * position,
+                    sign * float(reference.velocity[i]),
+                    float(reference.max_velocity[i]),
+                    float(reference.max_effort[i]),
+                )
+        known = self._reply or await self._read()
+        await self._exchange(self._control.header, self._control.words(known))
+        self._waiting = True
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            self._attached.begin()
+            with self._unhurried():
+                await patiently(self._hold)
+
+    async def _hold(self) -> None:
+        self._control.hold(await self._read())
+        # By positions in every mode: a velocity or current would go on until the next command.
+        words = tuple(map(codec.angle_counts, self._control.targets))
+        await self._exchange(Header.POSITION, words)
+        self._waiting = False
+
+    async def disable(self) -> None:
+        """Give the motors no voltage."""
+        with contextlib.suppress(RteeError, OSError):
+            self._attached.begin(range(len(self._motors)))
+            with self._unhurried():
+                await patiently(lambda: self._exchange(Header.DUTY, (0,) * COUNT))
+
+    async def recover(self) -> None:
+        """Begin anew where the fingers are; nothing is commanded until a reference asks."""
+        with self._unhurried():
+            self._control.hold(await self._read())
+        self._in_api = self._moved = self._waiting = False
+        self._attached.begin(range(len(self._motors)))
+
+    async def deactivate(self) -> None:
+        """Give the hand back to its own control."""
+        command = Command(self.options.address, Header.LEAVE)
+        await self.connection.link.send(command.to_bytes())
+        self._in_api = self._waiting = False
+
+    # --- gains -------------------------------------------------------------------------------
+
+    def gains(self) -> Mapping[str, float]:
+        """Return the gains of the position control in this computer."""
+        return {name: getattr(self._control, name) for name in self.capabilities.gains}
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
+        """Change them."""
+        for name, gain in gains.items():
+            setattr(self._control, name, gain)

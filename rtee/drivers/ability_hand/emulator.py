@@ -1,0 +1,297 @@
+"""Emulates an Ability Hand on the wire: stuffed frames, API mode with its timeout, touch words.
+
+What differs between hands, or is not known, is a property here: fast mode, whether it has touch
+sensors, and what it does by itself when it leaves API mode. A frame with a wrong checksum or for
+another address is met with silence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field
+
+from rtee.buses.emulator import Duplex, Emulator
+from rtee.drivers.ability_hand import codec
+from rtee.drivers.ability_hand.codec import (
+    API_TIME,
+    COUNT,
+    DUTY,
+    SENSORS,
+    SET_POINTS,
+    SITES,
+    Command,
+    CommandParser,
+    Header,
+    Reply,
+)
+from rtee.drivers.ability_hand.control import EFFORTS, SPEEDS
+from rtee.drivers.axis import Axis
+from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.properties import Byte, Duration, Positive, read_properties
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+_RANGES = ((0.0, 1.74),) * 5 + ((-1.74, 0.0),)
+"""Ranges of the motors' joints [rad], from the maker's model."""
+_FRICTION = 0.3
+"""Effort of a joint that moves freely [N·m]; no source gives it."""
+_CONTACT = 0.05
+"""Time that a motor must be blocked until that is a collision [s]; likewise."""
+_ARM = 0.06
+"""Distance from a digit's joint to its fingertip [m], about that of the maker's model."""
+_SPREAD = (0.05, 0.35, 0.35, 0.15, 0.05, 0.05)
+"""Parts of a fingertip's force that its six sensors feel: most on its inner side."""
+_INDEX = 0
+
+
+@dataclass(frozen=True, slots=True)
+class AbilityProperties:
+    """Properties of the emulated hand.
+
+    Attributes:
+        address: Its address.
+        start: How far it is closed at power-up, 0 to 1.
+        touch: Whether it has touch sensors.
+        fast: Fast mode: a reply has the form that the request before asked for.
+        alone: What it does by itself when it leaves API mode.
+        after_contact: Part of a digit's effort that is left after a collision.
+        haste: How much faster it moves than a real one.
+        turnaround: Time between a request and its reply [s].
+    """
+
+    address: Byte = codec.ADDRESS
+    start: Share = 0.0
+    touch: bool = True
+    fast: bool = False
+    alone: Literal["hold", "open"] = "hold"
+    after_contact: Share = 0.4
+    haste: Positive = 1.0
+    turnaround: Duration = 0.0
+
+
+class AbilityHandEmulator(Emulator, Grasps):
+    """The hand.
+
+    Args:
+        properties: Its properties.
+        baudrate: Rate that its line is set to [baud].
+
+    Attributes:
+        properties: Its properties.
+        axes: Its motors: angles of the joints on the wire [rad], efforts [N·m].
+        moves: Set-points taken.
+        api: Whether it is in API mode.
+        limited: Whether it limits a motor.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "hot"}
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
+    duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction
+    period = 0.05
+    """It leaves API mode by itself, also when nothing comes [s]."""
+
+    def __init__(
+        self,
+        properties: AbilityProperties | None = None,
+        *,
+        baudrate: int = codec.BAUDRATES[0],
+    ) -> None:
+        super().__init__()
+        self.properties = made = properties or AbilityProperties()
+        self.baudrate = baudrate
+        self.turnaround = made.turnaround
+        self.axes = []
+        for (low, high), speed, effort in zip(_RANGES, SPEEDS, EFFORTS, strict=True):
+            opened, closed = sorted((low, high), key=abs)
+            axis = Axis(
+                opened + made.start * (closed - opened),
+                lower=low,
+                upper=high,
+                max_velocity=speed * made.haste,
+                max_effort=effort,
+                friction=_FRICTION,
+                resolution=1e-4,
+            )
+            # Gears of several hundred to one: what was squeezed does not push a finger back.
+            axis.self_locking = axis.enabled = True
+            self.axes.append(axis)
+        self.moves = 0
+        self.api = False
+        self.limited = [False] * COUNT
+        self._blocked = [0.0] * COUNT
+        self._collided = [0.0] * COUNT
+        self._most = list(EFFORTS)
+        self._variant = 1
+        self._heard = -math.inf
+        self._now: float | None = None
+        self._parser = CommandParser()
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        fitting = {name: options[name] for name in ("address", "turnaround") if name in options}
+        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
+        return cls(read_properties(AbilityProperties, options, **fitting), baudrate=rate)
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the motors of the five digits close."""
+        return [
+            Closing(axis, low, high, effort)
+            for axis, (low, high), effort in zip(self.axes[:5], _RANGES, EFFORTS, strict=False)
+        ]
+
+    def power_cycle(self, now: float) -> None:
+        """Restart under its own control; the fingers stay where they are."""
+        self.advance(now)
+        self.line_reset()
+        self.api = False
+        self._variant = 1
+        self._stay()
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete command."""
+        self._parser.reset()
+
+    def on_faults(self) -> None:
+        """Block the motors, or not."""
+        for axis in self.axes:
+            axis.stuck = "stuck" in self.faults
+
+    # --- time --------------------------------------------------------------------------------
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; the hand never sends unasked."""
+        self.advance(now)
+        return []
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        if self.api and now - self._heard > API_TIME:
+            self.api = False
+            self._stay()
+            if self.properties.alone == "open":
+                for axis, (low, high) in zip(self.axes, _RANGES, strict=True):
+                    axis.target = min(low, high, key=abs)
+        if self._now is not None:
+            dt = max(0.0, now - self._now)
+            for motor in range(COUNT):
+                self._turn(motor, dt)
+        self._now = now
+
+    def _stay(self) -> None:
+        for axis, speed in zip(self.axes, SPEEDS, strict=True):
+            axis.enabled = True
+            axis.target = axis.position
+            axis.max_velocity = speed * self.properties.haste
+        self._most = list(EFFORTS)
+        self._limit()
+
+    def _turn(self, motor: int, dt: float) -> None:
+        axis = self.axes[motor]
+        axis.advance(dt)
+        onward = math.copysign(1.0, axis.target - axis.position)
+        if axis.blocked and axis.obstacle is not None and motor < 5:  # the rotator is exempt
+            self._blocked[motor] += dt
+            if self._blocked[motor] > _CONTACT:
+                self._collided[motor] = onward
+        else:
+            self._blocked[motor] = 0.0
+            if onward != self._collided[motor] or axis.target == axis.position:
+                self._collided[motor] = 0.0
+        self._limit()
+
+    def _limit(self) -> None:
+        for motor, axis in enumerate(self.axes):
+            hot = "hot" in self.faults and motor == _INDEX
+            self.limited[motor] = bool(self._collided[motor]) or hot
+            share = self.properties.after_contact if self._collided[motor] else 1.0
+            axis.max_effort = self._most[motor] * share * (0.5 if hot else 1.0)
+
+    # --- the wire ----------------------------------------------------------------------------
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Receive bytes and return the replies."""
+        self.advance(now)
+        if "silent" in self.faults:
+            return []
+        replies = []
+        for command in self._parser.feed(data):
+            if command.address == self.properties.address and self._obey(command, now):
+                if "wrong_device" in self.faults:
+                    # Well framed, and of a length that no reply of an Ability Hand has.
+                    replies.append(Command(0x10, Header.READ).to_bytes())
+                else:
+                    replies.append(self.reply(self._form(command.header)).to_bytes())
+        return replies
+
+    def _form(self, header: int) -> int:
+        """Return the variant of the reply to a command."""
+        asked = header & 0x0F
+        known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < 3
+        before, self._variant = self._variant, asked + 1 if known else self._variant
+        return before if self.properties.fast else self._variant
+
+    def _obey(self, command: Command, now: float) -> bool:
+        """Act on a command; return whether it is answered."""
+        self._heard = now
+        if command.header == Header.LEAVE:
+            self.api = False
+            self._stay()
+            return False
+        if command.words:
+            self.api = True
+            self.moves += 1
+            for motor, word in enumerate(command.words):
+                self._aim(motor, command.header & 0xF0, word)
+            self._limit()
+        return True
+
+    def _aim(self, motor: int, kind: int, word: int) -> None:
+        axis, (low, high) = self.axes[motor], _RANGES[motor]
+        fastest, strongest = SPEEDS[motor] * self.properties.haste, EFFORTS[motor]
+        axis.enabled = kind != Header.DUTY or word != 0
+        axis.max_velocity, self._most[motor] = fastest, strongest
+        if kind == Header.POSITION:
+            axis.target = min(max(codec.angle(word), low), high)
+            return
+        axis.target = axis.position if word == 0 else (high if word > 0 else low)
+        if kind == Header.VELOCITY:
+            axis.max_velocity = min(abs(codec.rate(word)) * self.properties.haste, fastest)
+            return
+        torque = strongest * abs(word) / DUTY
+        if kind == Header.CURRENT:
+            torque = abs(codec.effort(word, motor))
+        self._most[motor] = min(torque, strongest)
+        # As fast as the largest effort moves it at the largest speed, in proportion.
+        axis.max_velocity = fastest * self._most[motor] / strongest
+
+    def reply(self, variant: int) -> Reply:
+        """Return what it measures, in a variant of the reply."""
+        currents = tuple(
+            round(axis.effort / codec.TORQUES[motor] * codec.AMPERE)
+            for motor, axis in enumerate(self.axes)
+        )
+        rates = tuple(codec.velocity_counts(a.velocity, motor) for motor, a in enumerate(self.axes))
+        return Reply(
+            variant,
+            tuple(codec.angle_counts(axis.position) for axis in self.axes),
+            () if variant == 2 else currents,
+            () if variant == 1 else rates,
+            () if variant == 3 else self._touch(),
+            tuple(self.limited),
+        )
+
+    def _touch(self) -> tuple[int, ...]:
+        if not self.properties.touch:
+            return (0,) * SENSORS
+        words: list[int] = []
+        for axis in self.axes[:5]:
+            thing = axis.obstacle
+            depth = 0.0 if thing is None else (axis.position - thing.contact) * thing.closing
+            force = 0.0 if thing is None else max(0.0, depth) * thing.stiffness / _ARM
+            words += (codec.touch_word(force * part) for part in _SPREAD[:SITES])
+        return tuple(words)

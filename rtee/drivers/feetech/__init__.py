@@ -1,0 +1,1 @@
+"""Feetech's serial bus servos: SCS, STS, SMS and HLS, and hands with two servos to a finger."""

@@ -1,0 +1,192 @@
+"""Frames of Feetech's serial bus servos: requests, replies, checksums. No I/O.
+
+A request is ``FF FF id length instruction parameters checksum``; a reply has the servo's status in
+the place of the instruction. All families share this. They differ in the order of the bytes of a
+word; see `rtee.drivers.feetech.table`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+from rtee.buses.parser import FramedParser
+
+HEADER = b"\xff\xff"
+BROADCAST = 0xFE  # the id that all servos listen to
+LARGEST_ID = 0xFD
+OVERHEAD = 6
+"""Bytes of a frame beside its parameters: header, id, length, instruction or status, checksum."""
+LONGEST = 250
+"""Largest length field that the vendor's clients accept [byte]."""
+_LARGEST_STATUS = 0x7F  # clients take a reply with a larger one for garbage
+
+
+class FeetechFrameError(ValueError):
+    """Bytes that are no frame."""
+
+
+class Instruction(IntEnum):
+    """Instructions of a host."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    RESTORE = 0x06
+    REBOOT = 0x08
+    BACK_UP = 0x09
+    RESET = 0x0A
+    CALIBRATE = 0x0B
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class Status(IntFlag):
+    """The bits of a reply's status, which last as long as their cause."""
+
+    VOLTAGE = 0x01
+    ANGLE = 0x02
+    OVERHEATING = 0x04
+    OVERCURRENT = 0x08
+    OVERLOAD = 0x20
+
+
+def checksum(body: bytes) -> int:
+    """Return the checksum of what stands between header and checksum."""
+    return ~sum(body) & 0xFF
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A request or a reply.
+
+    Attributes:
+        device: Id of the servo; in a request also `BROADCAST`.
+        code: The request's instruction, or the reply's status.
+        params: Parameters, or what was read.
+    """
+
+    device: int
+    code: int
+    params: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the frame as sent; raises `FeetechFrameError` if it is too long."""
+        length = len(self.params) + 2
+        if length > LONGEST:
+            raise FeetechFrameError(f"no frame can carry {len(self.params)} parameters")
+        body = bytes([self.device, length, self.code]) + self.params
+        return HEADER + body + bytes([checksum(body)])
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the frame that ``raw`` is; raises `FeetechFrameError`."""
+        if len(raw) < OVERHEAD or raw[:2] != HEADER or raw[2] > BROADCAST:
+            raise FeetechFrameError(
+                "a frame begins with FF FF and an id, and has at least six bytes"
+            )
+        if raw[3] > LONGEST or len(raw) != raw[3] + 4:
+            raise FeetechFrameError(f"a length of {raw[3]} does not fit {len(raw)} bytes")
+        if checksum(raw[2:-1]) != raw[-1]:
+            raise FeetechFrameError("the checksum does not match")
+        return cls(raw[2], raw[4], raw[5:-1])
+
+
+def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
+    """Return the request for the same registers of several servos."""
+    params = bytes([address, size, *ids])
+    return Frame(BROADCAST, Instruction.SYNC_READ, params).to_bytes()
+
+
+def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
+    """Return the requests, one unless it would be too long, that set registers of several servos.
+
+    Args:
+        address: The first register.
+        data: What to write by id, the same number of bytes for each.
+    """
+    if not data:
+        return []
+    size = len(next(iter(data.values())))
+    entries = [bytes([number]) + values for number, values in data.items()]
+    most = (LONGEST - 4) // (size + 1)
+    return [
+        Frame(
+            BROADCAST,
+            Instruction.SYNC_WRITE,
+            bytes([address, size]) + b"".join(entries[start : start + most]),
+        ).to_bytes()
+        for start in range(0, len(entries), most)
+    ]
+
+
+class _Parser(FramedParser[Frame]):
+    HEADER = HEADER
+    HEAD = 4
+    PIECE = LONGEST + 4
+    LIMIT = 2 * PIECE
+    LARGEST: ClassVar[int]
+
+    def _length(self, at: int) -> int:
+        device, length = self._buffer[at + 2], self._buffer[at + 3]
+        return length + 4 if device <= self.LARGEST and 2 <= length <= LONGEST else 0
+
+    def _decode(self, raw: bytes) -> Frame:
+        return Frame.from_bytes(raw)
+
+
+class RequestParser(_Parser):
+    """Finds requests in a stream, as a servo does."""
+
+    LARGEST = BROADCAST
+
+
+class ReplyParser(_Parser):
+    """Finds replies in a stream, as a host does."""
+
+    LARGEST = LARGEST_ID
+
+    def _decode(self, raw: bytes) -> Frame:
+        frame = super()._decode(raw)
+        if frame.code > _LARGEST_STATUS:
+            raise FeetechFrameError(f"no servo has a status of {frame.code:#04x}")
+        return frame
+
+
+class GroupParser:
+    """Finds the replies of several servos to one request, and hands them on together.
+
+    Args:
+        ids: Their ids.
+        size: Bytes that each reports; others are no answers to this request.
+    """
+
+    def __init__(self, ids: Collection[int], size: int) -> None:
+        self._ids = frozenset(ids)
+        self._size = size
+        self._replies = ReplyParser()
+        self._found: dict[int, Frame] = {}
+
+    @property
+    def errors(self) -> int:
+        """Replies dropped for a bad length, content or checksum."""
+        return self._replies.errors
+
+    def reset(self) -> None:
+        """Forget what has come in."""
+        self._replies.reset()
+        self._found = {}
+
+    def feed(self, data: bytes) -> list[dict[int, Frame]]:
+        """Receive bytes and return the replies by id, once all are there."""
+        for reply in self._replies.feed(data):
+            if reply.device in self._ids and len(reply.params) == self._size:
+                self._found[reply.device] = reply
+        if self._found.keys() != self._ids:
+            return []
+        found, self._found = self._found, {}
+        return [found]

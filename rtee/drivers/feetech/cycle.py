@@ -1,0 +1,333 @@
+"""The cycle of Feetech servos on one line: read all, set all."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rtee.drivers.feetech import setup, table
+from rtee.drivers.feetech.joints import Joints
+from rtee.drivers.feetech.link import FeetechLink
+from rtee.drivers.feetech.options import FeetechOptions
+from rtee.drivers.feetech.setup import POWERED, Found
+from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, MODELS, State
+from rtee.drivers.feetech.units import Measured, Scale, Scales
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.servo_lines import Calibrated
+from rtee.errors import CalibrationError, ConfigError
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
+
+_FASTER = 1.5
+"""Speed without a limit of its own [velocity limit of the actuators]: a servo that is behind its
+set-points has to be faster than they are."""
+
+
+class ServoCycle:
+    """Reads and sets the servos of a device.
+
+    Args:
+        spec: The device.
+        options: Its options.
+        joints: What the servos drive.
+        link: The line.
+
+    Attributes:
+        link: See above.
+        family: The servos' family.
+        joints: See above.
+        ids: Their ids, in the order of the actuators.
+        names: Their names by id.
+        together: Whether they are read by one request for all.
+        found: The servos as they were found, by id.
+        scales: Their units, in the order of the actuators.
+        attached: The actuators that are left as they were found.
+        active: Whether the servos must have torque.
+    """
+
+    def __init__(
+        self, spec: DeviceSpec, options: FeetechOptions, joints: Joints, link: FeetechLink
+    ) -> None:
+        self.link = link
+        self._device = spec.name
+        self._options = options
+        self._actuators = spec.actuators
+        self.family = FAMILIES[options.family]
+        self.joints = joints
+        self._servos = [options.servos[name] for name in self.joints.names]
+        self.ids = [servo.id for servo in self._servos]
+        self.names = dict(zip(self.ids, self.joints.names, strict=True))
+        self.together = len(self.ids) > 1 and (
+            self.family.sync_read if options.read == "auto" else options.read == "sync"
+        )
+        self.found: dict[int, Found] = {}
+        self.scales = [
+            Scale(
+                self.family,
+                float(self.family.center if servo.zero is None else servo.zero),
+                servo.direction,
+                servo.gear,
+            )
+            for servo in self._servos
+        ]
+        self.attached = Attached(spec.actuators)
+        self.active = False
+        self._count = 0
+        n = len(spec.actuators)
+        self._angles: FloatArray = np.full(n, math.nan)
+        self._goal: FloatArray = np.full(n, math.nan)
+        self._fastest = np.array([_FASTER * a.velocity for a in spec.actuators])
+        self._warnings: tuple[str, ...] = ()
+
+    # --- set-up ------------------------------------------------------------------------------
+
+    async def find(self) -> None:
+        """Find all servos and adopt the units of their models; raises as `setup.find`."""
+        options = self._options
+        named = dict(zip(self.joints.names, self._servos, strict=True))
+        self.found = await setup.find(self.link, self.family, self._device, named, options.port)
+        self.link.delay = max(servo.return_delay for servo in self.found.values()) * DELAY_UNIT
+        for servo, scale in zip(self._servos, self.scales, strict=True):
+            found = self.found[servo.id]
+            model = MODELS.get(found.model)
+            known = math.nan if model is None else model.stall_torque
+            scale.stall_torque = servo.stall_torque or options.stall_torque or known
+            by_current = servo.torque_per_ampere or options.torque_per_ampere
+            scale.torque_per_ampere = by_current or math.nan
+            scale.speed_unit = self.family.speed_unit(found.phase)
+        self.use_scales()
+
+    def use_scales(self) -> None:
+        """Take over what was changed in the units of the servos."""
+        self._units = Scales(self.scales)
+
+    def check(self, states: Sequence[State]) -> None:
+        """Check that servos can go where their actuators can, and are where they can be.
+
+        Args:
+            states: What they measure.
+
+        Raises:
+            CalibrationError: if one is elsewhere.
+            ConfigError: if one cannot go there.
+            DeviceFault: if one reports a fault.
+        """
+        self.refuse(states)
+        ends = self.joints.ends(self._actuators)
+        for i, (number, name) in enumerate(self.names.items()):
+            low, high = self.found[number].limits
+            wanted = sorted(self.scales[i].to_counts(angle) for angle in ends[i])
+            # Both limits are 0 where a servo counts turns; it goes anywhere then.
+            if low < high and not low <= wanted[0] <= wanted[1] <= high:
+                raise ConfigError(
+                    f"device '{self._device}': servo {number} ({name}) would have to go from "
+                    f"{wanted[0]} to {wanted[1]}, but takes {low} to {high}; set its 'zero', or "
+                    "tighten the limits of its actuator"
+                )
+        positions = self.joints.positions(self._units.measured(states).angle)
+        for actuator, position in zip(self._actuators, positions.tolist(), strict=True):
+            outside = max(actuator.lower - position, position - actuator.upper)
+            if outside > self._options.outside:
+                raise CalibrationError(
+                    self._device,
+                    f"'{actuator.name}' is at {position:.2f} rad, {outside:.2f} rad outside its "
+                    "limits; a zero or direction is wrong, or two ids are swapped; `rtee "
+                    "calibrate` finds the zeros",
+                )
+
+    async def power(self) -> None:
+        """Set up and power the servos that are without torque, where they are.
+
+        Raises:
+            CalibrationError: if one is where it cannot be.
+            ConfigError: if one cannot go where its actuator can.
+            DeviceFault: if one reports a fault, or takes no torque.
+            BusError: if the line fails.
+        """
+        # Again: what was set before the supply was cut is lost.
+        await self.find()
+        self.check(await self.states())
+        off = {n: servo for n, servo in self.found.items() if not servo.powered}
+        if off:
+            await setup.prepare(self.link, self.family, self._options, off)
+            await self.find()
+            # Before the torque: an old goal would make the servo jump to it.
+            await self.hold(list(off))
+            refused = await self.link.set_all(table.TORQUE, dict.fromkeys(off, POWERED))
+            if refused:
+                self.refuse(await self.states())
+                raise setup.lost(self._device, self.names, list(refused))
+        self._goal = self.joints.positions(self._take(await self.states()).angle)
+        held = {i for i, number in enumerate(self.ids) if number not in off}
+        for i, j in self.joints.pairs:
+            # Both drive both: an actuator of a pair holds only if both servos do.
+            if not {i, j} <= held:
+                held -= {i, j}
+        self.attached.begin(held)
+        self.active = True
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def states(self) -> list[State]:
+        """Return what the servos tell, in the order of the actuators; raises `BusError`."""
+        first, size = table.PRESENT_POSITION.address, self.family.state
+        answers = await self.link.read_all(first, size, self.ids, together=self.together)
+        return [State.from_bytes(self.family, answers[n].params, answers[n].code) for n in self.ids]
+
+    def refuse(self, states: Sequence[State]) -> None:
+        """Raise the `DeviceFault` that states tell of, if any."""
+        pairs = zip(self.ids, states, strict=True)
+        setup.refuse(self._device, self.names, {number: state.status for number, state in pairs})
+
+    def _take(self, states: Sequence[State]) -> Measured:
+        measured = self._units.measured(states)
+        self._angles = measured.angle
+        return measured
+
+    async def sense(self) -> ActuatorState:
+        """Return what the servos measure.
+
+        Raises:
+            DeviceFault: if one that must have torque has none, or reports a fault.
+            BusError: if the line fails.
+        """
+        self._count += 1
+        if self.active and self._count % self._options.check_every == 0:
+            # One servo each time: all at once would take as long as a whole cycle.
+            number = self.ids[self._count // self._options.check_every % len(self.ids)]
+            if await self.link.value(number, table.TORQUE) != POWERED:
+                self.refuse(await self.states())
+                raise setup.lost(self._device, self.names, [number])
+        states = await self.states()
+        stamp = time.monotonic()
+        if self.active:
+            self.refuse(states)
+        measured = self._take(states)
+        velocity, effort = measured.rate, measured.torque
+        current, temperature = measured.current, measured.temperature
+        if self.joints.pairs:
+            jacobian = self.joints.jacobian(measured.angle)
+            velocity = np.linalg.inv(jacobian) @ velocity
+            effort = jacobian.T @ effort
+            for i, j in self.joints.pairs:
+                # Both servos drive both actuators, so the worse of the two counts for both.
+                temperature[[i, j]] = max(temperature[i], temperature[j])
+                current[[i, j]] = np.abs(current[[i, j]]).max()
+        return ActuatorState.measured(
+            self.joints.positions(measured.angle),
+            stamp,
+            velocity=velocity,
+            effort=effort,
+            current=current,
+            temperature=temperature,
+            extras={"voltage": measured.voltage},
+            warnings=self._warnings,
+        )
+
+    async def move(self, reference: Reference) -> None:
+        """Set positions, speeds and torque limits of all servos that a reference is for."""
+        mask = reference.mask.copy()
+        if self.attached:
+            here = self.joints.positions(self._angles)
+            mask[list(self.attached.left(reference, here))] = False
+        self._goal = np.where(mask, reference.position, self._goal)
+        for i, j in self.joints.pairs:
+            mask[[i, j]] = mask[i] or mask[j]
+        if not mask.any():
+            return
+        angles = self.joints.servos(self._goal)
+        self._warnings = self.joints.gave_way(self._goal, angles)
+        jacobian = np.abs(self.joints.jacobian(self._angles))
+        limited = np.isfinite(reference.max_velocity)
+        speeds = self._speeds(jacobian, np.where(limited, reference.max_velocity, self._fastest))
+        torques = self._torques(reference.max_effort, jacobian)
+        counts = self._units.counts(angles)
+        places = np.flatnonzero(mask).tolist()
+        await self._write({i: (counts[i], speeds[i], torques[i]) for i in places})
+
+    async def hold(self, numbers: Sequence[int]) -> None:
+        """Make the present positions of servos their goals; raises `BusError`."""
+        states = await self.states()
+        angles = self._take(states).angle
+        speeds = self._speeds(np.abs(self.joints.jacobian(angles)), self._fastest)
+        most = self._most()
+        chosen = [i for i, number in enumerate(self.ids) if number in numbers]
+        await self._write({i: (states[i].position, speeds[i], most[i]) for i in chosen})
+        self._goal = self.joints.positions(angles)
+
+    def _speeds(self, jacobian: FloatArray, velocities: FloatArray) -> list[int]:
+        """Return the speed counts with which servos let actuators have their velocities."""
+        rates = (jacobian @ velocities).tolist()
+        return [scale.to_speed(rate) for scale, rate in zip(self.scales, rates, strict=True)]
+
+    @property
+    def limits_effort(self) -> bool:
+        """Whether a limit of effort can be turned into one of torque."""
+        if self.family.limits_torque == "share":
+            return all(math.isfinite(scale.stall_torque) for scale in self.scales)
+        by_current = all(math.isfinite(scale.torque_per_ampere) for scale in self.scales)
+        return self.family.limits_torque == "current" and by_current
+
+    def _torques(self, efforts: FloatArray, jacobian: FloatArray) -> list[int]:
+        """Return the servos' torque limits [0.1 % or 6.5 mA] that keep those of the efforts.
+
+        Two servos with the same torque give an actuator that times the sum of its column; where
+        both of a pair's efforts are limited, the smaller torque counts.
+        """
+        most = self._most()
+        if not self.limits_effort or not np.isfinite(efforts).any():
+            return most
+        limits = efforts / jacobian.sum(axis=0)
+        for i, j in self.joints.pairs:
+            limits[[i, j]] = min(limits[i], limits[j])
+        return [
+            min(scale.to_torque_counts(limit), largest) if math.isfinite(limit) else largest
+            for scale, limit, largest in zip(self.scales, limits.tolist(), most, strict=True)
+        ]
+
+    def _most(self) -> list[int]:
+        """Return the largest torque of each servo [0.1 % or 6.5 mA]."""
+        share = 1.0 if self._options.torque is None else self._options.torque
+        found = [self.found[number].most for number in self.ids]
+        if self.family.limits_torque == "current":
+            return [round(share * most) for most in found]
+        return [min(most, round(share * FULL)) for most in found]
+
+    @property
+    def written(self) -> int:
+        """Bytes set of each servo in a cycle, from the goal position on."""
+        return 8 if self.family.limits_torque == "share" else 6
+
+    async def _write(self, goals: Mapping[int, tuple[int, int, int]]) -> None:
+        """Set goals, by the servos' places: position, speed and torque limit [counts]."""
+        family, data = self.family, {}
+        by_current = family.limits_torque == "current"
+        for i, (position, speed, torque) in goals.items():
+            low, high = self.found[self.ids[i]].limits
+            if low < high:
+                position = min(max(position, low), high)
+            values = family.pack(table.GOAL_POSITION, position)
+            values += family.pack(table.GOAL_TIME, torque if by_current else 0)
+            values += family.pack(table.GOAL_SPEED, speed)
+            if family.limits_torque == "share":
+                values += family.pack(table.TORQUE_LIMIT, torque)
+            data[self.ids[i]] = values
+        await self.link.write_all(table.GOAL_POSITION.address, data)
+
+    def calibrated(self) -> list[Calibrated]:
+        """Return the servos with the zeros that they have now."""
+        servos = [self.found[number] for number in self.ids]
+        return [
+            Calibrated(name, s.id, s.model, s.phase & table.REVERSE, s.offset, scale.zero)
+            for name, s, scale in zip(self.joints.names, servos, self.scales, strict=True)
+        ]
+
+    def set_zeros(self, states: Sequence[State], positions: FloatArray) -> None:
+        """Take what servos measure for these positions of the actuators [rad]."""
+        angles = self.joints.servos(positions).tolist()
+        for scale, state, angle in zip(self.scales, states, angles, strict=True):
+            scale.zero = state.position - angle / scale.rad
+        self.use_scales()

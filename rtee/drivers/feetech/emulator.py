@@ -1,0 +1,274 @@
+"""Emulates a line of Feetech servos, all of one family.
+
+What sources leave open is a property: whether servos of a family that is not known to answer a sync
+read do, and whether the adapter hands back what it sends. What a broadcast ping brings from several
+servos is what two senders make of one wire: a 0 wherever one of them sends it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import VirtualObject
+from rtee.drivers.feetech import table
+from rtee.drivers.feetech.codec import (
+    BROADCAST,
+    Frame,
+    Instruction,
+    RequestParser,
+    Status,
+)
+from rtee.drivers.feetech.joints import Differential
+from rtee.drivers.feetech.options import DifferentialOptions
+from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
+from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, FamilyName
+from rtee.drivers.feetech.units import Scale
+from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.properties import Byte, Duration, read_properties
+from rtee.drivers.servo_emulator import ServoLine
+
+_ERRORS = {
+    "voltage": Status.VOLTAGE,
+    "angle": Status.ANGLE,
+    "overheating": Status.OVERHEATING,
+    "overcurrent": Status.OVERCURRENT,
+    "overload": Status.OVERLOAD,
+}
+_READS = (Instruction.PING, Instruction.READ)
+"""Instructions that are answered whatever the response level."""
+_WRONG = 0x0101
+"""Model number of a device that is none of these."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineProperties:
+    """Properties of an emulated line of servos.
+
+    Attributes:
+        family: Their family.
+        ids: Their ids.
+        servo: Properties of all servos.
+        special: Properties of single servos, by id.
+        latency: Latency of the adapter per answer [s].
+        sync_read: Whether they answer to a sync read; ``None``: as their family does.
+        echo: Whether the adapter hands back what it sends.
+    """
+
+    family: FamilyName = "sts"
+    ids: tuple[Byte, ...] = (1,)
+    servo: ServoProperties = field(default_factory=ServoProperties)
+    special: dict[int, ServoProperties] = field(default_factory=dict)
+    latency: Duration = table.LATENCY
+    sync_read: bool | None = None
+    echo: bool = False
+
+
+class FeetechEmulator(ServoLine[Servo], Grasps):
+    """Servos on one line; all receive every request, each answers for itself.
+
+    Args:
+        properties: Properties of the line.
+
+    Attributes:
+        properties: See above.
+        family: The servos' family.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_ERRORS) | {"silent"}
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset(table.BAUD_RATES)
+
+    baudrate = table.BAUD_RATES[0]
+
+    def __init__(self, properties: LineProperties | None = None) -> None:
+        made = properties or LineProperties()
+        family, self._parser = FAMILIES[made.family], RequestParser()
+        super().__init__(
+            [Servo(family, number, made.special.get(number, made.servo)) for number in made.ids],
+            self._parser,
+        )
+        self.properties, self.family = made, family
+        self._models = [servo.get(table.MODEL) for servo in self.ordered]
+        self._shown_rate = 0
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the servos that a device's options name, with their actuators at 0 rad."""
+        emulated = options.get("emulator") or {}
+        defaults: dict[str, Any] = {}
+        if "family" in options:
+            defaults["family"] = options["family"]
+        if "turnaround" in options:
+            defaults["latency"] = options["turnaround"]
+        servos: Mapping[str, Any] = options.get("servos") or {}
+        if servos:
+            defaults["ids"] = tuple(dict(servo)["id"] for servo in servos.values())
+            if "special" not in emulated:
+                common = dict(emulated.get("servo") or {})
+                defaults["special"] = _places(options, common)
+        made = cls(read_properties(LineProperties, options, **defaults))
+        made.baudrate = int(options.get("baudrate") or made.baudrate)
+        return made
+
+    def inject(self, fault: str) -> None:
+        """Put a fault into the first servo (its errors) or all (the rest)."""
+        super().inject(fault)
+        if fault in _ERRORS:
+            self.ordered[0].fail(_ERRORS[fault])
+
+    def on_faults(self) -> None:
+        """Block the servos while they are stuck, and have them answer as the model they are."""
+        causes = [bit for name, bit in _ERRORS.items() if name in self.faults]
+        self.ordered[0].cause = Status(sum(causes))
+        for servo, model in zip(self.ordered, self._models, strict=True):
+            servo.axis.stuck = "stuck" in self.faults
+            servo.set(table.MODEL, _WRONG if "wrong_device" in self.faults else model)
+            servo.memory.store()
+
+    # --- objects -----------------------------------------------------------------------------
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the servos close: from where they stood at power-up."""
+        quarter = self.family.counts / self.family.span * 1.57
+        found = []
+        for servo in self.ordered:
+            made = servo.properties
+            start = self.family.center if made.start < 0.0 else made.start
+            opened = start + made.offset
+            closed = opened + (made.closing or quarter)
+            found.append(Closing(servo.axis, opened, closed, float(FULL)))
+        return found
+
+    def grip_object(
+        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
+    ) -> None:
+        """Put an object in a servo's way, met at a position; stiffness in 0.1 % per count."""
+        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
+
+    # --- the line ----------------------------------------------------------------------------
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Take bytes from the host and return the answers."""
+        self.step(now)
+        self._show_rate()
+        answers = [data] if self.properties.echo else []
+        for request in self._parser.feed(data):
+            if "silent" not in self.faults:
+                answers += self._answers(request, now)
+        return answers
+
+    def _show_rate(self) -> None:
+        """Set the register of the baud rate to the rate of the line."""
+        if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
+            self._shown_rate = self.baudrate
+            for servo in self.ordered:
+                servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
+                servo.memory.store()
+
+    def _answers(self, request: Frame, now: float) -> list[bytes]:
+        params = request.params
+        if request.code == Instruction.SYNC_WRITE and len(params) > 2:
+            address, size = params[0], params[1]
+            for at in range(2, len(params) - size, size + 1):
+                for servo in self.listening([params[at]], now):
+                    servo.write(address, params[at + 1 : at + 1 + size])
+            return []
+        if request.code == Instruction.SYNC_READ and len(params) > 2:
+            knows = self.properties.sync_read
+            if not (self.family.sync_read if knows is None else knows):
+                return []
+            # Each waits for its turn; one that is missing leaves a gap.
+            found = self.listening(params[2:], now)
+            replies = [self._reply(servo, servo.read(params[0], params[1])) for servo in found]
+            return self._delayed(replies, found)
+        everybody = request.device == BROADCAST
+        found = self.listening(sorted(self.servos) if everybody else [request.device], now)
+        replies = []
+        for servo in found:
+            reply = self._single(servo, request, now)
+            if reply and (request.code in _READS or servo.get(table.RESPONSE_LEVEL)):
+                replies.append(reply)
+        if everybody and request.code != Instruction.PING:
+            return []
+        return self._delayed([_collided(replies)] if len(replies) > 1 else replies, found)
+
+    def _reply(self, servo: Servo, params: bytes | None) -> bytes:
+        return Frame(servo.number, servo.status, params or b"").to_bytes()
+
+    def _single(self, servo: Servo, request: Frame, now: float) -> bytes:
+        """Let a servo do what it is asked; return its answer, empty where there is none."""
+        params = request.params
+        match request.code:
+            case Instruction.READ if len(params) == 2:
+                return self._reply(servo, servo.read(params[0], params[1]))
+            case Instruction.WRITE if len(params) > 1:
+                servo.write(params[0], params[1:])
+            case Instruction.REG_WRITE if len(params) > 1:
+                servo.hold_back(params[0], params[1:])
+            case Instruction.ACTION:
+                servo.action()
+            case Instruction.RESTORE:
+                servo.memory.restore()
+            case Instruction.REBOOT:
+                servo.reboot(now)
+                return b""
+            case Instruction.CALIBRATE:
+                where = int.from_bytes(params, self.family.order) if params else MIDDLE
+                servo.make_present(where)
+            case Instruction.PING | Instruction.BACK_UP | Instruction.RESET:
+                pass
+            case _:
+                return b""
+        return self._reply(servo, b"")
+
+    def _delayed(self, answers: list[bytes], servos: Iterable[Servo]) -> list[bytes]:
+        """Set the turn-around of these answers: every servo's return delay, and the adapter's."""
+        hls = self.family.name == "hls"
+        delays = [0 if hls else servo.get(table.RETURN_DELAY) for servo in servos]
+        self.turnaround = sum(delays) * DELAY_UNIT + self.properties.latency
+        return answers
+
+
+def _collided(answers: Sequence[bytes]) -> bytes:
+    """Return what several servos that send at once make of one wire."""
+    columns = itertools.zip_longest(*answers, fillvalue=0xFF)
+    found = bytearray()
+    for column in columns:
+        byte = 0xFF
+        for one in column:
+            byte &= one
+        found.append(byte)
+    return bytes(found)
+
+
+def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+    """Return the properties of each servo of a device by id: where it stands, how it closes."""
+    family = FAMILIES[options.get("family", "sts")]
+    angles: dict[str, tuple[float, float]] = {}
+    if options.get("differential"):
+        made = DifferentialOptions.model_validate(options["differential"])
+        one = Differential(made)
+        bent = max(made.flexion[-1][1], made.flexion[0][1])
+        for pair in made.pairs.values():
+            opened, closed = one.servos(0.0, 0.0), one.servos(bent, 0.0)
+            for name, start, end in zip(pair.servos, opened, closed, strict=True):
+                angles[name] = start, end
+    found = {}
+    for name, servo in options["servos"].items():
+        given = dict(servo)
+        zero = given.get("zero")
+        scale = Scale(
+            family,
+            float(family.center if zero is None else zero),
+            given.get("direction", 1),
+            given.get("gear", 1.0),
+        )
+        # A quarter turn where nothing says how far its actuator goes.
+        start, end = angles.get(name, (0.0, 1.57 / scale.gear))
+        first, last = scale.to_counts(start), scale.to_counts(end)
+        place = {"start": float(first), "closing": float(last - first)}
+        found[given["id"]] = {**place, **common}
+    return found

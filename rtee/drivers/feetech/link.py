@@ -1,0 +1,163 @@
+"""Reads and writes the registers of Feetech servos on one line."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterator, Mapping
+
+from rtee.buses.serial import SerialBus
+from rtee.buses.timing import wire_time
+from rtee.drivers.feetech.codec import (
+    OVERHEAD,
+    Frame,
+    GroupParser,
+    Instruction,
+    ReplyParser,
+    sync_read,
+    sync_write,
+)
+from rtee.drivers.feetech.table import MODEL, Family, Register
+from rtee.errors import BusTimeout, FrameError
+
+PATIENCE = 0.2
+"""Longest time for an exchange that belongs to no cycle, beside its time on the line [s]."""
+_ATTEMPTS = 4
+"""How often a register that was written and is not as it was written is written again."""
+
+
+class FeetechLink:
+    """Talks to servos on one line; several devices may share it.
+
+    What a servo sends is known as an answer by its id and its length alone. An adapter that hands
+    back what it sends is understood: a frame that is the request itself is no answer to it.
+
+    Args:
+        bus: The line.
+        family: The servos' family.
+        deadline: Longest time for one exchange beside its time on the line, retries included [s].
+        retries: How often a request is sent again within that time.
+
+    Attributes:
+        delay: Time that a servo waits before its answer [s].
+        turnaround: Time per request that neither this nor the bytes explain [s].
+    """
+
+    def __init__(self, bus: SerialBus, family: Family, deadline: float, retries: int) -> None:
+        self.delay = self.turnaround = 0.0
+        self._bus = bus
+        self._family = family
+        self._deadline = deadline
+        self._retries = retries
+        self._parser = ReplyParser()
+        self._groups: dict[tuple[frozenset[int], int], GroupParser] = {}
+
+    @contextlib.contextmanager
+    def unhurried(self) -> Iterator[None]:
+        """Allow exchanges outside the cycle the time they may need on a busy computer."""
+        usual, self._deadline = self._deadline, max(self._deadline, PATIENCE)
+        try:
+            yield
+        finally:
+            self._deadline = usual
+
+    def read_time(self, size: int, count: int = 1) -> float:
+        """Return the time of one request for so many bytes of each of ``count`` servos [s]."""
+        request = OVERHEAD + 2 + (count if count > 1 else 0)
+        answers = count * (OVERHEAD + size)
+        once = wire_time(request + answers, self._bus.line.baudrate) + self.turnaround
+        return once + count * self.delay
+
+    def write_time(self, size: int, count: int) -> float:
+        """Return the time to write so many bytes to each of ``count`` servos [s]."""
+        return wire_time(OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
+
+    def _longest(self, size: int, count: int = 1) -> float:
+        return self._deadline + (self._retries + 1) * self.read_time(size, count)
+
+    async def read(self, number: int, address: int, size: int) -> Frame:
+        """Return a servo's answer with so many bytes of its registers; raises `BusError`."""
+        request = Frame(number, Instruction.READ, bytes([address, size])).to_bytes()
+
+        def answers(reply: Frame) -> bool:
+            mine = reply.device == number and len(reply.params) == size
+            return mine and reply.to_bytes() != request
+
+        found: Frame = await self._bus.transact(
+            request,
+            self._parser,
+            self._longest(size),
+            self._retries,
+            accept=answers,
+            whom=f"servo {number}",
+        )
+        return found
+
+    async def read_all(
+        self, address: int, size: int, ids: Collection[int], *, together: bool
+    ) -> Mapping[int, Frame]:
+        """Return the answers of servos with so many bytes of their registers, by id.
+
+        Args:
+            address: The first register.
+            size: Number of bytes.
+            ids: The servos.
+            together: By one request for all, which not every family answers.
+
+        Raises:
+            BusError: if one does not answer.
+        """
+        if not together or len(ids) == 1:
+            return {number: await self.read(number, address, size) for number in ids}
+        key = frozenset(ids), size
+        parser = self._groups.setdefault(key, GroupParser(ids, size))
+        found: dict[int, Frame] = await self._bus.transact(
+            sync_read(address, size, ids),
+            parser,
+            self._longest(size, len(ids)),
+            self._retries,
+            whom=f"{len(ids)} servos",
+        )
+        return found
+
+    async def value(self, number: int, register: Register) -> int:
+        """Return the value of a register of one servo; raises `BusError`."""
+        answer = await self.read(number, register.address, register.size)
+        return self._family.unpack(register, answer.params, register.address)
+
+    async def model(self, number: int) -> int | None:
+        """Return a servo's model number, or ``None`` if it does not answer."""
+        try:
+            return await self.value(number, MODEL)
+        except (BusTimeout, FrameError):
+            return None
+
+    async def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
+        """Set registers of several servos at once, by id; nothing answers. Raises `BusError`."""
+        for request in sync_write(address, data):
+            await self._bus.send(request)
+
+    async def set_all(self, register: Register, values: Mapping[int, int]) -> dict[int, int]:
+        """Set a register of several servos and read it back, again where it was not taken.
+
+        Servos may be set up to answer to reads alone, and what answers to a write says only that it
+        came; so what counts is what they tell afterwards.
+
+        Args:
+            register: The register.
+            values: Its value by id.
+
+        Returns:
+            What servos that do not take it say instead, by id; empty: all have it.
+
+        Raises:
+            BusError: if the line fails.
+        """
+        left, told = dict(values), dict[int, int]()
+        for _ in range(_ATTEMPTS):
+            data = {number: self._family.pack(register, value) for number, value in left.items()}
+            await self.write_all(register.address, data)
+            told = {number: await self.value(number, register) for number in left}
+            left = {number: value for number, value in left.items() if told[number] != value}
+            if not left:
+                return {}
+        return {number: told[number] for number in left}

@@ -1,0 +1,183 @@
+"""Options of a line of Feetech servos in hand.yaml."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from rtee.drivers import servo_lines
+from rtee.drivers.feetech.codec import LARGEST_ID
+from rtee.drivers.feetech.table import BAUD_RATES, FAMILIES, LATENCY, FamilyName
+from rtee.drivers.options import DeviceOptions, Positive
+from rtee.drivers.servo_lines import check_line
+
+Gain = Annotated[int, Field(ge=0, le=254)]
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
+Points = Annotated[list[tuple[float, float]], Field(min_length=2)]
+
+
+class ServoOptions(servo_lines.ServoOptions):
+    """Options of one servo.
+
+    Attributes:
+        id: Its id on the line.
+        zero: Its position where its angle is 0; else the middle of its range.
+        p: Proportional gain; else that of the line.
+        i: Integral gain.
+        d: Derivative gain.
+        stall_torque: Largest torque at this supply [N·m]; else that of the line, or of the model.
+    """
+
+    id: Annotated[int, Field(ge=0, le=LARGEST_ID)]
+    zero: Annotated[float, Field(ge=0.0)] | None = None
+    p: Gain | None = None
+    i: Gain | None = None
+    d: Gain | None = None
+    stall_torque: Positive | None = None
+
+
+class PairOptions(BaseModel):
+    """Two servos that drive two actuators together.
+
+    Attributes:
+        servos: The servos, in the order of the rows of the matrix.
+        actuators: The actuators, in the order of its columns: flexion, then tilt.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    servos: tuple[str, str]
+    actuators: tuple[str, str]
+
+
+class DifferentialOptions(BaseModel):
+    """How pairs of servos drive pairs of actuators, the same for all pairs of the device.
+
+    The matrix gives the angles of the two servos from two coordinates: that of the flexion and that
+    of the tilt. Two curves give the actuators' positions from these, where they are not the same.
+
+    Attributes:
+        matrix: Rows of the servos, columns of flexion and tilt.
+        limit: Largest angle of a servo, both ways [rad]; the tilt gives way to it.
+        flexion: Points of coordinate and position of the flexion, rising [rad].
+        tilt: The same of the tilt, where the coordinate of the flexion is 0 [rad].
+        tilt_share: Points of the flexion's coordinate [rad] and the share of the tilt that is left.
+        pairs: The pairs by name.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    matrix: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 1.0), (-1.0, 1.0))
+    limit: Positive = math.pi / 2.0
+    flexion: Points = [(-1.0, -1.0), (1.0, 1.0)]
+    tilt: Points = [(-1.0, -1.0), (1.0, 1.0)]
+    tilt_share: Points = [(-1.0, 1.0), (1.0, 1.0)]
+    pairs: Annotated[dict[str, PairOptions], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        (a, b), (c, d) = self.matrix
+        if abs(a * d - b * c) < 1e-6 * max(abs(a * d), abs(b * c), 1e-9):
+            raise ValueError("the matrix cannot be inverted: its rows must not be alike")
+        for name in ("flexion", "tilt", "tilt_share"):
+            points: list[tuple[float, float]] = getattr(self, name)
+            steps = list(itertools.pairwise(points))
+            if any(there[0] <= here[0] for here, there in steps):
+                raise ValueError(f"the first numbers of the points of '{name}' must rise")
+            if name != "tilt_share" and any(there[1] <= here[1] for here, there in steps):
+                raise ValueError(f"the second numbers of the points of '{name}' must rise")
+        if any(share <= 0.0 for _, share in self.tilt_share):
+            raise ValueError("the shares of 'tilt_share' must be above 0")
+        return self
+
+
+class FeetechOptions(DeviceOptions):
+    """Options of a line of Feetech servos."""
+
+    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
+    baudrate: int = 1_000_000
+    family: FamilyName = Field(description="of all servos: their registers and byte order")
+    servos: dict[str, ServoOptions] = Field(
+        description="the servo of each actuator, by the actuator's name; those of pairs by any"
+    )
+    differential: DifferentialOptions | None = Field(
+        None, description="pairs of servos that drive two actuators together"
+    )
+    calibration: Path | None = Field(
+        None, description="file of a calibration (`rtee calibrate`); its zeros replace those above"
+    )
+    torque: Share | None = Field(
+        None, description="largest share of the stall torque; unless given, as the servos have it"
+    )
+    stall_torque: Positive | None = Field(
+        None, description="largest torque of each servo at this supply [N·m]"
+    )
+    torque_per_ampere: Positive | None = Field(
+        None, description="torque per current of each servo [N·m/A]"
+    )
+    p: Gain | None = Field(None, description="proportional gain; else as the servos have it")
+    i: Gain | None = Field(None, description="integral gain")
+    d: Gain | None = Field(None, description="derivative gain")
+    acceleration: Annotated[int, Field(ge=0, le=254)] | None = Field(
+        None, description="of STS, SMS and HLS [100 counts/s²], 0: the largest"
+    )
+    read: Literal["auto", "sync", "single"] = Field(
+        "auto", description="one request for all servos, or one for each; `auto`: by the family"
+    )
+    return_delay: Annotated[int, Field(ge=0, le=254)] | None = Field(
+        0, description="written, not stored, to servos that have another one [2 µs]; null: leave"
+    )
+    check_every: Annotated[int, Field(ge=1)] = Field(
+        10, description="after so many exchanges one servo is asked whether it still has torque"
+    )
+    outside: Positive = Field(
+        0.35, description="how far a joint may be outside its limits before its zero is doubted"
+    )
+    deadline: Positive = Field(0.1, description="for an exchange, beside its time on the line [s]")
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    turnaround: Annotated[float, Field(ge=0.0)] = Field(
+        LATENCY, description="time per answer that the bytes do not explain [s]"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        check_line(self.baudrate, BAUD_RATES, [servo.id for servo in self.servos.values()])
+        counts = FAMILIES[self.family].counts
+        for name, servo in self.servos.items():
+            if servo.zero is not None and servo.zero >= counts:
+                raise ValueError(
+                    f"servo '{name}': zero is a position from 0 to {counts - 1}, not {servo.zero:g}"
+                )
+        if self.differential is not None:
+            self._check_pairs(self.differential)
+        return self
+
+    def _check_pairs(self, differential: DifferentialOptions) -> None:
+        pairs = differential.pairs.values()
+        for what, named in (
+            ("servo", [name for pair in pairs for name in pair.servos]),
+            ("actuator", [name for pair in pairs for name in pair.actuators]),
+        ):
+            twice = sorted({name for name in named if named.count(name) > 1})
+            if twice:
+                raise ValueError(f"{what} '{twice[0]}' is in two pairs, or twice in one")
+        for pair in pairs:
+            for name in pair.servos:
+                if name not in self.servos:
+                    raise ValueError(f"a pair has servo '{name}', which 'servos' does not name")
+
+    @property
+    def paired(self) -> dict[str, str]:
+        """The actuator in whose place each servo of a pair stands, by the servo's name."""
+        if self.differential is None:
+            return {}
+        pairs = self.differential.pairs.values()
+        return {
+            servo: actuator
+            for pair in pairs
+            for servo, actuator in zip(pair.servos, pair.actuators, strict=True)
+        }

@@ -1,0 +1,283 @@
+"""One emulated Feetech servo: its registers, its motor, its protection."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rtee.drivers.axis import Axis
+from rtee.drivers.feetech import table
+from rtee.drivers.feetech.codec import Status
+from rtee.drivers.feetech.memory import Memory
+from rtee.drivers.feetech.table import FULL, MODELS, Family, Register
+from rtee.drivers.properties import Duration, Positive
+
+MIDDLE = 2048
+"""What the present position becomes where it is made the middle [counts]."""
+_MAKE_MIDDLE = 128  # value of the torque register that does so
+_FASTEST = {"scs": 1500.0, "sts": 3400.0, "sms": 3400.0, "hls": 3400.0}
+"""Speed of a free servo [counts/s]: what published programs command; no source gives more."""
+_FRICTION = 40.0  # load of a free servo that moves [0.1 %]; no source gives it
+_STIFFNESS = 2000.0  # load by angle between servo and goal [0.1 % per rad]; likewise
+_SPEED_MODE = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ServoProperties:
+    """Properties of an emulated servo.
+
+    Attributes:
+        model: Its model number; 0: the first known of its family.
+        start: Where it stands at power-up [counts]; negative: in the middle.
+        closing: Signed way from `start` to closed, as an object meets it [counts]; 0: a quarter
+            turn.
+        lower: Mechanical stop [counts].
+        upper: Mechanical stop [counts].
+        return_delay: As stored [2 µs].
+        level: Response level, as stored: 0 answers to reading alone.
+        limits: Least and greatest position, as stored [counts]; ``None``: from the factory.
+        phase: Phase bits, as stored; ``None``: from the factory.
+        offset: Position offset, as stored [counts].
+        unload: Which errors switch it off, as stored; ``None``: from the factory.
+        voltage: Its supply [V].
+        reboot_time: Silence after a reboot [s].
+        haste: How much faster than usual it moves.
+    """
+
+    model: int = 0
+    start: float = -1.0
+    closing: float = 0.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    return_delay: int = 0
+    level: int = 1
+    limits: tuple[int, int] | None = None
+    phase: int | None = None
+    offset: int = 0
+    unload: int | None = None
+    voltage: Positive = 6.0
+    reboot_time: Duration = 0.8
+    haste: Positive = 1.0
+
+
+class Servo:
+    """A servo's registers and what moves behind them.
+
+    Args:
+        family: Its family.
+        number: Its id.
+        properties: What it is like.
+
+    Attributes:
+        properties: See above.
+        axis: Its shaft, in counts of its encoder and 0.1 % of its largest torque.
+        get: Returns a register's value.
+        set: Sets a register, whatever it allows.
+        silent_until: It answers nothing before this time [s].
+        cause: Errors whose cause lasts.
+    """
+
+    def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
+        self.properties = properties
+        self._family = family
+        self.memory = Memory(family)
+        self.get, self.set = self.memory.get, self.memory.set
+        known = next(model for model, one in MODELS.items() if one.family == family.name)
+        stored: dict[Register, int | None] = {
+            table.FIRMWARE: int.from_bytes(b"\x03\x0a", family.order),
+            table.MODEL: properties.model or known,
+            table.ID: number,
+            table.RETURN_DELAY: properties.return_delay,
+            table.RESPONSE_LEVEL: properties.level,
+            table.PHASE: properties.phase,
+            table.UNLOAD: properties.unload,
+        }
+        if properties.limits is not None:
+            stored[table.MIN_ANGLE], stored[table.MAX_ANGLE] = properties.limits
+        if family.offset is not None:
+            stored[family.offset] = properties.offset
+        for register, value in stored.items():
+            if value is not None:
+                self.set(register, value)
+        self.memory.store()
+        start = family.center if properties.start < 0.0 else properties.start
+        self.axis = Axis(
+            start + properties.offset,
+            lower=properties.lower,
+            upper=properties.upper,
+            max_effort=float(FULL),
+            gain=_STIFFNESS * family.rad_per_count,
+            friction=_FRICTION,
+            resolution=0.5,
+        )
+        self.silent_until = -math.inf
+        self.cause = Status(0)
+        self._latched = Status(0)
+        self._strained: float | None = None
+        self._pending: tuple[int, bytes] | None = None
+        self._start()
+
+    # --- registers -----------------------------------------------------------------------------
+
+    @property
+    def number(self) -> int:
+        """Its id."""
+        return self.get(table.ID)
+
+    @property
+    def status(self) -> Status:
+        """What is wrong, as every reply tells it."""
+        return self.cause | self._latched
+
+    @property
+    def position(self) -> int:
+        """Present position as it reports it [counts]."""
+        position = round(self.axis.position) - self._offset
+        if self._turns:
+            return position
+        return min(max(position, 0), self._family.counts - 1)
+
+    @property
+    def _offset(self) -> int:
+        return 0 if self._family.offset is None else self.get(self._family.offset)
+
+    @property
+    def _turns(self) -> bool:
+        """Whether it counts turns, and has no limits of its position."""
+        return self.get(table.MIN_ANGLE) == self.get(table.MAX_ANGLE) == 0
+
+    def read(self, address: int, size: int) -> bytes | None:
+        """Return bytes of the table, or ``None`` beyond its end."""
+        self._report()
+        return self.memory.read(address, size)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write bytes as a host may, and act on them."""
+        touched = range(address, address + len(data))
+        self.memory.write(address, data)
+        if table.TORQUE.address in touched:
+            self._latched = Status(0)
+            if self.get(table.TORQUE) == _MAKE_MIDDLE and self._family.offset is not None:
+                self.make_present(MIDDLE)
+        if table.GOAL_POSITION.address in touched and not self.get(table.TORQUE):
+            # A goal switches the torque on: published programs never do that themselves.
+            self.set(table.TORQUE, int(not self.status & self.get(table.UNLOAD)))
+        self._act()
+
+    def hold_back(self, address: int, data: bytes) -> None:
+        """Keep bytes to be written by `action`."""
+        self._pending = address, data
+        self.set(table.PENDING, 1)
+
+    def action(self) -> None:
+        """Write what `hold_back` has kept."""
+        if self._pending is not None:
+            (address, data), self._pending = self._pending, None
+            self.set(table.PENDING, 0)
+            self.write(address, data)
+
+    def make_present(self, position: int) -> None:
+        """Choose the offset with which the present position is this one, and switch off."""
+        if self._family.offset is not None:
+            self.set(self._family.offset, round(self.axis.position) - position)
+            self.memory.store()
+        self.set(table.TORQUE, 0)
+        self._act()
+
+    # --- life ----------------------------------------------------------------------------------
+
+    def reboot(self, now: float) -> None:
+        """Restart: what is not stored is lost; no torque."""
+        self.silent_until = now + self.properties.reboot_time
+        self._pending = None
+        self.memory.power_cycle()
+        self._start()
+
+    def _start(self) -> None:
+        self._latched, self._strained = Status(0), None
+        self.set(table.GOAL_POSITION, self.position)
+        if self._family.limits_torque == "share":
+            self.set(table.TORQUE_LIMIT, self.get(table.MAX_TORQUE))
+        elif self._family.limits_torque == "current":
+            self.set(table.GOAL_TIME, self.get(table.PROTECTION_CURRENT))
+        self._act()
+
+    def fail(self, error: Status) -> None:
+        """Have an error whose cause lasts; where its mask says so, the torque goes."""
+        self.cause |= error
+        self._unload(error)
+
+    def _unload(self, error: Status) -> None:
+        if error & self.get(table.UNLOAD):
+            self.set(table.TORQUE, 0)
+        self._act()
+
+    # --- motion --------------------------------------------------------------------------------
+
+    def step(self, now: float) -> None:
+        """Let time pass up to ``now`` [s]."""
+        self.axis.step(now)
+        if self.axis.temperature > self.get(table.MAX_TEMPERATURE):
+            self._latched |= Status.OVERHEATING
+            self._unload(Status.OVERHEATING)
+        self._watch_load(now)
+
+    def _watch_load(self, now: float) -> None:
+        if self._family.protection is None or Status.OVERLOAD in self._latched:
+            return
+        _, lasting, most = (self.get(Register(at, 1)) for at in self._family.protection)
+        # Both in percent and in the register's unit of time.
+        if abs(self.axis.effort) <= most * FULL / 100 or not most:
+            self._strained = None
+        elif self._strained is None:
+            self._strained = now
+        elif now - self._strained > lasting * self._family.torque_time:
+            self._strained = None
+            self._latched |= Status.OVERLOAD
+            self._unload(Status.OVERLOAD)
+
+    def _act(self) -> None:
+        """Apply the registers to the shaft."""
+        axis = self.axis
+        axis.rating, axis.max_effort = float(FULL), float(self._strongest())
+        axis.enabled = self.get(table.TORQUE) == 1 and axis.max_effort > _FRICTION
+        unit = self._family.speed_unit(self.get(table.PHASE)) / self._family.rad_per_count
+        asked = self.get(table.GOAL_SPEED)
+        fastest = _FASTEST[self._family.name] * self.properties.haste
+        axis.max_velocity = min(abs(asked) * unit, fastest) if asked else fastest
+        if self._family.offset is not None and self.get(table.MODE) == _SPEED_MODE:
+            axis.target = math.copysign(1e9, asked) if asked else axis.position
+        elif self._turns and self._family.offset is None:
+            axis.target = axis.position  # it turns without end; nothing here asks it to
+        else:
+            goal = self.get(table.GOAL_POSITION)
+            low, high = self.get(table.MIN_ANGLE), self.get(table.MAX_ANGLE)
+            axis.target = float((min(max(goal, low), high) if low < high else goal) + self._offset)
+
+    def _strongest(self) -> float:
+        """Return the largest torque [0.1 %] that limits and protection leave."""
+        most = float(self.get(table.MAX_TORQUE))
+        if self._family.limits_torque == "share":
+            most = min(most, float(self.get(table.TORQUE_LIMIT)))
+        elif self._family.limits_torque == "current":
+            current, full = self.get(table.GOAL_TIME), self.get(table.PROTECTION_CURRENT)
+            most = min(current / full, 1.0) * FULL
+        if Status.OVERLOAD in self._latched and self._family.protection is not None:
+            protective = self.get(Register(self._family.protection[0], 1))
+            most = min(most, protective * FULL / 100)
+        return most
+
+    def _report(self) -> None:
+        """Update the registers that report the state."""
+        axis, family = self.axis, self._family
+        unit = family.speed_unit(self.get(table.PHASE)) / family.rad_per_count
+        self.set(table.PRESENT_POSITION, self.position)
+        self.set(table.PRESENT_SPEED, round(axis.velocity / unit))
+        self.set(table.PRESENT_LOAD, round(axis.effort))
+        self.set(table.PRESENT_VOLTAGE, round(self.properties.voltage / table.VOLTAGE_UNIT))
+        self.set(table.PRESENT_TEMPERATURE, min(round(axis.temperature), 255))
+        self.set(table.STATUS, self.status)
+        self.set(table.MOVING, int(axis.velocity != 0.0))
+        if family.has_current:
+            full = self.get(table.PROTECTION_CURRENT)
+            self.set(table.PRESENT_CURRENT, round(axis.effort / FULL * full))

@@ -1,0 +1,209 @@
+"""Prepare servos before they are driven: present, as expected, set up, powered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from rtee.drivers.feetech import table
+from rtee.drivers.feetech.codec import Status
+from rtee.drivers.feetech.identity import recognise
+from rtee.drivers.feetech.link import FeetechLink
+from rtee.drivers.feetech.options import FeetechOptions, ServoOptions
+from rtee.drivers.feetech.table import FULL, MODELS, RAM, Family, Register, model_name
+from rtee.drivers.servo_lines import check_present
+from rtee.errors import DeviceFault, HandshakeError
+
+POWERED = 1
+"""Value of the torque register that lets a servo drive; 2 damps, 0 leaves it limp."""
+TORQUE_LOST = 0x100
+"""Code of the driver's own fault, above the bits of the status."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A servo as it was found.
+
+    Attributes:
+        id: Its id.
+        model: Its model number.
+        firmware: Its firmware's version.
+        phase: Its phase bits; 0 where they have another meaning.
+        offset: Its position offset [counts].
+        mode: Its operating mode; 0: position.
+        return_delay: Its return delay [2 µs].
+        limits: Its least and greatest position [counts]; both 0: it counts turns.
+        most: Its largest torque [0.1 %], or current [6.5 mA] (HLS).
+        gains: Its P, I and D.
+        powered: Whether it drives.
+    """
+
+    id: int
+    model: int
+    firmware: str
+    phase: int
+    offset: int
+    mode: int
+    return_delay: int
+    limits: tuple[int, int]
+    most: int
+    gains: tuple[int, int, int]
+    powered: bool
+
+    @classmethod
+    def from_table(cls, family: Family, number: int, data: bytes, powered: bool) -> Found:
+        """Read it from the registers that survive a power cycle."""
+
+        def get(register: Register) -> int:
+            return family.unpack(register, data)
+
+        limited = family.limits_torque == "current"
+        return cls(
+            number,
+            get(table.MODEL),
+            f"{data[0]}.{data[1]}",
+            0 if family.offset is None else get(table.PHASE),
+            0 if family.offset is None else get(family.offset),
+            0 if family.offset is None else get(table.MODE),
+            # To HLS servos the register is a second id, which cannot be read.
+            0 if limited else get(table.RETURN_DELAY),
+            (get(table.MIN_ANGLE), get(table.MAX_ANGLE)),
+            get(table.PROTECTION_CURRENT if limited else table.MAX_TORQUE),
+            (get(table.P), get(table.I), get(table.D)),
+            powered,
+        )
+
+
+async def find(
+    link: FeetechLink, family: Family, device: str, servos: Mapping[str, ServoOptions], port: str
+) -> dict[int, Found]:
+    """Return all servos as they are found, by id; writes nothing.
+
+    Raises:
+        NotConnected: if none answers.
+        HandshakeError: if some are missing, or not what is expected.
+        BusError: if the line fails.
+    """
+    models = {servo.id: await link.model(servo.id) for servo in servos.values()}
+    expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
+    check_present(device, port, expected, models, model_name)
+    for name, servo in servos.items():
+        number = models[servo.id]
+        known = None if number is None else MODELS.get(number)
+        if servo.model is None and (known is None or known.family != family.name):
+            raise HandshakeError(
+                device,
+                f"an {family.name.upper()} servo as {servo.id} ({name})",
+                _found(family.pack(table.MODEL, number or 0)),
+                hint="is `family` right? If it has the same registers, say so by 'model'",
+            )
+    found = {}
+    for number in models:
+        registers = await link.read(number, 0, RAM)
+        powered = await link.value(number, table.TORQUE) == POWERED
+        found[number] = Found.from_table(family, number, registers.params, powered)
+    for name, servo in servos.items():
+        if found[servo.id].limits == (0, 0) and family.offset is None:
+            raise HandshakeError(
+                device,
+                f"servo {servo.id} ({name}) with limits of its position",
+                "limits of 0 and 0, with which it turns without end",
+                hint="give it its limits back; from the factory they are 20 and 1003",
+            )
+    return found
+
+
+def _found(data: bytes) -> str:
+    """Return what the bytes of a model number tell, also of another family."""
+    one = recognise(data)
+    return (
+        f"model {data.hex(' ').upper()}" if one is None else f"{one.name}, of family {one.family}"
+    )
+
+
+async def prepare(
+    link: FeetechLink,
+    family: Family,
+    options: FeetechOptions,
+    found: Mapping[int, Found],
+) -> None:
+    """Set up servos without torque; nothing of it survives a power cycle.
+
+    Args:
+        link: The line.
+        family: The servos' family.
+        options: How they are to be set.
+        found: The servos without torque, by id.
+
+    Raises:
+        BusError: if the line fails.
+    """
+    if not found:
+        return
+    # Locked, they take settings without storing them: their memory does not wear out.
+    await link.set_all(family.lock, dict.fromkeys(found, 1))
+    for register, wanted, present in _settings(family, options, found):
+        # Only what differs: each is written and read back one by one.
+        await link.set_all(register, {n: v for n, v in wanted.items() if v != present[n]})
+    if options.acceleration is not None and family.offset is not None:
+        await link.set_all(table.ACCELERATION, dict.fromkeys(found, options.acceleration))
+
+
+def _settings(
+    family: Family, options: FeetechOptions, found: Mapping[int, Found]
+) -> Iterator[tuple[Register, Mapping[int, int], Mapping[int, int]]]:
+    """Yield registers with their values by id: those wanted, and those found."""
+    servos = {servo.id: servo for servo in options.servos.values() if servo.id in found}
+    for i, (register, own, common) in enumerate(
+        (
+            (table.P, {n: servo.p for n, servo in servos.items()}, options.p),
+            (table.I, {n: servo.i for n, servo in servos.items()}, options.i),
+            (table.D, {n: servo.d for n, servo in servos.items()}, options.d),
+        )
+    ):
+        given = {n: common if gain is None else gain for n, gain in own.items()}
+        wanted = {n: gain for n, gain in given.items() if gain is not None}
+        yield register, wanted, {n: servo.gains[i] for n, servo in found.items()}
+    # The register of the delay means something else to HLS servos.
+    if options.return_delay is not None and family.name != "hls":
+        delays = {n: servo.return_delay for n, servo in found.items()}
+        yield table.RETURN_DELAY, dict.fromkeys(found, options.return_delay), delays
+    if family.offset is not None:
+        yield table.MODE, dict.fromkeys(found, 0), {n: servo.mode for n, servo in found.items()}
+    if options.torque is not None and not family.limits_torque:
+        most = round(options.torque * FULL)
+        yield table.MAX_TORQUE, dict.fromkeys(found, most), {n: s.most for n, s in found.items()}
+
+
+def refuse(device: str, names: Mapping[int, str], statuses: Mapping[int, Status]) -> None:
+    """Raise the `DeviceFault` that servos report, if any.
+
+    Args:
+        device: The device's name.
+        names: The servos' names by id.
+        statuses: Their status by id.
+    """
+    problems, code = [], 0
+    for number, status in statuses.items():
+        if status:
+            code |= status
+            words = ", ".join(bit.name.lower() for bit in status if bit.name)
+            problems.append(f"{words} in servo {number} ({names[number]})")
+    if problems:
+        raise DeviceFault(
+            device,
+            code,
+            "; ".join(problems),
+            hint="free the hand and check its supply, then `rtee recover` powers it again",
+        )
+
+
+def lost(device: str, names: Mapping[int, str], numbers: Sequence[int]) -> DeviceFault:
+    """Return the fault of servos that ought to drive and do not."""
+    named = ", ".join(f"{n} ({names[n]})" for n in numbers)
+    return DeviceFault(
+        device,
+        TORQUE_LOST,
+        f"torque lost: servo {named}",
+        hint="the supply was cut, or the servo has switched off; `rtee recover` powers it again",
+    )

@@ -1,0 +1,262 @@
+"""The families of Feetech's serial bus servos: their registers, byte orders and units.
+
+Signed words are a sign bit and a magnitude, never two's complement.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+from rtee.drivers.feetech.codec import Status
+
+FamilyName = Literal["scs", "sts", "sms", "hls"]
+
+BAUD_RATES: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+"""Rate of the line by the value of its register [baud], in the vendor's order."""
+LATENCY = 1e-3
+"""Latency of a USB adapter, per read [s]: an FTDI chip's timer at its shortest."""
+DELAY_UNIT = 2e-6
+"""Time per count of the return delay [s]."""
+CURRENT_UNIT = 6.5e-3
+"""Current per count [A]."""
+VOLTAGE_UNIT = 0.1
+"""Voltage per count [V]."""
+FULL = 1000
+"""Counts of full torque, of full load and of the torque limit: 0.1 % each."""
+RAM = 40
+"""First address that does not survive a power cycle."""
+END = 80
+"""First address behind the table; the factory's own registers follow."""
+_RPM = 2.0 * math.pi / 60.0
+
+
+class Register(NamedTuple):
+    """A value in the table.
+
+    Attributes:
+        address: Its first byte.
+        size: Its bytes.
+        sign: Number of its sign bit; ``None``: it has none.
+    """
+
+    address: int
+    size: int
+    sign: int | None = None
+
+
+FIRMWARE = Register(0, 2)
+ORDER = Register(2, 1)
+MODEL = Register(3, 2)
+ID = Register(5, 1)
+BAUD_RATE = Register(6, 1)
+RETURN_DELAY = Register(7, 1)
+RESPONSE_LEVEL = Register(8, 1)
+MIN_ANGLE = Register(9, 2)
+MAX_ANGLE = Register(11, 2)
+MAX_TEMPERATURE = Register(13, 1)
+MAX_VOLTAGE = Register(14, 1)
+MIN_VOLTAGE = Register(15, 1)
+MAX_TORQUE = Register(16, 2)
+PHASE = Register(18, 1)
+UNLOAD = Register(19, 1)
+P = Register(21, 1)
+D = Register(22, 1)
+I = Register(23, 1)  # noqa: E741 - the gain's usual letter
+PROTECTION_CURRENT = Register(28, 2)
+MODE = Register(33, 1)
+TORQUE = Register(40, 1)
+ACCELERATION = Register(41, 1)
+GOAL_POSITION = Register(42, 2, 15)
+GOAL_TIME = Register(44, 2)
+GOAL_SPEED = Register(46, 2, 15)
+TORQUE_LIMIT = Register(48, 2)
+PRESENT_POSITION = Register(56, 2, 15)
+PRESENT_SPEED = Register(58, 2, 15)
+PRESENT_LOAD = Register(60, 2, 10)
+PRESENT_VOLTAGE = Register(62, 1)
+PRESENT_TEMPERATURE = Register(63, 1)
+PENDING = Register(64, 1)
+STATUS = Register(65, 1)
+MOVING = Register(66, 1)
+PRESENT_CURRENT = Register(69, 2, 15)
+
+SLOW_UNIT = 0x04
+"""Bit of the phase register (STS, SMS) that is set where speeds count in steps per second."""
+REVERSE = 0x81
+"""Its bits that turn the sense of rotation."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """What servos of a family have in common.
+
+    Attributes:
+        name: Its name in hand.yaml.
+        order: Order of the bytes of a word.
+        counts: Positions in their range.
+        span: Angle that these cover [rad].
+        center: Position in the middle of the range.
+        lock: The register that keeps settings from being stored.
+        offset: The position offset; ``None``: they have none.
+        state: Bytes from the present position on that tell the state.
+        sync_read: Whether they answer to a sync read.
+        torque_time: Seconds of the overload's protection per count of its register.
+        protection: Addresses of protective torque, protection time and overload torque; ``None``:
+            they have no such protection.
+    """
+
+    name: FamilyName
+    order: Literal["big", "little"]
+    counts: int
+    span: float
+    center: int
+    lock: Register
+    offset: Register | None
+    state: int
+    sync_read: bool
+    torque_time: float = 0.01
+    protection: tuple[int, int, int] | None = (34, 35, 36)
+
+    @property
+    def rad_per_count(self) -> float:
+        """Angle per position [rad]."""
+        return self.span / self.counts
+
+    @property
+    def has_current(self) -> bool:
+        """Whether the state ends with the current."""
+        return self.state > PRESENT_CURRENT.address - PRESENT_POSITION.address
+
+    @property
+    def limits_torque(self) -> Literal["", "share", "current"]:
+        """How the torque is limited while they run: not at all, by its share, by a current."""
+        if self.name == "hls":
+            return "current"
+        return "" if self.name == "scs" else "share"
+
+    def pack(self, register: Register, value: int) -> bytes:
+        """Return a value as the bytes of its register."""
+        if value < 0 and register.sign is not None:
+            value = 1 << register.sign | -value
+        return int(value).to_bytes(register.size, self.order)
+
+    def unpack(self, register: Register, data: bytes, start: int = 0) -> int:
+        """Return the value of a register in a table of which ``data`` begins at ``start``."""
+        at = register.address - start
+        value = int.from_bytes(data[at : at + register.size], self.order)
+        sign = 0 if register.sign is None else 1 << register.sign
+        return sign - value if value & sign else value
+
+    def speed_unit(self, phase: int) -> float:
+        """Return the angle per second of a speed count [rad/s], from the phase register."""
+        if self.name == "hls" or (self.name in ("sts", "sms") and not phase & SLOW_UNIT):
+            return 0.732 * _RPM
+        return self.rad_per_count
+
+
+_TURN = 2.0 * math.pi
+
+FAMILIES: Final[dict[FamilyName, Family]] = {
+    "scs": Family(
+        "scs", "big", 1024, math.radians(300.0), 511, Register(48, 1), None, 11, False,
+        torque_time=0.04, protection=(37, 38, 39),
+    ),
+    "sts": Family(
+        "sts", "little", 4096, _TURN, 2048, Register(55, 1), Register(31, 2, 11), 15, True
+    ),
+    "sms": Family(
+        "sms", "little", 4096, _TURN, 2048, Register(55, 1), Register(31, 2, 11), 15, True
+    ),
+    "hls": Family(
+        "hls", "little", 4096, _TURN, 2048, Register(55, 1), Register(31, 2, 15), 15, True,
+        protection=None,
+    ),
+}  # fmt: skip
+"""The families by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A model that is known.
+
+    Attributes:
+        name: Its name.
+        family: Its family.
+        stall_torque: Largest torque at its rated voltage [N·m]; ``NaN``: several are sold under
+            the number.
+    """
+
+    name: str
+    family: FamilyName
+    stall_torque: float = math.nan
+
+
+MODELS: Final[dict[int, Model]] = {
+    # 2.3 kg·cm at 6 V
+    1284: Model("SCS0009", "scs", 0.23),
+    777: Model("STS3215", "sts"),
+    2825: Model("STS3250", "sts"),
+    11272: Model("SM8512BL", "sms"),
+    4106: Model("HLS3930", "hls"),
+    6922: Model("HLS3915", "hls"),
+    5130: Model("HLS3915", "hls"),
+}
+"""Models by number, read in the order of bytes of their family."""
+
+
+def model_name(number: int | None) -> str:
+    """Return what a model is called."""
+    if number is None:
+        return "unknown"
+    return MODELS[number].name if number in MODELS else f"model {number}"
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """What a servo measures, in its own counts.
+
+    Attributes:
+        position: Present position.
+        speed: Present speed.
+        load: Share of the full voltage that the motor gets [0.1 %].
+        voltage: Supply [0.1 V].
+        temperature: [°C].
+        moving: Whether it moves.
+        current: [6.5 mA]; 0 where it measures none.
+        status: What is wrong.
+    """
+
+    position: int
+    speed: int
+    load: int
+    voltage: int
+    temperature: int
+    moving: bool
+    current: int
+    status: Status
+
+    @classmethod
+    def from_bytes(cls, family: Family, data: bytes, status: int = 0) -> State:
+        """Read it from the registers from the present position on.
+
+        Args:
+            family: Whose registers these are.
+            data: So many bytes as the family's `Family.state` says.
+            status: Status of the reply that brought them.
+        """
+
+        def get(register: Register) -> int:
+            return family.unpack(register, data, PRESENT_POSITION.address)
+
+        return cls(
+            get(PRESENT_POSITION),
+            get(PRESENT_SPEED),
+            get(PRESENT_LOAD),
+            get(PRESENT_VOLTAGE),
+            get(PRESENT_TEMPERATURE),
+            bool(get(MOVING) & 1),
+            get(PRESENT_CURRENT) if family.has_current else 0,
+            Status(status & 0x2F),
+        )

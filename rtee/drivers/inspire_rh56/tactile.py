@@ -1,0 +1,137 @@
+"""The taxels of an RH56DFTP: which there are, where they stand in its registers, reading them.
+
+Source: the map of registers as a published client quotes the maker's manual. Values step by two in
+their addresses, as all of the hand's do, and one request may read at most 125 of them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtee.drivers.inspire_rh56.link import Rh56Link
+from rtee.sample import FloatArray
+from rtee.touch import TouchReading, TouchSensor
+
+FIRST: Final = 3000
+LAST: Final = 5124
+"""Addresses of the first register with a taxel, and behind the last one."""
+
+FULL: Final = 4095
+"""Largest value of a taxel; its unit is not published."""
+
+_FINGER: Final = 370  # registers' addresses from finger to finger
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """An array of taxels.
+
+    Attributes:
+        name: Its name.
+        address: Its first register.
+        grid: Rows and columns.
+    """
+
+    name: str
+    address: int
+    grid: tuple[int, int]
+
+    @property
+    def taxels(self) -> int:
+        """Number of its taxels."""
+        return self.grid[0] * self.grid[1]
+
+
+def _areas() -> tuple[Area, ...]:
+    found = []
+    for number, finger in enumerate(("little", "ring", "middle", "index")):
+        start = FIRST + _FINGER * number
+        found += [
+            Area(f"{finger}_tip", start, (3, 3)),
+            Area(f"{finger}_top", start + 18, (12, 8)),
+            Area(f"{finger}_pad", start + 210, (10, 8)),
+        ]
+    found += [
+        Area("thumb_tip", 4480, (3, 3)),
+        Area("thumb_top", 4498, (12, 8)),
+        Area("thumb_middle", 4690, (3, 3)),
+        Area("thumb_pad", 4708, (12, 8)),
+        Area("palm", 4900, (8, 14)),
+    ]
+    return tuple(found)
+
+
+AREAS: Final = _areas()
+"""All arrays of taxels, in the order of their registers."""
+
+_MOST = 125  # values of one request, a limit of Modbus
+
+
+def sensors(areas: Sequence[Area]) -> tuple[TouchSensor, ...]:
+    """Return areas as touch sensors."""
+    return tuple(
+        TouchSensor(area.name, area.taxels, "counts", float(FULL), grid=area.grid) for area in areas
+    )
+
+
+def blocks(areas: Sequence[Area]) -> tuple[tuple[int, int], ...]:
+    """Return the address and the number of values of each request that reads some areas.
+
+    Areas that follow each other are read together, as far as one request goes.
+    """
+    found: list[tuple[int, int]] = []
+    for area in areas:
+        if found:
+            start, count = found[-1]
+            if start + 2 * count == area.address and count + area.taxels <= _MOST:
+                found[-1] = start, count + area.taxels
+                continue
+        found.append((area.address, area.taxels))
+    return tuple(found)
+
+
+class TactileReader:
+    """Reads taxels by turns, one request at a time, so that the motors' cycle stays short.
+
+    Args:
+        areas: The areas to read.
+
+    Attributes:
+        blocks: Address and number of values of each request.
+    """
+
+    def __init__(self, areas: Sequence[Area]) -> None:
+        self.blocks = blocks(areas)
+        self._values: FloatArray = np.full(sum(area.taxels for area in areas), math.nan)
+        self._stamps = [-math.inf] * len(self.blocks)
+        self._turn = 0
+
+    @property
+    def largest(self) -> int:
+        """Bytes of the largest request's answer."""
+        return max(2 * count for _, count in self.blocks)
+
+    async def read(self, link: Rh56Link) -> TouchReading | None:
+        """Read the next part; return all taxels once each has been read; raises `BusError`.
+
+        What is no value of a taxel is ``NaN``.
+        """
+        turn = self._turn
+        address, count = self.blocks[turn]
+        stamp = time.monotonic()
+        data = await link.read(address, 2 * count)
+        raw = np.frombuffer(data, dtype="<u2").astype(np.float64)
+        begin = sum(n for _, n in self.blocks[:turn])
+        # A copy: what was handed over must not change.
+        self._values = self._values.copy()
+        self._values[begin : begin + count] = np.where(raw <= FULL, raw, math.nan)
+        self._stamps[turn] = stamp
+        self._turn = (turn + 1) % len(self.blocks)
+        oldest = min(self._stamps)
+        return TouchReading(self._values, oldest) if math.isfinite(oldest) else None

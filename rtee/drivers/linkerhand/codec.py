@@ -1,0 +1,220 @@
+"""The LinkerHands' registers, CAN properties, fault codes and version block; no I/O.
+
+Sources: register numbers, CAN properties and ranges as the maker's Python SDK uses them, for the O6
+also an independent client. Every register and every byte on CAN holds one value from 0 to 255.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import ClassVar, Self
+
+from rtee.buses.emulator import CanFrame
+
+RIGHT, LEFT = 0x27, 0x28
+"""Modbus number, and identifier on CAN, of a right and of a left hand."""
+BAUDRATE = 115_200  # of RS-485 [baud]; the hands have no other
+BITRATE = 1_000_000  # of CAN [bit/s]
+MOST = 255
+"""Largest value of a register."""
+VERSION_COUNT = 6
+"""Registers of the version block."""
+
+
+class LinkerFrameError(ValueError):
+    """Values that no LinkerHand gives."""
+
+
+class Fault(IntEnum):
+    """A motor's fault code."""
+
+    NONE = 0
+    OVER_CURRENT = 1
+    OVER_TEMPERATURE = 2
+    ENCODER = 3
+    SUPPLY = 4
+
+
+FAULT_NAMES: Mapping[int, str] = {
+    Fault.OVER_CURRENT: "over-current",
+    Fault.OVER_TEMPERATURE: "over-temperature",
+    Fault.ENCODER: "encoder error",
+    Fault.SUPPLY: "supply too high or too low",
+}
+"""Names of the fault codes, as the maker's interface document has them."""
+
+
+class Table(IntEnum):
+    """What there is one value of for each motor."""
+
+    POSITION = 0
+    TORQUE = 1
+    SPEED = 2
+    TEMPERATURE = 3
+    FAULT = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A kind of hand.
+
+    Attributes:
+        name: Its name.
+        motors: Its motors, in the order of every table.
+        ranges: Positions that the maker's SDK takes a value of 255 and of 0 for [rad].
+        registers: First input register of each table; those to be written have the same numbers.
+        version: First register of its version block.
+        properties: CAN properties of each table in the order of its values, with their number.
+        spacing: Silence that the maker's SDK leaves between two frames on RS-485 [s].
+        joint_write: Positions, torques and speeds may be written in one frame.
+    """
+
+    name: str
+    motors: tuple[str, ...]
+    ranges: tuple[tuple[float, float], ...]
+    registers: Mapping[Table, int]
+    version: int
+    properties: Mapping[Table, tuple[tuple[int, int], ...]]
+    spacing: float
+    joint_write: bool
+
+    @property
+    def count(self) -> int:
+        """Number of its motors."""
+        return len(self.motors)
+
+
+O6 = Model(
+    "O6",
+    ("thumb_bend", "thumb_yaw", "index", "middle", "ring", "little"),
+    ((0.0, 0.58), (0.0, 1.36), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60)),
+    {
+        Table.POSITION: 0,
+        Table.TORQUE: 6,
+        Table.SPEED: 12,
+        Table.TEMPERATURE: 18,
+        Table.FAULT: 24,
+    },
+    30,
+    {
+        Table.POSITION: ((0x01, 6),),
+        Table.TORQUE: ((0x02, 6),),
+        Table.SPEED: ((0x05, 6),),
+        Table.TEMPERATURE: ((0x33, 6),),
+        Table.FAULT: ((0x35, 6),),
+    },
+    spacing=0.030,
+    joint_write=True,
+)
+L10 = Model(
+    "L10",
+    # The maker's lists swap the names of the second and the last; by their ranges the second turns
+    # the thumb in front of the palm.
+    (
+        "thumb_bend", "thumb_yaw", "index", "middle", "ring", "little",
+        "index_roll", "ring_roll", "little_roll", "thumb_roll",
+    ),
+    (
+        (0.0, 0.75), (0.0, 1.43), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62),
+        (0.21, -0.26), (0.21, 0.0), (0.34, 0.0), (-0.52, 1.01),
+    ),
+    {
+        Table.POSITION: 0,
+        Table.TORQUE: 10,
+        Table.SPEED: 20,
+        Table.TEMPERATURE: 40,
+        Table.FAULT: 50,
+    },
+    158,
+    {
+        # The SDK sends the second part of the positions first.
+        Table.POSITION: ((0x01, 6), (0x04, 4)),
+        Table.TORQUE: ((0x02, 5), (0x03, 5)),
+        Table.SPEED: ((0x05, 5), (0x06, 5)),
+        Table.TEMPERATURE: ((0x33, 5), (0x34, 5)),
+        Table.FAULT: ((0x35, 5), (0x36, 5)),
+    },
+    spacing=0.005,
+    joint_write=False,
+)  # fmt: skip
+MODELS: Mapping[str, Model] = {"o6": O6, "l10": L10}
+"""The hands by their name in hand.yaml."""
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """What a hand says about itself.
+
+    Attributes:
+        motors: Number of its degrees of freedom.
+        hand: Version of the hand.
+        serial: Serial number or lot.
+        side: ``R`` or ``L``.
+        software: Version of its software, major and minor in a nibble each.
+        hardware: The same of its hardware.
+    """
+
+    SIDES: ClassVar[Mapping[int, str]] = {82: "R", 76: "L"}
+
+    motors: int
+    hand: int
+    serial: int
+    side: str
+    software: int
+    hardware: int
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int]) -> Self:
+        """Read it from the version block.
+
+        Raises:
+            LinkerFrameError: if it has not six registers, or names no side.
+        """
+        if len(registers) != VERSION_COUNT:
+            raise LinkerFrameError(f"{len(registers)} registers are no version block")
+        motors, hand, serial, side, software, hardware = registers
+        if side not in cls.SIDES:
+            raise LinkerFrameError(f"no side of a hand: {side}")
+        return cls(motors, hand, serial, cls.SIDES[side], software, hardware)
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the version block."""
+        side = {letter: code for code, letter in self.SIDES.items()}[self.side]
+        return (self.motors, self.hand, self.serial, side, self.software, self.hardware)
+
+
+def dotted(version: int) -> str:
+    """Return a version of two nibbles as text."""
+    return f"{version >> 4 & 0xF}.{version & 0xF}"
+
+
+def checked(registers: Sequence[int], count: int) -> tuple[int, ...]:
+    """Return the values of a table.
+
+    Raises:
+        LinkerFrameError: if there is another number of them, or one is above 255.
+    """
+    if len(registers) != count or not all(0 <= value <= MOST for value in registers):
+        raise LinkerFrameError(f"no {count} values of a LinkerHand: {list(registers)}")
+    return tuple(registers)
+
+
+# --- CAN -----------------------------------------------------------------------------------------
+
+
+def query(unit: int, code: int) -> CanFrame:
+    """Return the frame that asks a hand for a property."""
+    return CanFrame(unit, bytes([code]))
+
+
+def told(unit: int, code: int, values: Sequence[int]) -> CanFrame:
+    """Return the frame by which a property is set, and by which the hand tells it."""
+    return CanFrame(unit, bytes((code, *values)))
+
+
+def answers(frame: CanFrame, unit: int, code: int, count: int) -> bool:
+    """Return whether a frame tells a property with so many values, or more."""
+    fits = frame.id == unit and not (frame.remote or frame.extended)
+    return fits and len(frame.data) > count and frame.data[0] == code

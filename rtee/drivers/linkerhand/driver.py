@@ -1,0 +1,298 @@
+"""Drives a LinkerHand O6 or L10: over Modbus RTU, or on CAN."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from rtee.buses.modbus import ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.linkerhand.codec import (
+    BAUDRATE,
+    FAULT_NAMES,
+    MOST,
+    Fault,
+    Table,
+    Version,
+    dotted,
+)
+from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
+from rtee.drivers.linkerhand.options import LinkerHandOptions, motors_of, scales_of
+from rtee.drivers.options import read_options
+from rtee.errors import (
+    BusTimeout,
+    CommandRejected,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+    RteeError,
+)
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import DeviceSpec, Reference
+
+_SHORT = 6
+"""A motor that rests further from its set-point than this presses on something [counts]: 2 % of the
+way, more than what a reference at rest is missed by."""
+_RESTING = 0.2
+"""Time for which it must have rested [s]: three readings of the slowest hand."""
+
+
+class LinkerHandDriver(Driver):
+    """A LinkerHand O6 or L10.
+
+    A cycle reads the positions and writes the set-points that changed; faults and temperatures are
+    read now and then, each in the place of nothing else. The hand has no switch for its motors and
+    tells neither efforts nor contacts: a motor that rests short of its set-point counts as holding
+    something.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = LinkerHandOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = options = read_options(LinkerHandOptions, spec)
+        self._model = options.kind
+        self._motors = motors_of(spec, options)
+        self._scales = scales_of(spec, options, self._motors)
+        self.connection: Connection[LinkerLink] = Connection(spec)
+        self._attached = Attached(spec.actuators)
+        self._here: FloatArray = np.full(len(self._motors), math.nan)
+        self._counts: tuple[int, ...] = ()
+        self._targets: list[int] | None = None
+        self._torques: list[int] | None = None
+        self._speeds: list[int] | None = None
+        self._temperatures: tuple[int, ...] = ()
+        self._turn = 0
+        self._moved = [0.0] * self._model.count
+        self.capabilities = Capabilities(
+            measures=frozenset({"position", "temperature", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            recoverable=True,
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the bus and see which hand answers; moves nothing."""
+        options = self.options
+        self._targets = self._torques = self._speeds = None
+        link = await self._open()
+        version: Version | None = None
+        try:
+            with link.unhurried():
+                version = await link.version()
+                self._temperatures = await link.read(Table.TEMPERATURE)
+                self._keep(await link.read(Table.POSITION))
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no LinkerHand {self._model.name} answers as unit {options.unit} on "
+                f"{options.where}",
+                hint="check supply, wires, `model` and `unit`: 39 is a right hand, 40 a left one; "
+                "one that stays silent wants its supply cut",
+            ) from error
+        except ModbusRefusal as error:
+            raise self._another(str(error)) from error
+        if version is not None and options.check_model and version.motors != self._model.count:
+            raise self._another(f"one with {version.motors} motors")
+        best = 1.0 / link.cycle_time()
+        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
+        every = self.spec.every or math.ceil(self.spec.rate / best)
+        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        self.capabilities = replace(
+            self.capabilities, best_rate=best, identity=self._identity(version)
+        )
+
+    def _another(self, what: str) -> HandshakeError:
+        return HandshakeError(
+            self.spec.name,
+            f"a LinkerHand {self._model.name}",
+            f"another device ({what})",
+            hint="check `model` and `unit`",
+        )
+
+    def _identity(self, version: Version | None) -> dict[str, str]:
+        found = {"model": f"LinkerHand {self._model.name}", "address": f"unit {self.options.unit}"}
+        if version is not None:
+            found["side"] = "right" if version.side == "R" else "left"
+            found["firmware"] = dotted(version.software)
+            found["hardware"] = dotted(version.hardware)
+        return found
+
+    async def _open(self) -> LinkerLink:
+        options, owner = self.options, self.connection.owner
+        emulator = emulator_of(self.spec, "linkerhand")
+        arguments = (self._model, options.unit, 0.0, options.retries, options.pause)
+        if options.channel is not None:
+            return await self.connection.open(
+                self.buses.can(
+                    options.channel,
+                    owner=owner,
+                    interface=options.interface,
+                    bitrate=options.bitrate,
+                    emulator=emulator,
+                ),
+                lambda bus: CanLink(bus, *arguments),
+            )
+        return await self.connection.open(
+            self.buses.modbus(options.port, owner=owner, baudrate=BAUDRATE, emulator=emulator),
+            lambda bus: ModbusLink(bus, *arguments),
+        )
+
+    async def activate(self) -> None:
+        """Take the hand over as it is: its motors are always on, and keep their set-points."""
+        with self.connection.link.unhurried():
+            self._check(await self.connection.link.read(Table.FAULT))
+        self._attached.begin(range(len(self._motors)))
+
+    async def examine(self) -> str:
+        """Raise the fault that the hand reports."""
+        with self.connection.link.unhurried():
+            self._check(await self.connection.link.read(Table.FAULT))
+        return ""
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    def _keep(self, counts: tuple[int, ...]) -> None:
+        """Note measured positions, and which motors they say have moved."""
+        now = time.monotonic()
+        before = self._counts or counts
+        for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
+            # A count of noise is no motion.
+            if abs(new - old) > 1:
+                self._moved[motor] = now
+        self._counts = counts
+
+    async def sense(self) -> ActuatorState:
+        """Return what the hand measures."""
+        link, every = self.connection.link, self.options.health_every
+        self._turn = (self._turn + 1) % every
+        if self._turn == 0:
+            self._check(await link.read(Table.FAULT))
+        elif self._turn == every // 2:
+            self._temperatures = await link.read(Table.TEMPERATURE)
+        self._keep(await link.read(Table.POSITION))
+        both = tuple(zip(self._motors, self._scales, strict=True))
+        position = [scale.to_si(self._counts[motor]) for motor, scale in both]
+        self._here = np.array(position)
+        now = time.monotonic()
+        return ActuatorState.measured(
+            position,
+            now,
+            temperature=[float(self._temperatures[motor]) for motor in self._motors],
+            grasped=tuple(self._holds(motor, now) for motor in self._motors),
+        )
+
+    def _holds(self, motor: int, now: float) -> bool | None:
+        """Return whether a motor rests short of its set-point; ``None``: that is not known."""
+        if self._targets is None:
+            return None
+        short = abs(self._targets[motor] - self._counts[motor]) > _SHORT
+        return short and now - self._moved[motor] > _RESTING
+
+    def _check(self, codes: tuple[int, ...]) -> None:
+        """Raise the fault that the motors tell of."""
+        faulty = {self._model.motors[m]: codes[m] for m in self._motors if codes[m]}
+        if not faulty:
+            return
+        names = [
+            f"{motor}: {FAULT_NAMES.get(code, f'unknown fault {code}')}"
+            for motor, code in faulty.items()
+        ]
+        hint = "`rtee recover`; if that does not help, cut the hand's supply"
+        if Fault.OVER_TEMPERATURE in faulty.values():
+            hint = "let it cool down, then `rtee recover`"
+        raise DeviceFault(self.spec.name, max(faulty.values()), "; ".join(names), hint=hint)
+
+    async def move(self, reference: Reference) -> None:
+        """Write the set-points, and the limits if they have changed."""
+        left = self._attached.left(reference, self._here) if self._attached else ()
+        if len(left) == len(self._motors):
+            return
+        # One frame sets all motors; what those were set to that nobody asked is not known.
+        self._attached.begin()
+        targets = list(self._targets or self._counts)
+        torques = list(self._torques or (MOST,) * self._model.count)
+        speeds = list(self._speeds or (MOST,) * self._model.count)
+        asked = reference.mask.tolist()
+        for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
+            if not asked[i]:
+                continue
+            most = self.spec.actuators[i].effort
+            torques[motor] = _share(float(reference.max_effort[i]) / most)
+            fastest = abs(scale.gain) * MOST / self.options.travel_time
+            speeds[motor] = _share(float(reference.max_velocity[i]) / fastest)
+            targets[motor] = scale.to_count(float(reference.position[i]))
+        try:
+            await self._set(targets, torques, speeds)
+        except ModbusRefusal as error:
+            raise CommandRejected(self.spec.name, error.message) from error
+
+    async def _set(self, targets: list[int], torques: list[int], speeds: list[int]) -> None:
+        """Write the tables that differ from what the hand has."""
+        tables = {}
+        if (torques, speeds) != (self._torques, self._speeds):
+            tables = {Table.TORQUE: torques, Table.SPEED: speeds}
+        if targets != self._targets or tables:
+            tables[Table.POSITION] = targets
+        if not tables:
+            return
+        before, self._targets = self._targets, None
+        # What was sent counts as unknown until the hand has said that it has it.
+        self._torques = self._speeds = None
+        await self.connection.link.write(tables)
+        now = time.monotonic()
+        for motor, target in enumerate(targets):
+            if before is None or target != before[motor]:
+                self._moved[motor] = now
+        self._targets, self._torques, self._speeds = targets, torques, speeds
+
+    async def stop(self) -> None:
+        """Hold the measured pose."""
+        with contextlib.suppress(RteeError, OSError):
+            self._attached.begin()
+            link = self.connection.link
+            with link.unhurried():
+                await patiently(lambda: self._hold(self._motors))
+
+    async def _hold(self, motors: tuple[int, ...]) -> None:
+        """Make the measured positions of some motors their set-points."""
+        link = self.connection.link
+        self._keep(await link.read(Table.POSITION))
+        targets = list(self._targets or self._counts)
+        for motor in motors:
+            targets[motor] = self._counts[motor]
+        self._targets = None
+        await link.write({Table.POSITION: targets})
+        self._targets = targets
+
+    async def recover(self) -> None:
+        """Make motors that had a fault keep the pose they are in; whether it is gone, they tell."""
+        link = self.connection.link
+        with link.unhurried():
+            codes = await link.read(Table.FAULT)
+            faulty = tuple(motor for motor in self._motors if codes[motor])
+            if faulty or self._targets is None:
+                # No source says whether a motor goes on to its old set-point afterwards.
+                await self._hold(faulty or self._motors)
+            self._check(await link.read(Table.FAULT))
+        self._attached.begin(range(len(self._motors)))
+
+
+def _share(part: float) -> int:
+    """Return the count for a part of the largest speed or torque, which may be infinite."""
+    # 1 at least: no source says what 0 does.
+    return max(1, round(MOST * min(part, 1.0)))

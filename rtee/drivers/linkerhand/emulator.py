@@ -1,0 +1,252 @@
+"""Emulates a LinkerHand: its registers over Modbus RTU, and its properties on CAN.
+
+What is not published is a property here: how fast it moves, and what it says about itself. It keeps
+its last set-points when the line falls silent, and answers wrong addresses with exception 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Self
+
+from rtee.buses.emulator import CanFrame
+from rtee.buses.modbus_frames import READ_INPUT, WRITE_MANY, WRITE_ONE
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
+from rtee.drivers.axis import Axis
+from rtee.drivers.linkerhand import codec
+from rtee.drivers.linkerhand.codec import (
+    BAUDRATE,
+    MODELS,
+    MOST,
+    RIGHT,
+    VERSION_COUNT,
+    Fault,
+    Model,
+    Table,
+    Version,
+)
+from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.properties import Byte, Duration, Positive, read_properties
+
+_FAULTS = {
+    "over_current": Fault.OVER_CURRENT,
+    "over_temperature": Fault.OVER_TEMPERATURE,
+    "encoder": Fault.ENCODER,
+    "supply": Fault.SUPPLY,
+}
+_INDEX = 2  # the motor that has them
+_WRITABLE = (Table.POSITION, Table.TORQUE, Table.SPEED)
+_BENDING = ("thumb_bend", "index", "middle", "ring", "little")
+_OPEN = {"index_roll": 128.0, "ring_roll": 128.0, "little_roll": 128.0}
+"""Where motors begin that are not stretched at 255."""
+_RATING = 0.01
+"""Heating of a motor at its largest torque [K/s]: it feels warm after minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkerProperties:
+    """Properties of the emulated hand.
+
+    Attributes:
+        model: ``o6`` or ``l10``.
+        unit: Its number.
+        travel_time: Time for the whole way at speed 255 [s].
+        software: Version of its software, major and minor in a nibble each.
+        turnaround: Time between a request and its answer [s].
+        haste: How much faster it moves than a real one.
+    """
+
+    model: Literal["o6", "l10"] = "o6"
+    unit: Byte = RIGHT
+    travel_time: Positive = 1.0
+    software: Byte = 0x10
+    turnaround: Duration = 0.002
+    haste: Positive = 1.0
+
+
+class LinkerHandEmulator(ModbusEmulator, Grasps):
+    """The hand.
+
+    Args:
+        properties: Its properties.
+
+    Attributes:
+        model: The kind of hand.
+        axes: Its motors, in counts of position and of torque.
+        moves: Set-points of positions taken.
+        begun: Torque limits in force when the last motion began.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset({BAUDRATE})
+    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({READ_INPUT, WRITE_ONE, WRITE_MANY})
+    EXCEPTIONS: ClassVar[bool] = True
+
+    def __init__(self, properties: LinkerProperties | None = None) -> None:
+        made = properties or LinkerProperties()
+        super().__init__(made.unit, baudrate=BAUDRATE)
+        self.properties = made
+        self.model: Model = MODELS[made.model]
+        self.turnaround = max(self.turnaround, made.turnaround)
+        self.axes = []
+        for name in self.model.motors:
+            axis = Axis(
+                _OPEN.get(name, float(MOST)),
+                lower=0.0,
+                upper=float(MOST),
+                max_effort=float(MOST),
+                resolution=0.5,
+            )
+            # Worm gears: an object that was squeezed does not push a finger back.
+            axis.self_locking = axis.enabled = True
+            axis.heating = _RATING
+            self.axes.append(axis)
+        self.moves = 0
+        self.begun = [MOST] * self.model.count
+        self._torques = [MOST] * self.model.count
+        self._speeds = [MOST] * self.model.count
+        self._now: float | None = None
+        self._limit()
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the hand that the option ``emulator`` of a device describes."""
+        names = ("model", "unit", "travel_time")
+        fitting = {name: options[name] for name in names if name in options}
+        return cls(read_properties(LinkerProperties, options, **fitting))
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the motors that bend the digits close."""
+        pairs = zip(self.model.motors, self.axes, strict=True)
+        return [
+            Closing(axis, float(MOST), 0.0, float(MOST)) for name, axis in pairs if name in _BENDING
+        ]
+
+    def power_cycle(self, now: float) -> None:
+        """Restart with the largest torques and speeds; the fingers stay where they are."""
+        self.advance(now)
+        self.line_reset()
+        self._torques = [MOST] * self.model.count
+        self._speeds = [MOST] * self.model.count
+        for axis in self.axes:
+            axis.target = axis.position
+        self._limit()
+
+    def on_faults(self) -> None:
+        """Stop the motor that has a fault; it goes on when the fault is gone."""
+        for axis in self.axes:
+            axis.stuck = "stuck" in self.faults
+        self.axes[_INDEX].enabled = not self.faults & set(_FAULTS)
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        if self._now is not None:
+            for axis in self.axes:
+                axis.advance(max(0.0, now - self._now))
+        self._now = now
+
+    def _limit(self) -> None:
+        fastest = MOST / self.properties.travel_time * self.properties.haste
+        for axis, torque, speed in zip(self.axes, self._torques, self._speeds, strict=True):
+            axis.max_effort = float(torque)
+            axis.max_velocity = fastest * speed / MOST
+
+    # --- tables ------------------------------------------------------------------------------
+
+    def table(self, table: Table) -> list[int]:
+        """Return the values of all motors."""
+        if table is Table.POSITION:
+            return [round(axis.position) for axis in self.axes]
+        if table is Table.TORQUE:
+            return list(self._torques)
+        if table is Table.SPEED:
+            return list(self._speeds)
+        if table is Table.TEMPERATURE:
+            return [round(axis.temperature) for axis in self.axes]
+        codes = [int(Fault.NONE)] * self.model.count
+        codes[_INDEX] = max(
+            (code for name, code in _FAULTS.items() if name in self.faults), default=0
+        )
+        return codes
+
+    def set_table(self, table: Table, first: int, values: Sequence[int]) -> None:
+        """Set values of some motors, from the one with number ``first`` on."""
+        for motor, value in enumerate(values, first):
+            if table is Table.TORQUE:
+                self._torques[motor] = value
+            elif table is Table.SPEED:
+                self._speeds[motor] = value
+            else:
+                self.axes[motor].target = float(value)
+        self._limit()
+        if table is Table.POSITION:
+            self.moves += 1
+            self.begun = list(self._torques)
+
+    def version(self) -> Version:
+        """Return what it says about itself."""
+        motors = self.model.count + (1 if "wrong_device" in self.faults else 0)
+        side = "L" if self.unit == codec.LEFT else "R"
+        return Version(motors, 1, 1, side, self.properties.software, 0x10)
+
+    # --- Modbus ------------------------------------------------------------------------------
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Receive bytes and return the answers."""
+        self.advance(now)
+        return [] if "silent" in self.faults else super().feed(data, now)
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return input registers; those between its tables are 0."""
+        block = range(self.model.version, self.model.version + VERSION_COUNT)
+        if address + count > block.stop:
+            raise Refused(ILLEGAL_ADDRESS)
+        registers = [0] * block.stop
+        for table, first in self.model.registers.items():
+            registers[first : first + self.model.count] = self.table(table)
+        registers[block.start :] = self.version().to_registers()
+        return registers[address : address + count]
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Set holding registers."""
+        count = self.model.count
+        if address + len(values) > len(_WRITABLE) * count:
+            raise Refused(ILLEGAL_ADDRESS)
+        if any(value > MOST for value in values):
+            raise Refused(ILLEGAL_VALUE)
+        # From the last table to the first, so that limits are in force before the motion.
+        for table in reversed(_WRITABLE):
+            first = self.model.registers[table]
+            low, high = max(first, address), min(first + count, address + len(values))
+            if low < high:
+                self.set_table(table, low - first, values[low - address : high - address])
+
+    # --- CAN ---------------------------------------------------------------------------------
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Receive a frame and return the answer, if any."""
+        self.advance(now)
+        mine = frame.id == self.unit and not (frame.remote or frame.extended)
+        if not mine or not frame.data or "silent" in self.faults:
+            return []
+        for table, parts in self.model.properties.items():
+            first = 0
+            for code, count in parts:
+                if frame.data[0] == code:
+                    return self._property(table, code, first, count, frame.data[1:])
+                first += count
+        return []
+
+    def _property(
+        self, table: Table, code: int, first: int, count: int, data: bytes
+    ) -> list[CanFrame]:
+        if data:
+            if table in _WRITABLE and len(data) >= count:
+                self.set_table(table, first, list(data[:count]))
+            return []
+        values = self.table(table)[first : first + count]
+        # Another kind of hand has another number of values.
+        return [
+            codec.told(self.unit, code, values[: 2 if "wrong_device" in self.faults else count])
+        ]

@@ -1,0 +1,300 @@
+"""Touch sensors in the simulation: taxels on the fingertips, or where hand.yaml places them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK
+from rtee.hand import tessellation
+from rtee.hand.abduction import abduction
+from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.model import Finger, Hand
+from rtee.hand.touch import grid_points, on_hand, taxel_count
+from rtee.sample import FloatArray
+from rtee.touch import TouchSensor
+
+_COVERED: Final = 0.7
+"""Share of the pad's length and width that a grid spans: real pads end before the tip's edges."""
+
+_FACING: Final = 0.5
+"""Least cosine between the pad's direction and the normals of the surface that is its part."""
+
+_SPREAD: Final = 0.6
+"""A contact is felt by the taxels around it like a bell curve with this standard deviation, as a
+share of the distance between taxels: skin spreads a load over about one taxel to each side."""
+
+_BEYOND: Final = 3.0
+"""Standard deviations beyond which a taxel feels nothing of a contact."""
+
+_LEAST_SPREAD: Final = 0.002
+"""Least standard deviation [m]: contacts of hulls lie up to this far off the mesh's surface."""
+
+_SHRUNK: Final = 0.85
+"""Where a ray passes beside the tip, the taxel is sought nearer to the pad's middle by this."""
+
+_TRIES: Final = 12
+"""Steps of that search: after them it is at 14 % of its distance from the middle."""
+
+
+class Taxels:
+    """The touch sensors of a simulated hand.
+
+    A taxel measures the normal force of the contacts near it: each contact's force is shared among
+    the taxels around it, so that the sum over a sensor is the force on it. Contacts of the back of
+    a link, or beyond the taxels, are not felt.
+
+    Attributes:
+        sensors: The sensors, in the order of their values.
+    """
+
+    def __init__(self, model: mujoco.MjModel, hand: Hand, options: SimOptions) -> None:
+        """Find out where the taxels are.
+
+        Args:
+            model: The compiled model.
+            hand: The hand in it.
+            options: Which sensors there are.
+        """
+        self.sensors = _sensors(model, hand, options.touch)
+        self._body = [int(model.body(LINK + sensor.link).id) for sensor in self.sensors]
+        self._bodies = np.array(sorted(set(self._body)), dtype=np.intp)
+        self._spread = [_spread(sensor.position) for sensor in self.sensors]
+        self._of_geom = np.array(model.geom_bodyid, dtype=np.intp)
+
+    def read(self, data: mujoco.MjData) -> FloatArray:
+        """Return the normal forces on all taxels ``(n,)`` [N].
+
+        Args:
+            data: The state of the model.
+        """
+        values = [np.zeros(sensor.taxels) for sensor in self.sensors]
+        if data.ncon:
+            contact = data.contact
+            first = contact.efc_address
+            bodies = self._of_geom[contact.geom]
+            seen = np.flatnonzero((first >= 0) & np.isin(bodies, self._bodies).any(axis=1))
+            for index in seen.tolist():
+                # The first row of an elliptic contact is its normal force.
+                force = float(data.efc_force[first[index]])
+                if force > 0.0:
+                    frame = contact.frame[index].reshape(3, 3)
+                    self._share(data, values, bodies[index], contact.pos[index], frame[0], force)
+        return np.concatenate(values) if values else np.zeros(0)
+
+    def _share(
+        self,
+        data: mujoco.MjData,
+        values: list[FloatArray],
+        bodies: FloatArray,
+        point: FloatArray,
+        normal: FloatArray,
+        force: float,
+    ) -> None:
+        """Share the force of a contact among the taxels of the links that it presses on.
+
+        Args:
+            data: The state of the model.
+            values: The forces of the taxels by sensor, to which it is added [N].
+            bodies: The two bodies.
+            point: Where it is in the world [m].
+            normal: From the first body to the second, in the world.
+            force: How hard it presses [N].
+        """
+        for number, sensor in enumerate(self.sensors):
+            body = self._body[number]
+            if body not in bodies:
+                continue
+            turn = data.xmat[body].reshape(3, 3)
+            at = (point - data.xpos[body]) @ turn
+            # Out of this link's surface: towards the other body.
+            out = (normal if bodies[0] == body else -normal) @ turn
+            away = np.linalg.norm(sensor.position - at, axis=1) / self._spread[number]
+            weights = np.exp(-0.5 * away * away) * np.maximum(sensor.normal @ out, 0.0)
+            weights[away > _BEYOND] = 0.0
+            total = float(weights.sum())
+            if total > 0.0:
+                values[number] += force / total * weights
+
+
+def _spread(points: FloatArray) -> float:
+    """Return over which distance taxels at some points feel a contact [m]."""
+    if len(points) < 2:
+        return math.inf  # the only taxel of a tip feels all that presses on its side
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return max(_LEAST_SPREAD, _SPREAD * float(np.median(apart.min(axis=1))))
+
+
+def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor, ...]:
+    """Return the sensors that an option asks for; see `SimOptions`."""
+    if which == "off":
+        return ()
+    if which == "hand":
+        placed = [(n, taxel_count(s)) for n, s in hand.touch.items() if s.link is not None]
+        return tuple(on_hand(TouchSensor(name, taxels), hand) for name, taxels in placed)
+    rows, columns = map(int, which.split("x"))
+    found: list[TouchSensor] = []
+    for finger in hand.fingers:
+        if finger.tip is None or any(sensor.link == finger.tip for sensor in found):
+            continue
+        corners = _surface_of(model, LINK + finger.tip)
+        if not len(corners):
+            continue
+        position, normal = _on_pad(corners, hand, finger, (rows, columns))
+        found.append(
+            TouchSensor(
+                f"{finger.name}_tip",
+                rows * columns,
+                link=finger.tip,
+                finger=finger.name,
+                grid=(rows, columns),
+                position=position,
+                normal=normal,
+            )
+        )
+    return tuple(found)
+
+
+def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
+    """Return in which direction a fingertip moves when the finger bends, in the tip's frame.
+
+    That is what its pad faces, half-way to where its actuators are farthest from rest.
+
+    Args:
+        hand: The hand.
+        finger: The finger, with a tip.
+        middle: Middle of the tip in its frame ``(3,)`` [m].
+
+    Returns:
+        A unit vector ``(3,)``.
+    """
+    assert finger.tip is not None  # noqa: S101 - narrows the type
+    sideways = abduction(hand, finger)
+    bending = [n for n in finger.own or finger.actuators if n not in sideways]
+    way = np.zeros(len(hand.actuators))
+    for name in bending or finger.actuators:
+        i = hand.actuator_index(name)
+        far = hand.actuators[i].farthest
+        way[i] = far - hand.rest[i] if math.isfinite(far) else 1.0
+    pose, jacobian = tip_pose_and_jacobian(hand, finger.tip, hand.rest + 0.5 * way)
+    speed = jacobian @ way
+    motion = pose[:3, :3].T @ (speed[:3] + np.cross(speed[3:], pose[:3, :3] @ middle))
+    length = float(np.linalg.norm(motion))
+    # A tip that nothing moves has no pad; any direction is as good.
+    return motion / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+
+
+def _on_pad(
+    corners: FloatArray, hand: Hand, finger: Finger, grid: tuple[int, int]
+) -> tuple[FloatArray, FloatArray]:
+    """Return where the taxels of a grid on a fingertip are, and the normals, ``(n, 3)`` each.
+
+    Args:
+        corners: The tip's surface as triangles ``(t, 3, 3)`` in its frame [m].
+        hand: The hand.
+        finger: The finger.
+        grid: Rows along the pad's longer side, columns along the other.
+    """
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    facing = pad_direction(hand, finger, 0.5 * (low + high))
+    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(crossed, axis=1)
+    normals = crossed / np.maximum(areas, 1e-18)[:, None]
+    pad = corners[(normals @ facing > _FACING) & (areas > 0.0)]
+    pad = (pad if len(pad) else corners).reshape(-1, 3)
+    along, across = _axes(pad, facing)
+    flat = pad @ np.stack([along, across], axis=1)
+    start, end = flat.min(axis=0), flat.max(axis=0)
+    middle = 0.5 * (start + end)
+    pitch = _COVERED * (end - start) / np.array(grid)
+    offsets = grid_points(grid, pitch.tolist())[:, :2]
+    height = float((pad @ facing).max()) + float(np.linalg.norm(high - low))
+    positions, outward = np.empty((len(offsets), 3)), np.empty((len(offsets), 3))
+    for number, offset in enumerate(offsets):
+        for attempt in range(_TRIES):
+            where = middle + _SHRUNK**attempt * offset
+            begin = where[0] * along + where[1] * across + height * facing
+            hit = _first_hit(corners, begin, -facing)
+            if hit is not None:
+                break
+        else:
+            # A tip with a hole in its middle: the nearest corner of the pad stands for it.
+            hit = pad[np.argmin(np.linalg.norm(pad - begin, axis=1))], -1
+        positions[number], triangle = hit
+        normal = facing if triangle < 0 else normals[triangle]
+        # Meshes are not always wound the right way round.
+        outward[number] = normal if normal @ facing >= 0.0 else -normal
+    return positions, outward
+
+
+def _axes(points: FloatArray, facing: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the axes across a direction along which points extend most and least."""
+    flat = points - np.outer(points @ facing, facing)
+    _, _, axes = np.linalg.svd(flat - flat.mean(axis=0), full_matrices=False)
+    along = axes[0] - (axes[0] @ facing) * facing
+    along /= np.linalg.norm(along)
+    # SVD leaves the sign open; the same model must always give the same grid.
+    along *= math.copysign(1.0, along[np.argmax(np.abs(along))])
+    return along, np.cross(facing, along)
+
+
+def _first_hit(
+    corners: FloatArray, begin: FloatArray, direction: FloatArray
+) -> tuple[FloatArray, int] | None:
+    """Return where a ray first meets triangles, and which; ``None``: nowhere.
+
+    The test is that of Möller and Trumbore (Fast, minimum storage ray/triangle intersection, 1997).
+    """
+    origin = corners[:, 0]
+    first, second = corners[:, 1] - origin, corners[:, 2] - origin
+    across = np.cross(direction, second)
+    size = np.einsum("ij,ij->i", first, across)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        offset = begin - origin
+        u = np.einsum("ij,ij->i", offset, across) / size
+        side = np.cross(offset, first)
+        v = side @ direction / size
+        far = np.einsum("ij,ij->i", second, side) / size
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (far > 0.0)
+    if not inside.any():
+        return None
+    triangle = int(np.flatnonzero(inside)[np.argmin(far[inside])])
+    return begin + far[triangle] * direction, triangle
+
+
+def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
+    """Return the shapes of a body as triangles ``(t, 3, 3)`` [m] in the body's frame.
+
+    Args:
+        model: The compiled model.
+        body: The body's name.
+    """
+    number = int(model.body(body).id)
+    found = [np.zeros((0, 3, 3))]
+    for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        points, faces = _triangles(model, geom)
+        found.append((points @ turn.reshape(3, 3).T + model.geom_pos[geom])[faces])
+    return np.concatenate(found)
+
+
+def _triangles(model: mujoco.MjModel, geom: int) -> tessellation.Triangles:
+    size = model.geom_size[geom].tolist()
+    match int(model.geom_type[geom]):
+        case mujoco.mjtGeom.mjGEOM_BOX:
+            return tessellation.box((2.0 * size[0], 2.0 * size[1], 2.0 * size[2]))
+        case mujoco.mjtGeom.mjGEOM_SPHERE:
+            return tessellation.sphere(size[0])
+        case mujoco.mjtGeom.mjGEOM_CYLINDER:
+            return tessellation.cylinder(size[0], 2.0 * size[1])
+    mesh = int(model.geom_dataid[geom])
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float64)
+    first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    return vertices, np.array(model.mesh_face[first : first + count], dtype=np.int64)

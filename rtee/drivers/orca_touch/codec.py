@@ -1,0 +1,371 @@
+"""The frames of the ORCA hand's touch board, and what is in them; no I/O.
+
+Source: framing, registers and data as the hand's open-source client has them. The board answers
+requests and, once told to, sends frames by itself; frames of joint encoders may come on the same
+line. Every frame ends with the two's complement of the sum of all bytes before it.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.buses.parser import FramedParser
+from rtee.sample import FloatArray
+
+BAUDRATES = (921_600, 2_000_000)
+"""Rates of the board's own adapter, and of the line that it shares with the encoders [baud]."""
+
+NEWTONS = 0.1
+"""Force of one count [N]."""
+
+LONGEST = 8192 + 6
+"""Bytes of the longest frame that the board sends by itself."""
+
+ENCODERS = 17
+"""Joint encoders of a hand, in the order of their words."""
+
+_REQUEST, _REPLY, _STREAM, _ENCODER = b"\x55\xaa", b"\xaa\x55", b"\xaa\x56", b"\xaa\xa9"
+_HEAD = struct.Struct("<BBHH")  # 0, function, address, count
+_OVERHEAD = 9  # of a request or reply: header, the four above, and the check
+_AROUND = 6  # of a frame that comes unasked: header, 0, length, and the check
+_LARGEST = 512
+"""Bytes of registers that one exchange may have: more than the largest table, 168."""
+_ANGLE = 0x3FFF
+_TURN = 2.0 * math.pi / (_ANGLE + 1)  # of one count of an encoder [rad]
+
+
+class OrcaFrameError(ValueError):
+    """Bytes that are no frame of the board, or no content of one."""
+
+
+class Function(IntEnum):
+    """What a request asks for."""
+
+    READ = 0x03
+    WRITE = 0x10
+
+
+class Register(IntEnum):
+    """Addresses of registers."""
+
+    CONNECTED = 0x0010
+    CONTENT = 0x0016
+    STREAM = 0x0017
+    COUNTS = 0x0030
+    RESULTANTS = 0x0500
+
+
+class Content(IntFlag):
+    """What the frames hold that the board sends by itself."""
+
+    RESULTANTS = 1
+    TAXELS = 2
+
+
+CONNECTED_SIZE, COUNTS_SIZE = 4, 56
+
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+"""The slots of the board, in the order of its data."""
+
+_SLOTS: Mapping[str, tuple[int, int]] = {
+    "thumb": (0, 2),
+    "index": (0, 6),
+    "middle": (1, 2),
+    "ring": (1, 6),
+    "pinky": (2, 2),
+}
+"""Byte and bit in `Register.CONNECTED` of each fingertip."""
+
+_PER_SLOT = 4  # modules of a slot; the third is the fingertip
+_TIP = 2
+_TAXEL, _RESULTANT = 3, 6  # bytes of each
+
+
+def check_of(data: bytes) -> int:
+    """Return the last byte of a frame that begins with ``data``."""
+    return -sum(data) & 0xFF
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request.
+
+    Attributes:
+        function: Read or write.
+        address: First register.
+        count: Bytes of registers that are meant.
+        data: What is written.
+    """
+
+    function: int
+    address: int
+    count: int
+    data: bytes = b""
+
+    def to_bytes(self) -> bytes:
+        """Return the request as sent."""
+        return _framed(_REQUEST, self.function, self.address, self.count, self.data)
+
+    @classmethod
+    def from_bytes(cls, raw: bytes) -> Self:
+        """Return the request that ``raw`` holds; raises `OrcaFrameError`."""
+        return cls(*_parts(raw))
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a request.
+
+    Attributes:
+        function: Read or write.
+        address: First register.
+        count: Bytes of registers that are meant.
+        data: What was read; of a write one byte, 0 if it was done.
+    """
+
+    function: int
+    address: int
+    count: int
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        """Return the reply as sent."""
+        return _framed(_REPLY, self.function, self.address, self.count, self.data)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A frame that the board sends by itself.
+
+    Attributes:
+        error: 0 for none; the meaning of others is not published.
+        data: Resultants and taxels of the connected fingers.
+    """
+
+    error: int
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        """Return the frame as sent."""
+        return _unasked(_STREAM, self.error, self.data)
+
+
+@dataclass(frozen=True, slots=True)
+class Encoders:
+    """A frame of the joint encoders.
+
+    Attributes:
+        error: 0 for none.
+        data: A word for each encoder.
+    """
+
+    error: int
+    data: bytes
+
+    def to_bytes(self) -> bytes:
+        """Return the frame as sent."""
+        return _unasked(_ENCODER, self.error, self.data)
+
+    def angles(self) -> FloatArray:
+        """Return the joints' angles ``(17,)`` [rad]; ``NaN`` where an encoder reports an error."""
+        found = np.frombuffer(self.data, dtype="<u2").astype(np.int64)
+        ones = np.array([bin(word).count("1") for word in found.tolist()])
+        bad = (found & 0x4000 != 0) | (ones % 2 != 0)
+        return np.where(bad, math.nan, (found & _ANGLE) * _TURN)
+
+
+Answer = Reply | Stream | Encoders
+
+
+def _framed(header: bytes, function: int, address: int, count: int, data: bytes) -> bytes:
+    raw = header + _HEAD.pack(0, function, address, count) + data
+    return raw + bytes([check_of(raw)])
+
+
+def _unasked(header: bytes, error: int, data: bytes) -> bytes:
+    raw = header + struct.pack("<BHB", 0, 1 + len(data), error) + data
+    return raw + bytes([check_of(raw)])
+
+
+def _parts(raw: bytes) -> tuple[int, int, int, bytes]:
+    """Return function, address, count and data of a request or reply; raises `OrcaFrameError`."""
+    if len(raw) < _OVERHEAD or check_of(raw[:-1]) != raw[-1]:
+        raise OrcaFrameError("the check does not match")
+    zero, function, address, count = _HEAD.unpack_from(raw, 2)
+    if zero or function not in (Function.READ, Function.WRITE):
+        raise OrcaFrameError(f"unknown function {function:#04x}")
+    return function, address, count, raw[_HEAD.size + 2 : -1]
+
+
+class RequestParser(FramedParser[Request]):
+    """Finds requests in a stream, for the board."""
+
+    HEADER: ClassVar[bytes] = _REQUEST
+    HEAD = 8
+    PIECE = _OVERHEAD + _LARGEST
+    LIMIT = 2 * PIECE
+
+    def _length(self, at: int) -> int:
+        _, function, _, count = _HEAD.unpack_from(self._buffer, at + 2)
+        if count > _LARGEST:
+            return 0
+        return _OVERHEAD + (count if function == Function.WRITE else 0)
+
+    def _decode(self, raw: bytes) -> Request:
+        return Request.from_bytes(raw)
+
+
+class AnswerParser(FramedParser[Answer]):
+    """Finds replies and frames that come unasked, for a host."""
+
+    HEADER: ClassVar[bytes] = b"\xaa"
+    HEAD = 8
+    PIECE = LONGEST
+    LIMIT = 2 * PIECE
+    INSIDE = 13  # the shortest frame with data that the board sends by itself
+
+    def _length(self, at: int) -> int:
+        buffer = self._buffer
+        kind = bytes(buffer[at : at + 2])
+        if kind == _REPLY:
+            _, function, _, count = _HEAD.unpack_from(buffer, at + 2)
+            if count > _LARGEST:
+                return 0
+            return _OVERHEAD + (count if function == Function.READ else 1)
+        if kind in (_STREAM, _ENCODER):
+            size = _AROUND - 1 + int.from_bytes(buffer[at + 3 : at + 5], "little")
+            right = size + 1 <= LONGEST if kind == _STREAM else size + 1 == _AROUND + 35
+            return size + 1 if right else 0
+        return 0
+
+    def _decode(self, raw: bytes) -> Answer:
+        if raw[:2] == _REPLY:
+            return Reply(*_parts(raw))
+        if len(raw) <= _AROUND or check_of(raw[:-1]) != raw[-1] or raw[2]:
+            raise OrcaFrameError("the check does not match")
+        kind = Stream if raw[:2] == _STREAM else Encoders
+        return kind(raw[5], raw[6:-1])
+
+
+def connected(data: bytes) -> tuple[str, ...]:
+    """Return the fingers whose tips are connected.
+
+    Raises:
+        OrcaFrameError: if no board can say that.
+    """
+    known = bytearray(CONNECTED_SIZE)
+    for byte, bit in _SLOTS.values():
+        known[byte] |= 1 << bit
+    if len(data) != CONNECTED_SIZE or any(b & ~k for b, k in zip(data, known, strict=True)):
+        raise OrcaFrameError(f"connected slots {data.hex(' ')} are none of a touch board's")
+    return tuple(name for name, (byte, bit) in _SLOTS.items() if data[byte] >> bit & 1)
+
+
+def connected_bytes(fingers: Sequence[str]) -> bytes:
+    """Return `Register.CONNECTED` of a board with the tips of some fingers."""
+    found = bytearray(CONNECTED_SIZE)
+    for name in fingers:
+        byte, bit = _SLOTS[name]
+        found[byte] |= 1 << bit
+    return bytes(found)
+
+
+def tip_counts(data: bytes) -> dict[str, int]:
+    """Return the number of taxels of each fingertip; raises `OrcaFrameError`."""
+    if len(data) != COUNTS_SIZE:
+        raise OrcaFrameError(f"{len(data)} bytes are no table of taxels")
+    counts = struct.unpack(f"<{COUNTS_SIZE // 2}H", data)
+    return {name: counts[_PER_SLOT * i + _TIP] for i, name in enumerate(FINGERS)}
+
+
+def counts_bytes(counts: Mapping[str, int]) -> bytes:
+    """Return `Register.COUNTS` of a board with fingertips of so many taxels."""
+    found = [0] * (COUNTS_SIZE // 2)
+    for name, count in counts.items():
+        found[_PER_SLOT * FINGERS.index(name) + _TIP] = count
+    return struct.pack(f"<{len(found)}H", *found)
+
+
+def data_size(content: Content, counts: Sequence[int]) -> int:
+    """Return the bytes of data of a frame.
+
+    Args:
+        content: What is in it.
+        counts: Taxels of each connected finger.
+    """
+    resultants = _RESULTANT * len(counts) if content & Content.RESULTANTS else 0
+    return resultants + (_TAXEL * sum(counts) if content & Content.TAXELS else 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Forces:
+    """What a frame tells.
+
+    Attributes:
+        resultants: Forces on the connected fingertips ``(k, 3)`` [N]; z is the pressing force;
+            ``NaN``: not in the frame.
+        taxels: Forces on all of their taxels ``(n, 3)`` [N]; ``(0, 3)``: not in the frame.
+    """
+
+    resultants: FloatArray
+    taxels: FloatArray
+
+    @classmethod
+    def from_bytes(cls, data: bytes, content: Content, counts: Sequence[int]) -> Self:
+        """Read the data of a frame.
+
+        Args:
+            data: The data.
+            content: What is in it.
+            counts: Taxels of each connected finger.
+
+        Raises:
+            OrcaFrameError: if it has another length.
+        """
+        if len(data) != data_size(content, counts):
+            raise OrcaFrameError(f"{len(data)} bytes are no data of {len(counts)} fingertips")
+        resultants = np.full((len(counts), 3), math.nan)
+        taxels, at = [np.zeros((0, 3))], 0
+        for finger, count in enumerate(counts):
+            if content & Content.RESULTANTS:
+                # The high byte only extends the sign, and of z not even that is certain.
+                raw = np.frombuffer(data, np.uint8, _RESULTANT, at)[::2]
+                resultants[finger] = _newtons(raw.reshape(1, 3))[0]
+                at += _RESULTANT
+            if content & Content.TAXELS:
+                raw = np.frombuffer(data, np.uint8, _TAXEL * count, at)
+                taxels.append(_newtons(raw.reshape(count, 3)))
+                at += _TAXEL * count
+        return cls(resultants, np.concatenate(taxels))
+
+
+def _newtons(raw: NDArray[np.uint8]) -> FloatArray:
+    """Return forces ``(n, 3)`` [N] from bytes: x and y are signed, z is not."""
+    forces = raw.astype(np.float64)
+    sideways = raw[:, :2].view(np.int8)
+    forces[:, :2] = sideways
+    return forces * NEWTONS
+
+
+def forces_bytes(resultants: FloatArray, taxels: Sequence[FloatArray], content: Content) -> bytes:
+    """Return the data of a frame; arguments as in `Forces`, with the taxels by finger."""
+    data = bytearray()
+    for resultant, of_finger in zip(resultants, taxels, strict=True):
+        if content & Content.RESULTANTS:
+            for axis, force in enumerate(np.rint(resultant / NEWTONS).astype(int).tolist()):
+                low = max(0, min(force, 255)) if axis == 2 else max(-128, min(force, 127))
+                data += bytes((low & 0xFF, 0xFF if low < 0 else 0))
+        if content & Content.TAXELS:
+            counts = np.rint(of_finger / NEWTONS)
+            counts[:, :2] = counts[:, :2].clip(-128, 127)
+            counts[:, 2] = counts[:, 2].clip(0, 255)
+            data += (counts.astype(np.int64) & 0xFF).astype(np.uint8).tobytes()
+    return bytes(data)

@@ -1,0 +1,273 @@
+"""Reads the touch board of an ORCA hand; it moves nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.buses.serial import SerialBus
+from rtee.buses.timing import wire_time
+from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.options import DeviceOptions, Positive, read_options
+from rtee.drivers.orca_touch import codec
+from rtee.drivers.orca_touch.codec import (
+    Answer,
+    AnswerParser,
+    Content,
+    Encoders,
+    Forces,
+    Function,
+    OrcaFrameError,
+    Register,
+    Reply,
+    Request,
+    Stream,
+)
+from rtee.errors import (
+    BusTimeout,
+    ConfigError,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.sample import ActuatorState, FloatArray
+from rtee.touch import TouchReading, TouchSensor
+from rtee.types import DeviceSpec, Reference
+
+_WITHIN = 0.5
+"""Longest time for a reply [s], with two retries: what the hand's own client allows."""
+
+_SILENT = 2.0
+"""Without a frame for this long [s] the stream is started again: a reset of the board ends it."""
+
+_AGAIN = 5.0
+"""That is done at most this often [s]."""
+
+_CONTENT: Mapping[str, Content] = {
+    "taxels": Content.TAXELS,
+    "resultants": Content.RESULTANTS,
+    "both": Content.RESULTANTS | Content.TAXELS,
+}
+
+
+class OrcaTouchOptions(DeviceOptions):
+    """Options of the touch board."""
+
+    port: str = Field("/dev/ttyACM0", description="tty, socket:// or rfc2217://")
+    baudrate: Literal[921_600, 2_000_000] = Field(
+        921_600, description="921600 of the board's own adapter, 2000000 of the shared line"
+    )
+    content: Literal["taxels", "resultants", "both"] = Field(
+        "both", description="what the board sends: taxels, the force on each tip, or both"
+    )
+    touch_rate: Positive = Field(100.0, description="readings handed over, at most [Hz]")
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+
+
+class OrcaTouchDriver(Driver):
+    """The board with the touch sensors of up to five fingertips.
+
+    It sends frames by itself, as fast as its line carries them. A reading has the pressing force of
+    every taxel, or of every tip where taxels are not asked for. What pulls sideways, and the angles
+    of the joint encoders where these share the line, are further channels.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = OrcaTouchOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        self.options = read_options(OrcaTouchOptions, spec)
+        if spec.actuators:
+            raise ConfigError(
+                f"{spec.source + ': ' if spec.source else ''}device '{spec.name}' only measures "
+                "touch and drives no actuators; write `actuators: []`"
+            )
+        self.connection: Connection[SerialBus] = Connection(spec)
+        self._content = _CONTENT[self.options.content]
+        self._stream = AnswerParser()
+        self._counts: tuple[int, ...] = ()
+        self._newest: tuple[Stream, float] | None = None
+        self._heard = self._armed = -math.inf
+        self._taken = -math.inf
+        self._reading: TouchReading | None = None
+        self._extras: dict[str, FloatArray] = {}
+        self._error = 0
+        self.capabilities = Capabilities(measures=frozenset(), accepts=frozenset())
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the line, ask which fingertips are connected, and have the board send frames."""
+        options = self.options
+        bus = await self.connection.open(
+            self.buses.serial(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                emulator=emulator_of(self.spec, "orca_touch"),
+            ),
+            lambda bus: bus,
+        )
+        self._newest, self._error = None, 0
+        self._reading, self._extras = None, {}
+        try:
+            fingers = codec.connected(
+                await self._read(bus, Register.CONNECTED, codec.CONNECTED_SIZE)
+            )
+            counts = codec.tip_counts(await self._read(bus, Register.COUNTS, codec.COUNTS_SIZE))
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no touch board answers at {options.port}",
+                hint="check supply, cable and `baudrate`",
+            ) from error
+        except OrcaFrameError as error:
+            raise HandshakeError(
+                self.spec.name, "a touch board", f"another device ({error})", hint="check the port"
+            ) from error
+        if not fingers or any(not counts[finger] for finger in fingers):
+            what = "no fingertip is connected" if not fingers else "a fingertip without taxels"
+            raise HandshakeError(
+                self.spec.name, "a touch board with fingertips", what, hint="check their cables"
+            )
+        self._counts = tuple(counts[finger] for finger in fingers)
+        single = not self._content & Content.TAXELS
+        taxels = (1,) * len(fingers) if single else self._counts
+        full = codec.NEWTONS * 255
+        sensors = tuple(TouchSensor(f, n, full=full) for f, n in zip(fingers, taxels, strict=True))
+        self.capabilities = replace(
+            self.capabilities,
+            best_rate=self._best_rate(),
+            identity={
+                "model": "ORCA touch board",
+                "fingertips": ", ".join(
+                    f"{s.name} {c}" for s, c in zip(sensors, self._counts, strict=True)
+                ),
+                "content": options.content,
+            },
+            touch=sensors,
+        )
+        self._stream.reset()
+        bus.listen(self._hear)
+        await self._arm(bus)
+        await self._first(bus)
+
+    def _best_rate(self) -> float:
+        """Return how often the line carries a frame [Hz]."""
+        size = codec.data_size(self._content, self._counts) + 7
+        # The board sends every millisecond at the most.
+        return 1.0 / max(1e-3, wire_time(size, self.options.baudrate))
+
+    async def _read(self, bus: SerialBus, register: Register, size: int) -> bytes:
+        reply = await self._ask(bus, Request(Function.READ, register, size))
+        if len(reply.data) != size:
+            raise OrcaFrameError(f"{len(reply.data)} bytes for {size} of register {register:#06x}")
+        return reply.data
+
+    async def _write(self, bus: SerialBus, register: Register, value: int) -> None:
+        reply = await self._ask(bus, Request(Function.WRITE, register, 1, bytes([value])))
+        if reply.data != b"\0":
+            raise NotConnected(
+                self.spec.name, f"the board refused a write to register {register:#06x}"
+            )
+
+    async def _ask(self, bus: SerialBus, request: Request) -> Reply:
+        def answers(answer: Answer) -> bool:
+            wanted = (request.function, request.address)
+            return isinstance(answer, Reply) and (answer.function, answer.address) == wanted
+
+        # A parser of its own: bytes of the stream must not be lost to the other one's buffer.
+        reply = await bus.transact(
+            request.to_bytes(), AnswerParser(), _WITHIN, self.options.retries, accept=answers
+        )
+        assert isinstance(reply, Reply)  # noqa: S101 - narrows the type
+        return reply
+
+    async def _arm(self, bus: SerialBus) -> None:
+        """Start the stream, as the hand's own client does it; raises `BusError`."""
+        self._armed = time.monotonic()
+        await self._write(bus, Register.STREAM, 0)
+        await self._write(bus, Register.CONTENT, int(self._content))
+        await self._write(bus, Register.STREAM, 1)
+        self._heard = time.monotonic()
+
+    async def _first(self, bus: SerialBus) -> None:
+        """Wait for the first frame; raises `BusTimeout`."""
+        end = time.monotonic() + _WITHIN
+        while self._newest is None:
+            bus.check()
+            if time.monotonic() > end:
+                raise BusTimeout(bus.name, f"the board sent no frame within {_WITHIN:g} s")
+            await asyncio.sleep(0.002)
+
+    def _hear(self, data: bytes) -> None:
+        now = time.monotonic()
+        for frame in self._stream.feed(data):
+            match frame:
+                case Stream():
+                    self._newest, self._heard = (frame, now), now
+                case Encoders():
+                    self._extras = {**self._extras, "joint_encoders": frame.angles()}
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return the newest reading; starts the stream again where it has stopped.
+
+        Raises:
+            BusTimeout: if it cannot be started.
+        """
+        bus = self.connection.link
+        bus.check()
+        now = time.monotonic()
+        if now - self._heard > _SILENT:
+            if now - self._armed < _AGAIN:
+                raise BusTimeout(bus.name, f"the board sent no frame for {now - self._heard:.1f} s")
+            await patiently(lambda: self._arm(bus))
+        self._take()
+        warnings = (f"the board reports error {self._error:#04x}",) if self._error else ()
+        return ActuatorState.measured(
+            [], now, extras=self._extras, warnings=warnings, touch=self._reading
+        )
+
+    def _take(self) -> None:
+        """Make a reading of the newest frame, unless one was made lately."""
+        if self._newest is None:
+            return
+        frame, stamp = self._newest
+        # A tenth less than the period: frames do not come at its multiples.
+        if stamp - self._taken < 0.9 / self.options.touch_rate:
+            return
+        self._newest, self._taken, self._error = None, stamp, frame.error
+        if frame.error:
+            return  # what it holds is not to be trusted; the last reading becomes stale
+        try:
+            forces = Forces.from_bytes(frame.data, self._content, self._counts)
+        except OrcaFrameError:
+            self._error = 0xFF
+            return
+        if self._content & Content.RESULTANTS:
+            self._extras = {**self._extras, "resultants": forces.resultants.ravel()}
+        pressing = forces.taxels if self._content & Content.TAXELS else forces.resultants
+        self._reading = TouchReading(np.ascontiguousarray(pressing[:, 2]), stamp)
+
+    async def move(self, reference: Reference) -> None:
+        """See `Driver.move`: the board moves nothing."""
+
+    async def close(self) -> None:
+        """Detach from the line; the board goes on sending."""
+        if self.connection.is_open:
+            self.connection.link.listen(None)
+        await super().close()

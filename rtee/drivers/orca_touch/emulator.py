@@ -1,0 +1,177 @@
+"""Emulates the touch board of an ORCA hand on the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from rtee.buses.emulator import Duplex, Emulator
+from rtee.buses.timing import wire_time
+from rtee.drivers.orca_touch import codec
+from rtee.drivers.orca_touch.codec import (
+    FINGERS,
+    Content,
+    Encoders,
+    Function,
+    Register,
+    Reply,
+    Request,
+    RequestParser,
+    Stream,
+)
+from rtee.drivers.properties import Duration, read_properties
+from rtee.sample import FloatArray
+
+_PERIOD = 1e-3
+"""Time between two frames where the line carries them [s]."""
+
+_SPARE = 0.9
+"""Share of the line's time that frames take: replies have to pass, too."""
+
+
+def _taxels() -> dict[str, int]:
+    return {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
+
+
+@dataclass(frozen=True, slots=True)
+class OrcaTouchProperties:
+    """Properties of the emulated board.
+
+    Attributes:
+        taxels: Taxels of each fingertip that is connected.
+        encoders: Joint encoders share its line.
+        period: Time between two frames [s]; 0: as the line allows.
+    """
+
+    taxels: dict[str, int] = field(default_factory=_taxels)
+    encoders: bool = False
+    period: Duration = 0.0
+
+
+class OrcaTouchEmulator(Emulator):
+    """The board.
+
+    Attributes:
+        forces: Forces on the taxels of each finger ``(n, 3)`` [N].
+        content: What its frames hold.
+        streaming: Whether it sends them.
+        angles: Counts of the joint encoders ``(17,)``.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"error", "silent"}
+    BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
+    duplex: ClassVar[Duplex] = Duplex.FULL
+
+    def __init__(
+        self, properties: OrcaTouchProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
+    ) -> None:
+        super().__init__()
+        made = properties or OrcaTouchProperties()
+        self.baudrate = baudrate
+        self.properties = made
+        self.fingers = tuple(finger for finger in FINGERS if finger in made.taxels)
+        self.forces: dict[str, FloatArray] = {
+            finger: np.zeros((made.taxels[finger], 3)) for finger in self.fingers
+        }
+        self.angles = [0] * codec.ENCODERS
+        self._parser = RequestParser()
+        self._due = 0.0
+        self.content, self.streaming = Content.RESULTANTS, False
+        self._pace()
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the board that the option ``emulator`` of a device describes."""
+        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
+        return cls(read_properties(OrcaTouchProperties, options), baudrate=rate)
+
+    def press(self, finger: str, force: float, taxel: int | None = None) -> None:
+        """Press on a fingertip: on one taxel, or on all of them together [N]."""
+        forces = np.zeros_like(self.forces[finger])
+        forces[slice(None) if taxel is None else taxel, 2] = force / (
+            len(forces) if taxel is None else 1
+        )
+        self.forces[finger] = forces
+
+    def _pace(self) -> None:
+        counts = [len(self.forces[finger]) for finger in self.fingers]
+        size = codec.data_size(self.content, counts) + 7
+        carried = wire_time(size, self.baudrate) / _SPARE
+        self.period = self.properties.period or max(_PERIOD, carried)
+
+    def power_cycle(self, now: float) -> None:
+        """Restart; it does not stream until it is told to."""
+        self._parser.reset()
+        self.content, self.streaming = Content.RESULTANTS, False
+        self._pace()
+
+    def line_reset(self) -> None:
+        """Forget the bytes of an incomplete request."""
+        self._parser.reset()
+
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        """Receive bytes and return the replies."""
+        if "silent" in self.faults:
+            return []
+        replies = (self._answer(request) for request in self._parser.feed(data))
+        return [reply.to_bytes() for reply in replies if reply is not None]
+
+    def step(self, now: float) -> list[bytes]:
+        """Return the frame that is due, if one is."""
+        if not self.streaming or "silent" in self.faults or now < self._due:
+            return []
+        # From now on, not from when it was due: what was missed is never made up for.
+        self._due = now + self.period
+        frames = [self._frame().to_bytes()]
+        if self.properties.encoders:
+            words = [_with_parity(count) for count in self.angles]
+            frames.append(Encoders(0, np.array(words, dtype="<u2").tobytes()).to_bytes())
+        return frames
+
+    def _frame(self) -> Stream:
+        error = 1 if "error" in self.faults else 0
+        taxels = [self.forces[finger] for finger in self.fingers]
+        resultants = np.array([each.sum(axis=0) for each in taxels]).reshape(-1, 3)
+        return Stream(error, codec.forces_bytes(resultants, taxels, self.content))
+
+    def _answer(self, request: Request) -> Reply | None:
+        if request.function == Function.READ:
+            data = self._register(request.address, request.count)
+        else:
+            data = b"\0" if self._set(request.address, request.data) else b"\x01"
+        return Reply(request.function, request.address, request.count, data)
+
+    def _register(self, address: int, count: int) -> bytes:
+        if "wrong_device" in self.faults:
+            return b"\xff" * count
+        tables = {
+            Register.CONNECTED: codec.connected_bytes(self.fingers),
+            Register.CONTENT: bytes([self.content]),
+            Register.STREAM: bytes([self.streaming]),
+            Register.COUNTS: codec.counts_bytes({f: len(self.forces[f]) for f in self.fingers}),
+        }
+        for register, data in tables.items():
+            if address == register:
+                return (data + bytes(count))[:count]
+        return bytes(count)
+
+    def _set(self, address: int, data: bytes) -> bool:
+        if len(data) != 1:
+            return False
+        if address == Register.CONTENT and 1 <= data[0] <= 3:
+            self.content = Content(data[0])
+            self._pace()
+            return True
+        if address == Register.STREAM and data[0] <= 1:
+            self.streaming = bool(data[0])
+            return True
+        return False
+
+
+def _with_parity(count: int) -> int:
+    """Return the word of an encoder's count: the highest bit makes the number of ones even."""
+    word = count & 0x3FFF
+    return word | (bin(word).count("1") % 2) << 15

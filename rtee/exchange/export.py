@@ -1,0 +1,177 @@
+"""`rtee export`: the files of a hand for the programs of others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+
+import numpy as np
+
+from rtee.errors import ConfigError, ModelError, needing_extra
+from rtee.hand.files import read_bytes, write_all
+from rtee.hand.load import load_hand
+from rtee.hand.local_meshes import with_local_meshes
+from rtee.hand.model import Hand
+from rtee.hand.srdfwrite import format_srdf
+from rtee.hand.transmission import sample
+
+_READ_BY_MUJOCO: Final = (".stl", ".obj")
+"""Formats of meshes that MuJoCo reads."""
+
+_COMPILER: Final = {
+    # Without these MuJoCo drops links that are fixed, what is visible, and the folders of meshes.
+    "fusestatic": "false",
+    "discardvisual": "false",
+    "strippath": "false",
+    # It refuses moving links lighter than that, which a kinematic model may have [kg, kg·m²].
+    "boundmass": "1e-3",
+    "boundinertia": "1e-9",
+    # Rounded moments of inertia that no body can have are mended, not refused.
+    "balanceinertia": "true",
+}
+"""What MuJoCo is told about the URDF; other programs pass over its element."""
+
+
+class Kind(StrEnum):
+    """A kind of file that a hand is exported as."""
+
+    URDF = "urdf"
+    MJCF = "mjcf"
+    SRDF = "srdf"
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was exported.
+
+    Attributes:
+        files: The files written, meshes included.
+        notes: What the files do not say as the hand has it, one sentence each.
+    """
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...]
+
+
+def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind)) -> Exported:
+    """Write a hand's model into a folder: ``HAND.urdf`` with meshes, ``HAND.xml``, ``HAND.srdf``.
+
+    Args:
+        folder: The hand's folder.
+        target: Where to; it is made if needed, and files of these names are replaced.
+        kinds: Which files.
+
+    Raises:
+        ConfigError: The files cannot be written, or would replace the hand's own.
+        MissingExtra: MJCF is asked for, and the extra ``sim`` is not installed.
+        ModelError: A mesh is missing, or the hand cannot be simulated.
+    """
+    if target.resolve() == folder.resolve():
+        raise ConfigError("is the hand's own folder; export it to another one", path=target)
+    hand = load_hand(folder)
+    files: dict[Path, str | bytes] = {}
+    notes: list[str] = []
+    if Kind.URDF in kinds:
+        text, meshes, said = _urdf(hand)
+        files |= {target / place: read_bytes(path, "mesh", ModelError) for place, path in meshes}
+        files[target / f"{hand.name}.urdf"] = text
+        notes += said
+    if Kind.MJCF in kinds:
+        with needing_extra("exporting MJCF", "sim"):
+            from rtee.exchange.mjcf_export import mjcf_of
+        text, said = mjcf_of(hand)
+        files[target / f"{hand.name}.xml"] = text
+        notes += said
+    if Kind.SRDF in kinds:
+        files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
+    write_all(files, folders=[target])
+    return Exported(tuple(files), tuple(notes))
+
+
+def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
+    """Return a hand's URDF, its meshes by their places beside it, and notes."""
+    local = with_local_meshes(hand)
+    notes = list(local.notes)
+    keeping = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314
+    # The file has been read before, by a parser that refuses document types and entities.
+    root = ElementTree.fromstring(local.text, keeping)  # noqa: S314
+    for element in root.iterfind("joint"):
+        name = element.get("name", "")
+        _drop_repeated(element)
+        mimic = element.find("mimic")
+        if mimic is not None and mimic.get("nlFunPos") is not None:
+            notes += _straighten(hand, name, mimic)
+        elif name in hand.actuator_names:
+            _limit(hand, name, element)
+    _tell_mujoco(root)
+    others = [place for place in local.meshes if not place.lower().endswith(_READ_BY_MUJOCO)]
+    if others:
+        notes.append(f"MuJoCo cannot read {len(others)} of the URDF's meshes, such as {others[0]}")
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0"?>\n{text}\n', list(local.meshes.items()), notes
+
+
+def _drop_repeated(joint: ElementTree.Element) -> None:
+    """Leave the first of each element, which rtee takes; MuJoCo refuses repeated ones."""
+    there: set[str] = set()
+    for child in list(joint):
+        if isinstance(child.tag, str) and child.tag in there:
+            joint.remove(child)
+        elif isinstance(child.tag, str):  # comments have a function for a tag
+            there.add(child.tag)
+
+
+def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]:
+    """Give a joint that follows by an expression the nearest line, which others read."""
+    couplings = hand.transmission.couplings
+    coupling = couplings[hand.joint_index(joint)]
+    master = couplings[hand.joint_index(mimic.get("joint", "").strip())]
+    if coupling.actuator is None:
+        return []
+    actuator = hand.actuators[coupling.actuator]
+    at = sample(actuator.lower, actuator.upper)
+    x = np.array([master.value(u) for u in at])
+    y = np.array([coupling.value(u) for u in at])
+    # About its mean, so that a master that stands still gives a constant and no division by zero.
+    spread = float(np.sum((x - x.mean()) ** 2))
+    slope = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0.0 else 0.0
+    offset = float(y.mean() - slope * x.mean())
+    mimic.set("multiplier", repr(slope))
+    mimic.set("offset", repr(offset))
+    error = float(np.abs(slope * x + offset - y).max())
+    return [
+        f"joint '{joint}' follows '{mimic.get('joint')}' by nlFunPos; programs that do not know "
+        f"that take the nearest line, up to {error:.2g} off"
+    ]
+
+
+def _limit(hand: Hand, name: str, element: ElementTree.Element) -> None:
+    """Give an actuator the limits that hold, those of hand.yaml included."""
+    limit, spec, before = element.find("limit"), hand.actuator(name), hand.urdf.joints[name]
+    if limit is None:
+        return
+    for attribute, value, old in (
+        ("lower", spec.lower, before.lower),
+        ("upper", spec.upper, before.upper),
+        ("velocity", spec.velocity, before.velocity),
+        ("effort", spec.effort, before.effort),
+    ):
+        if value != old and math.isfinite(value):
+            limit.set(attribute, repr(float(value)))
+
+
+def _tell_mujoco(root: ElementTree.Element) -> None:
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.SubElement(root, "mujoco")
+    compiler = extension.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(extension, "compiler")
+    for attribute, value in _COMPILER.items():
+        compiler.set(attribute, compiler.get(attribute, value))

@@ -1,0 +1,428 @@
+"""From a model's constraints to a transmission: every joint follows one actuator, or none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from rtee.errors import ModelError
+from rtee.exchange.mjcf_loops import Linkage, Solved, horner, solve_loop
+from rtee.exchange.mjcf_motion import (
+    TINY,
+    Constraints,
+    Curve,
+    Driven,
+    Follow,
+    Line,
+    Loop,
+    Motion,
+    Motor,
+    constraints_of,
+    joint_name,
+    joint_range,
+    names_of,
+    null_space,
+    resting_length,
+    tendon_factors,
+)
+from rtee.sample import FloatArray
+
+_SLACK = 1e-6
+"""Excess of a tendon's length that is rounding of its limits [rad | m]."""
+
+
+@dataclass(slots=True)
+class _Group:
+    """Joints that depend on one another, and on nothing else.
+
+    Attributes:
+        joints: The joints, in the model's order.
+        motors: What moves them.
+        lines: Rigid sums of them.
+        springs: Sums that springs pull to a value.
+        curves: Polynomials between them.
+        loops: What is solved numerically.
+    """
+
+    joints: list[int]
+    motors: list[Motor]
+    lines: list[Line]
+    springs: list[Line]
+    curves: list[Curve]
+    loops: list[Loop]
+
+
+def motion_of(model: mujoco.MjModel, path: object) -> Motion:
+    """Find out how the joints of a model move.
+
+    Args:
+        model: The model; its joints are hinges and slides.
+        path: Its file, for messages.
+
+    Raises:
+        ModelError: Motors and couplings leave another number of degrees of freedom than there are
+            motors, or a joint follows several motors, or a linkage cannot be solved.
+    """
+    found = constraints_of(model, path)
+    motion = Motion(fixed=dict(found.fixed))
+    held = [m for m in found.motors if m.joint in found.fixed]
+    motion.notes += [
+        f"actuator '{m.name}' moves a joint that is held, so it is left out" for m in held
+    ]
+    found.motors = [motor for motor in found.motors if motor not in held]
+    without_motors = not found.motors
+    _peel(model, found, motion)
+    found.lines += [
+        Line({c.joint: 1.0, c.of: -c.coefficients[1]}, c.coefficients[0], equality=c.equality)
+        for c in found.curves
+        if c.straight
+    ]
+    found.curves = [curve for curve in found.curves if not curve.straight]
+    if without_motors:
+        found.motors = _supposed_motors(model, found, motion)
+        if found.motors:
+            motion.notes.append(
+                "the model has no actuators, so every joint that is free to move counts as one"
+            )
+    for group in _groups(model, found, motion):
+        if not group.motors:
+            # What is coupled to itself only stands where it is drawn.
+            motion.passive += group.joints
+        elif group.loops or group.curves:
+            _solve_numerically(model, group, motion, path)
+        else:
+            _solve_lines(model, group, motion, path)
+    if not motion.driven:
+        raise ModelError("has no joint that a motor could move", path=str(path))
+    return motion
+
+
+def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:
+    """Take the joints out that only follow another one, those at the ends of chains first."""
+    # A tendon with a spring may hold such a joint, too, but a rigid coupling leaves it no choice.
+    while True:
+        used = [curve.joint for curve in found.curves] + [curve.of for curve in found.curves]
+        used += [joint for line in (*found.lines, *_sums(found.springs)) for joint in line.factors]
+        used += [joint for loop in found.loops for joint in loop.joints]
+        for motor in found.motors:
+            tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
+            used += [motor.joint] if motor.joint is not None else list(tendon or {})
+        leaves = [c for c in found.curves if used.count(c.joint) == 1 and c.of != c.joint]
+        if not leaves:
+            return
+        for curve in leaves:
+            c0, c1, *_ = curve.coefficients
+            if curve.straight:
+                motion.follows[curve.joint] = Follow(curve.of, c1, c0)
+            else:
+                motion.follows[curve.joint] = Follow(
+                    curve.of, expression=horner(curve.coefficients)
+                )
+        found.curves = [curve for curve in found.curves if curve not in leaves]
+
+
+def _sums(springs: Sequence[Line]) -> list[Line]:
+    """Return the springs that join several joints; one on a single joint couples nothing."""
+    return [spring for spring in springs if len(spring.factors) > 1]
+
+
+def _supposed_motors(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[Motor]:
+    """Return a motor for each joint that is free to move, where the model has none."""
+    taken: set[int] = {*motion.fixed, *motion.follows}
+    motors = []
+    for group in _groups(model, found, motion):
+        free = len(group.joints)
+        if group.loops or group.curves:
+            # One that moves the linkage; whether it is enough shows when it is solved.
+            free = 1
+        elif group.lines:
+            free -= int(np.linalg.matrix_rank(_matrix(group.lines, group.joints)))
+        chosen: list[int] = []
+        for joint in group.joints:
+            lines = [*group.lines, *(Line({each: 1.0}, 0.0) for each in (*chosen, joint))]
+            rank = int(np.linalg.matrix_rank(_matrix(lines, group.joints)))
+            if len(chosen) < free and (group.loops or group.curves or rank == len(lines)):
+                chosen.append(joint)
+        motors += [Motor("", joint, None) for joint in chosen if joint not in taken]
+    return motors
+
+
+def _groups(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[_Group]:
+    """Return the joints that are left in groups that do not depend on each other."""
+    left = [j for j in range(model.njnt) if j not in motion.fixed and j not in motion.follows]
+    group = {joint: {joint} for joint in left}
+
+    def join(joints: Sequence[int]) -> None:
+        members: set[int] = set()
+        for joint in joints:
+            members |= group.get(joint, set())
+        for joint in members:
+            group[joint] = members
+
+    ways: dict[int, list[int]] = {}
+    for i, motor in enumerate(found.motors):
+        tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
+        ways[i] = [motor.joint] if motor.joint is not None else list(tendon or {})
+        if motor.tendon is not None and tendon is None:
+            ways[i] = [j for loop in found.loops if motor.name in loop.what for j in loop.joints]
+        join(ways[i])
+    for line in (*found.lines, *_sums(found.springs)):
+        join(list(line.factors))
+    for curve in found.curves:
+        join([curve.joint, curve.of])
+    for loop in found.loops:
+        join(sorted(loop.joints))
+    lines, springs = (
+        [_without_held(line, motion.fixed) for line in each]
+        for each in (found.lines, found.springs)
+    )
+    made = [
+        _Group(
+            sorted(members),
+            [motor for i, motor in enumerate(found.motors) if members & set(ways[i])],
+            [line for line in lines if members & set(line.factors)],
+            [spring for spring in springs if members & set(spring.factors)],
+            [curve for curve in found.curves if members & {curve.joint, curve.of}],
+            [loop for loop in found.loops if members & loop.joints],
+        )
+        for members in {id(members): members for members in group.values()}.values()
+    ]
+    return sorted(made, key=lambda each: each.joints)
+
+
+def _without_held(line: Line, fixed: dict[int, float]) -> Line:
+    held = sum(factor * fixed[joint] for joint, factor in line.factors.items() if joint in fixed)
+    factors = {joint: factor for joint, factor in line.factors.items() if joint not in fixed}
+    return replace(line, factors=factors, value=line.value - held)
+
+
+def _matrix(lines: Sequence[Line], joints: Sequence[int]) -> FloatArray:
+    return np.array([[line.factors.get(j, 0.0) for j in joints] for line in lines]).reshape(
+        -1, len(joints)
+    )
+
+
+def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:
+    """Solve a group of linear couplings.
+
+    What they leave open springs decide, as at rest without load, and where there are none the
+    joints of a motor's tendon share its way in proportion to their factors.
+    """
+    pulls = [_pull(model, motor) for motor in group.motors]
+    rigid = _matrix(group.lines, group.joints)
+    given = np.vstack([rigid, _matrix(pulls, group.joints)])
+    held, motors = len(group.lines), len(pulls)
+    rank = len(group.joints) - null_space(given).shape[1]
+    if rank < np.linalg.matrix_rank(rigid, tol=TINY) + motors:
+        names = ", ".join(f"'{motor.name}'" for motor in group.motors)
+        raise ModelError(
+            f"actuators {names} move joints {names_of(model, group.joints)}, which couplings leave "
+            "fewer "
+            "degrees of freedom than that",
+            path=str(path),
+        )
+    # The joints are a + B · u with the motors' positions u; columns of `right`: constants, then u.
+    right = np.zeros((len(given), 1 + motors))
+    right[:held, 0] = [line.value for line in group.lines]
+    right[held:, 1:] = np.eye(motors)
+    q = np.linalg.pinv(given) @ right
+    free = null_space(given)
+    free_by_springs = _springs_decide(group, q, free)
+    shared = {
+        j
+        for j, row in zip(group.joints, free_by_springs, strict=True)
+        if np.abs(row).max(initial=0) > TINY
+    }
+    on_tendons = {joint for pull in pulls if len(pull.factors) > 1 for joint in pull.factors}
+    if shared & on_tendons:
+        motion.notes.append(
+            f"joints {names_of(model, shared & on_tendons)} share a tendon in proportion to its "
+            "factors, since "
+            "nothing else says how"
+        )
+    loose = sorted(shared - on_tendons - {m.joint for m in group.motors if m.joint is not None})
+    motion.passive += loose
+    _take(model, group, q, {*group.joints} - {*loose}, motion, path)
+
+
+def _pull(model: mujoco.MjModel, motor: Motor) -> Line:
+    """Return the sum of joint positions that a motor moves."""
+    if motor.joint is not None:
+        return Line({motor.joint: 1.0}, 0.0)
+    assert motor.tendon is not None  # noqa: S101 - a motor moves one of both
+    return Line(tendon_factors(model, motor.tendon) or {}, 0.0)
+
+
+def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
+    """Move what is left open to where the springs are at rest.
+
+    Args:
+        group: The joints.
+        q: Where they are ``(n, 1 + motors)``; changed in place.
+        free: A basis of what is left open ``(n, k)``.
+
+    Returns:
+        A basis of what the springs leave open, too.
+    """
+    if not (group.springs and free.shape[1]):
+        return free
+    root = np.sqrt([[spring.weight] for spring in group.springs])
+    pull = root * _matrix(group.springs, group.joints)
+    rest = np.zeros((len(group.springs), q.shape[1]))
+    rest[:, :1] = root * [[spring.value] for spring in group.springs]
+    q += free @ np.linalg.pinv(pull @ free) @ (rest - pull @ q)
+    return np.asarray(free @ null_space(pull @ free))
+
+
+def _take(
+    model: mujoco.MjModel,
+    group: _Group,
+    q: FloatArray,
+    joints: set[int],
+    motion: Motion,
+    path: object,
+) -> None:
+    """Write a solved group down: one joint of each motor is the actuator, the others follow it."""
+    rows = dict(zip(group.joints, q, strict=True))
+    chosen: list[int] = []
+    for k, motor in enumerate(group.motors, start=1):
+        joint = _actuator(model, rows, k, motor)
+        if joint is None:
+            raise ModelError(
+                f"no joint follows actuator '{motor.name}' alone; rtee's joints follow one "
+                "actuator each",
+                path=str(path),
+            )
+        if joint != motor.joint and motor.joint is not None:
+            motion.dropped.add(motor.joint)
+        chosen.append(joint)
+        motion.driven[joint] = _driven(model, joint, motor, rows[joint][0], rows[joint][k])
+    for joint in sorted(joints - set(chosen) - motion.dropped):
+        row = rows[joint]
+        moved_by = [k for k in range(1, len(row)) if abs(row[k]) > TINY]
+        if not moved_by:
+            motion.fixed[joint] = float(row[0])
+            continue
+        if len(moved_by) > 1:
+            names = " and ".join(f"'{group.motors[k - 1].name}'" for k in moved_by)
+            raise ModelError(
+                f"joint '{joint_name(model, joint)}' follows {names} at once; rtee's joints follow "
+                "one "
+                "actuator each",
+                path=str(path),
+            )
+        k = moved_by[0]
+        master = chosen[k - 1]
+        factor = float(row[k] / rows[master][k])
+        offset = float(row[0] - factor * rows[master][0])
+        motion.follows[joint] = Follow(master, _rounded(factor), _rounded(offset))
+
+
+def _rounded(value: float) -> float:
+    """Return a solved number without the last digits, which are rounding of the solution."""
+    return float(f"{value:.13g}") if abs(value) > 1e-13 else 0.0  # infinity stays infinity
+
+
+def _actuator(
+    model: mujoco.MjModel, rows: dict[int, FloatArray], k: int, motor: Motor
+) -> int | None:
+    """Return the joint that stands for a motor.
+
+    It is the motor's own, unless that carries nothing and a joint that follows it has the
+    actuator's name: then the joint is the hand's, and the motor a means to put springs between.
+    """
+    alone = [j for j, row in rows.items() if abs(row[k]) > TINY and _only(row, k)]
+    named = [j for j in alone if joint_name(model, j) == motor.name]
+    if motor.joint is not None:
+        if named and named[0] != motor.joint and _bare(model, motor.joint):
+            return named[0]
+        return motor.joint
+    pulled = [joint for joint in tendon_factors(model, motor.tendon or 0) or {} if joint in alone]
+    return next(iter([*named, *pulled, *alone]), None)
+
+
+def _only(row: FloatArray, k: int) -> bool:
+    return all(abs(value) <= TINY for i, value in enumerate(row) if i not in (0, k))
+
+
+def _bare(model: mujoco.MjModel, joint: int) -> bool:
+    """Return whether a joint's body has neither shapes nor bodies on it."""
+    body = int(model.jnt_bodyid[joint])
+    return model.body_geomnum[body] == 0 and body not in model.body_parentid[1:]
+
+
+def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slope: float) -> Driven:
+    """Return the limits of a joint that moves as ``offset + slope · u`` with a motor."""
+    lower, upper = joint_range(model, joint)
+    if motor.joint is not None:
+        drawn, own = float(model.qpos0[motor.joint]), joint_range(model, motor.joint)
+    else:
+        drawn = resting_length(model, tendon_factors(model, motor.tendon or 0) or {})
+        own = (-math.inf, math.inf)
+    for low, high in ((motor.lower - drawn, motor.upper - drawn), own):
+        ends = sorted((offset + slope * low, offset + slope * high))
+        lower, upper = max(lower, ends[0]), min(upper, ends[1])
+    return Driven(_rounded(lower), _rounded(upper), _rounded(motor.effort / abs(slope)))
+
+
+def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:
+    """Solve a closed linkage for the joints that follow its motor."""
+    what = ", ".join([loop.what for loop in group.loops] or ["joint equalities"])
+    if len(group.motors) != 1:
+        raise ModelError(
+            f"{what}: {len(group.motors)} actuators move joints {names_of(model, group.joints)} "
+            "together; "
+            "rtee's joints follow one actuator each",
+            path=str(path),
+        )
+    motor = group.motors[0]
+    joint = motor.joint if motor.joint is not None else group.joints[0]
+    spatial = motor.tendon is not None and tendon_factors(model, motor.tendon) is None
+    lower, upper = joint_range(model, joint)
+    if motor.joint is not None:
+        drawn = float(model.qpos0[joint])
+        lower, upper = max(lower, motor.lower - drawn), min(upper, motor.upper - drawn)
+    if not (math.isfinite(lower) and math.isfinite(upper)):
+        raise ModelError(
+            f"joint '{joint_name(model, joint)}' moves a closed linkage ({what}) and has no range; "
+            "give it one",
+            path=str(path),
+        )
+    others = [other for other in group.joints if other != joint]
+    numbers = {loop.equality for loop in group.loops} | {line.equality for line in group.lines}
+    numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
+    linkage = Linkage(model, joint, others, numbers, motion.fixed)
+    solved = solve_loop(linkage, (lower, upper), what, path) if others else None
+    effort = 0.0 if motor.tendon is not None else motor.effort
+    if solved is None:
+        motion.driven[joint] = Driven(lower, upper, effort)
+    else:
+        lower, upper = solved.places[0], solved.places[-1]
+        if motor.tendon is not None and not spatial:
+            lower, upper = _within_targets(model, motor, joint, others, solved)
+        motion.driven[joint] = Driven(float(lower), float(upper), effort)
+        motion.follows |= solved.follows
+        motion.notes += solved.notes
+    if spatial:
+        motion.notes.append(
+            f"the spatial tendon of '{motor.name}' moves joint '{joint_name(model, joint)}', which "
+            "is the actuator; "
+            "its lever is not taken over"
+        )
+
+
+def _within_targets(
+    model: mujoco.MjModel, motor: Motor, joint: int, others: Sequence[int], solved: Solved
+) -> tuple[float, float]:
+    """Return the range of a joint in which its motor's tendon is as long as its targets may be."""
+    factors = tendon_factors(model, motor.tendon or 0) or {}
+    length = resting_length(model, factors) + factors.get(joint, 0.0) * solved.places
+    length = length + solved.ways @ np.array([factors.get(other, 0.0) for other in others])
+    inside = (length >= motor.lower - _SLACK) & (length <= motor.upper + _SLACK)
+    if not inside.any():
+        return math.inf, -math.inf
+    return float(solved.places[inside][0]), float(solved.places[inside][-1])

@@ -1,0 +1,229 @@
+"""A hand as MJCF: the model that rtee simulates, under the names of the hand's own files.
+
+Added for others' programs are what is visible, ranges of the actuators' targets, touch sensors on
+the fingertips, and the rest posture as a keyframe.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Final
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from rtee.drivers.mujoco.couplings import fit, followers, span
+from rtee.drivers.mujoco.model import CARRIER, add_shape
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK, rest_position
+from rtee.drivers.mujoco.scene import build_hand
+from rtee.hand.model import Hand
+from rtee.types import JointKind
+
+CLOSE: Final = 1e-4
+"""Deviation of a polynomial from a coupling that need not be told [rad | m]: less than encoders of
+hands resolve."""
+
+TOUCH: Final = "touch/"
+"""Prefix of the touch sensors' names; the finger's name follows."""
+
+REST: Final = "rest"
+"""Name of the keyframe with the rest posture."""
+
+_VISIBLE, _COLLISION = 2, 3
+"""Groups of shapes that MuJoCo's viewers show, and hide, unless told otherwise."""
+
+_SKIN = 1e-3
+"""How far a touch sensor's zone reaches beyond the fingertip [m]; contacts lie within the margin
+and the penetration of MuJoCo's soft contacts around the surface."""
+
+_EXACT: Final = {
+    "body": ("pos", "quat"),
+    "joint": ("axis", "range"),
+    "geom": ("pos", "quat", "size"),
+    "site": ("pos", "quat", "size"),
+}
+"""Numbers that are written in full; MuJoCo writes six digits, which are 1 µm in 1 m."""
+_DEFAULTS: Final = {
+    "pos": (0.0, 0.0, 0.0),
+    "quat": (1.0, 0.0, 0.0, 0.0),
+    "axis": (0.0, 0.0, 1.0),
+    "polycoef": (0.0, 1.0, 0.0, 0.0, 0.0),
+}
+
+
+def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
+    """Return a hand as MJCF, and what others should know about it, one sentence each.
+
+    Raises:
+        ModelError: The hand cannot be simulated; the message says why.
+    """
+    plain, notes = _rigid_where_curved(hand)
+    built = build_hand(plain, SimOptions())
+    spec = built.spec
+    _add_visuals(spec, hand)
+    _limit_targets(spec, hand)
+    _add_touch(spec, hand)
+    names = _own_names(spec, hand)
+    model = spec.compile()
+    spec.add_key(
+        name=REST,
+        qpos=rest_position(model, plain),
+        ctrl=[hand.rest[hand.actuator_index(motor.name)] for motor in spec.actuators],
+    )
+    model = spec.compile()
+    return _in_full(spec.to_xml(), spec, model), [*built.notes, *names, *notes]
+
+
+def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:
+    """Return the hand without springs along curves, and how far polynomials are off.
+
+    MuJoCo's springs follow lines. rtee renews their tangents as it simulates; a file cannot.
+    """
+    notes, rigid = [], dict(hand.dynamics)
+    for follower in followers(hand):
+        if follower.coupling.linear:
+            continue
+        name = follower.actuator.name
+        if follower.elastic and rigid[name].joints:
+            rigid[name] = replace(rigid[name], coupling=None, joints=None, shares=None)
+            notes.append(f"the joints of '{name}' follow along curves, so rigidly, not by springs")
+        error = fit(follower.coupling, *span(follower.actuator))[1]
+        if error > CLOSE:
+            notes.append(
+                f"joint '{follower.joint}' follows '{name}' by a curve that MuJoCo's polynomial "
+                f"meets within {error:.2g} {_unit(hand, follower.joint)}"
+            )
+    return replace(hand, dynamics=rigid), notes
+
+
+def _unit(hand: Hand, joint: str) -> str:
+    kind = hand.joints[hand.joint_index(joint)].kind
+    return "m" if kind is JointKind.PRISMATIC else "rad"
+
+
+def _add_visuals(spec: mujoco.MjSpec, hand: Hand) -> None:
+    """Add what is seen of each link; its collision shapes are shown where that is a mesh."""
+    for link in hand.urdf.links.values():
+        body = spec.body(LINK + link.name)
+        if not link.visuals or any(shape.kind == "mesh" for shape in link.visuals):
+            for geom in body.geoms:
+                geom.group = _VISIBLE
+            continue
+        for index, shape in enumerate(link.visuals):
+            geom = add_shape(spec, body, shape, f"{link.name}/visual/{index}", _no_triangles)
+            geom.contype = geom.conaffinity = 0
+            geom.mass = 0.0
+            geom.group = _VISIBLE
+
+
+def _no_triangles() -> tuple[np.ndarray, np.ndarray]:
+    raise AssertionError  # visual meshes are not added
+
+
+def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
+    for motor in spec.actuators:
+        actuator = hand.actuator(motor.name)
+        if actuator.kind is not JointKind.CONTINUOUS:
+            motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            motor.ctrlrange = [actuator.lower, actuator.upper]
+
+
+def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
+    """Add a touch sensor to each fingertip: the sum of the normal forces in a box around it [N]."""
+    model = spec.compile()
+    for finger in hand.fingers:
+        if finger.tip is None:
+            continue
+        body = model.body(LINK + finger.tip).id
+        corners = np.vstack([_corners(model, geom) for geom in _collision_geoms(model, body)])
+        lower, upper = corners.min(axis=0), corners.max(axis=0)
+        name = TOUCH + finger.name
+        spec.body(LINK + finger.tip).add_site(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=0.5 * (lower + upper),
+            size=0.5 * (upper - lower) + _SKIN,
+            group=4,  # not shown
+        )
+        spec.add_sensor(
+            name=name,
+            type=mujoco.mjtSensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
+
+
+def _collision_geoms(model: mujoco.MjModel, body: int) -> list[int]:
+    own = np.flatnonzero(model.geom_bodyid == body)
+    return [int(geom) for geom in own if model.geom_contype[geom]]
+
+
+def _corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Return the corners ``(8, 3)`` of a shape's box in its body's frame [m]."""
+    centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    return np.asarray(model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T)
+
+
+def _own_names(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
+    """Give bodies the names of their links; returns what had to be named otherwise."""
+    notes = []
+    names = {LINK + link: link for link in hand.urdf.links}
+    if "world" in hand.urdf.links:
+        names[LINK + "world"] = LINK + "world"
+        notes.append("link 'world' is called 'link/world', since MuJoCo has a body of that name")
+    if CARRIER in hand.urdf.links:
+        names[CARRIER] = f"{CARRIER}/{hand.name}"
+    for body in spec.bodies:
+        body.name = names.get(body.name, body.name)
+    for pair in spec.excludes:
+        pair.bodyname1, pair.bodyname2 = names[pair.bodyname1], names[pair.bodyname2]
+    return notes
+
+
+def _in_full(text: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
+    """Return MuJoCo's own text of a model with the numbers of its geometry written in full."""
+    root = ElementTree.fromstring(text)  # noqa: S314 - made by MuJoCo just now
+    world = root.find("worldbody")
+    assert world is not None  # noqa: S101 - every model has one
+    for tag, attributes in _EXACT.items():
+        for element in world.iter(tag):
+            thing = getattr(spec, tag)(element.get("name", ""))
+            for attribute in attributes:
+                _set(element, attribute, getattr(thing, attribute))
+    for element in root.iterfind("./equality/joint"):
+        _set(element, "polycoef", spec.equality(element.get("name", "")).data[:5])
+    for element in root.iterfind("./tendon/fixed"):
+        tendon = model.tendon(element.get("name", ""))
+        first = int(model.tendon_adr[tendon.id])
+        _set(element, "springlength", model.tendon_lengthspring[tendon.id, :1])
+        for i, joint in enumerate(element.iterfind("joint")):
+            _set(joint, "coef", model.wrap_prm[first + i : first + i + 1])
+    for element in root.iterfind("./actuator/*"):
+        _set(element, "ctrlrange", model.actuator(element.get("name", "")).ctrlrange)
+    for element in root.iterfind("./keyframe/key"):
+        key = spec.key(element.get("name", ""))
+        _set(element, "qpos", key.qpos)
+        _set(element, "ctrl", key.ctrl)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _set(element: ElementTree.Element, attribute: str, values: Iterable[float]) -> None:
+    """Write numbers in full where MuJoCo has written them, or has rounded them to its default."""
+    found = [float(value) for value in values]
+    there = element.get(attribute)
+    if there is None:
+        default: Sequence[float] | None = _DEFAULTS.get(attribute)
+        if default is None or tuple(found) == default or not all(map(math.isfinite, found)):
+            return
+    else:
+        # A sphere has one size, a cylinder two: as many as MuJoCo writes.
+        found = found[: len(there.split())]
+    element.set(attribute, " ".join(repr(value) for value in found))

@@ -1,0 +1,263 @@
+"""Read an MJCF file of unknown origin: checked by rtee's own reader, then parsed by MuJoCo.
+
+MuJoCo's parser opens whatever file a model names, and makes whatever it counts. So each file is
+read as plain XML first: no entities, limited sizes, and no path that leads out of the model's
+folder.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import mujoco
+
+from rtee.errors import ModelError
+from rtee.hand.files import MAX_SIZE, read_bytes, reason
+from rtee.hand.meshes import why_no_mesh
+from rtee.hand.xmlfile import Element, read_xml
+
+MOST_FILES: Final = 200
+"""Most files that a model may include; those of hands have one to three."""
+
+MOST_BODIES: Final = 1000
+"""Most bodies of a model; hands have up to 50, and arms with hands 100."""
+
+_MESHES: Final = (".stl", ".obj", ".msh")
+"""Formats of meshes that MuJoCo reads."""
+
+_REFUSED: Final = {
+    "attach": "attaches other models; write it as one file first, by MuJoCo's compile",
+    "model": "attaches other models; write it as one file first, by MuJoCo's compile",
+    "replicate": "makes many bodies of one, which rtee does not read",
+    "composite": "is a flexible body, which no hand model of rtee has",
+    "flexcomp": "is a flexible body, which no hand model of rtee has",
+    "flex": "is a flexible body, which no hand model of rtee has",
+    "plugin": "needs a plugin of MuJoCo, which rtee does not load",
+}
+"""Elements that are refused, and why; some of them could count without bound."""
+
+_PLACE: Final = re.compile(
+    r"\s*Element (?:name )?'[^']*',(?: id \d+,)? line (\d+)\s*$|\s*Line number=(\d+)\s*$"
+)
+
+_UNSEEN: Final = (
+    "textures",
+    "skins",
+    "hfields",
+    "sensors",
+    "keys",
+    "cameras",
+    "lights",
+    "numerics",
+    "texts",
+    "tuples",
+)
+"""Parts that say nothing about how a hand moves and what it touches; some name further files."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A model that MuJoCo has parsed.
+
+    Attributes:
+        path: Its main file.
+        spec: It, without what only serves pictures and measurements.
+        alone: Whether it includes no other file, so that lines are those of the main file.
+        notes: What was left out, one sentence each.
+    """
+
+    path: Path
+    spec: mujoco.MjSpec
+    alone: bool
+    notes: tuple[str, ...]
+
+
+def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
+    """Read an MJCF file with all that it includes.
+
+    Args:
+        path: The file.
+        folders: Where its includes and meshes may be besides its own folder.
+
+    Raises:
+        ModelError: A file is missing, is no MJCF, leads out of these folders, is too large, or
+            describes what rtee refuses; the message names file and line where they are known.
+    """
+    file = Path(path)
+    allowed = [_real(folder) for folder in (file.absolute().parent, *folders)]
+    parts = _parts(file, allowed)
+    elements = [element for part in parts for element in _all(part)]
+    for element in elements:
+        if element.tag in _REFUSED:
+            raise element.error(f"<{element.tag}> {_REFUSED[element.tag]}")
+    bodies = sum(element.tag == "body" for element in elements)
+    if bodies > MOST_BODIES:
+        raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are no hand", path=file)
+    missing = _check_meshes(elements, file, allowed)
+    try:
+        spec = mujoco.MjSpec.from_file(str(file))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise mujoco_error(error, file, lines=len(parts) == 1) from None
+    return Source(file, spec, len(parts) == 1, tuple(_reduce(spec, missing, file)))
+
+
+def mujoco_error(error: Exception, path: Path, *, lines: bool) -> ModelError:
+    """Return what MuJoCo says as one sentence.
+
+    Args:
+        error: What it raised.
+        path: The main file.
+        lines: Whether the lines that it names are those of the main file.
+    """
+    text = str(error).strip()
+    found = _PLACE.search(text)
+    line = int(found[1] or found[2]) if found else 0
+    text = _PLACE.sub("", text)
+    text = re.sub(r"^(XML )?Error:\s*", "", " ".join(text.split()))
+    return ModelError(
+        f"MuJoCo refuses it: {text[:1].lower()}{text[1:300]}",
+        path=path,
+        line=line if lines and line > 0 else None,
+    )
+
+
+def _real(folder: Path | str) -> Path:
+    try:
+        return Path(folder).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ModelError(f"folder cannot be read: {reason(error)}", path=folder) from None
+
+
+def _all(root: Element) -> Iterator[Element]:
+    pending = [root]
+    while pending:
+        element = pending.pop()
+        yield element
+        pending.extend(element.children)
+
+
+def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
+    """Return the root elements of a model's file and of all that it includes."""
+    root = read_xml(file, "MJCF")[0]
+    if root.tag != "mujoco":
+        what = "a URDF; give it by --urdf" if root.tag == "robot" else f"<{root.tag[:40]}>"
+        raise root.error(f"is {what}, not MJCF, whose root element is <mujoco>")
+    found, size = {_real(file): root}, 0
+    pending = [root]
+    while pending:
+        for element in _all(pending.pop()):
+            if element.tag != "include":
+                continue
+            name = element.required("file")
+            # MuJoCo looks beside the main file; beside the including one costs nothing to check.
+            places = dict.fromkeys((file.parent / name, element.path.parent / name))
+            there = [place for place in places if _inside(place, allowed, element, name).is_file()]
+            if not there:
+                raise element.error(f"the included file '{name[:200]}' does not exist")
+            for place in there:
+                if _real(place) in found:
+                    continue
+                size += place.stat().st_size
+                if size > MAX_SIZE or len(found) > MOST_FILES:
+                    raise element.error(
+                        f"includes more than {MOST_FILES} files or {MAX_SIZE // 1_000_000} MB"
+                    )
+                part = read_xml(place, "MJCF")[0]
+                found[_real(place)] = part
+                pending.append(part)
+    return list(found.values())
+
+
+def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -> Path:
+    """Return a file's real place, which must be inside one of the allowed folders."""
+    real = _real(place)
+    if not any(real.is_relative_to(folder) for folder in allowed):
+        raise element.error(
+            f"'{name[:200]}' leads out of the model's folder; put the file there, or give its "
+            "folder by "
+            "--package-dir"
+        )
+    return real
+
+
+def _check_meshes(
+    elements: Sequence[Element], file: Path, allowed: Sequence[Path]
+) -> dict[str, str]:
+    """Check every file that a model names; return why each missing mesh cannot be used."""
+    folders = [""]
+    for element in elements:
+        if element.tag == "compiler":
+            folders += [
+                element.attributes[name]
+                for name in ("meshdir", "assetdir", "texturedir")
+                if name in element.attributes
+            ]
+    missing: dict[str, str] = {}
+    for element in elements:
+        for attribute, name in element.attributes.items():
+            if not attribute.startswith("file") or element.tag == "include":
+                continue
+            places = [file.parent / folder / name for folder in folders]
+            there = [p for p in places if _inside(p, allowed, element, name).is_file()]
+            if element.tag != "mesh":  # textures and the like are never opened
+                continue
+            if not there:
+                missing[name] = f"mesh '{name[:200]}' does not exist"
+            elif there[-1].suffix.lower() not in _MESHES:
+                missing[name] = f"mesh '{name[:200]}' is of none of MuJoCo's formats: stl, obj, msh"
+            else:
+                data = read_bytes(there[-1], "mesh", ModelError)
+                wrong = why_no_mesh(data, there[-1].suffix.lower())
+                if wrong:
+                    missing[name] = f"mesh '{name[:200]}' cannot be read: {wrong}"
+    return missing
+
+
+def collides(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a shape can touch others."""
+    return bool(geom.contype or geom.conaffinity)
+
+
+def _reduce(spec: mujoco.MjSpec, missing: dict[str, str], path: Path) -> list[str]:
+    """Take out of a model what its motion and its contacts do not need; returns notes."""
+    notes = []
+    broken = {
+        mesh.name or Path(mesh.file).stem: missing[mesh.file]
+        for mesh in spec.meshes
+        if mesh.file in missing
+    }
+    paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    for geom in list(spec.geoms):
+        geom.material = ""
+        kind = geom.type
+        why = ""
+        if geom.meshname in broken and kind == mujoco.mjtGeom.mjGEOM_MESH:
+            if collides(geom) or geom.name in paired:
+                raise ModelError(broken[geom.meshname], path=path)
+            why = broken[geom.meshname]
+        elif kind in (mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF):
+            why = f"body '{geom.parent.name}' has a height field or a distance field"
+        if why:
+            notes.append(f"a shape was left out: {why}")
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        mesh.material = ""
+        if mesh.file in missing:
+            spec.delete(mesh)
+    for tendon in spec.tendons:
+        tendon.material = ""
+    for site in spec.sites:
+        site.material = ""
+    for kind_of in _UNSEEN:
+        for thing in list(getattr(spec, kind_of)):
+            spec.delete(thing)
+    for material in list(spec.materials):
+        spec.delete(material)
+    # Memory and sizes that the file asks for; nothing is simulated with them.
+    spec.memory, spec.nuserdata, spec.nkey = -1, 0, 0
+    spec.compiler.discardvisual = spec.compiler.fusestatic = spec.compiler.usethread = False
+    return notes

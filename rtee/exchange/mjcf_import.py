@@ -1,0 +1,415 @@
+"""Make a URDF of an MJCF model, so that everything in rtee can read it."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from xml.sax.saxutils import quoteattr
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rtee.drivers.mujoco.model import CARRIER
+from rtee.errors import ModelError
+from rtee.exchange.mjcf_coupling import motion_of
+from rtee.exchange.mjcf_files import Source, mujoco_error, read_mjcf
+from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
+from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.names import safe_name
+from rtee.hand.tessellation import sphere
+from rtee.sample import FloatArray
+
+Faces = NDArray[np.signedinteger[Any]]
+"""Triangles as numbers of their corners ``(f, 3)``."""
+
+EXCLUDED: Final = "excluded in the MJCF"
+"""Why a pair of links is never checked for collision."""
+
+_SEEN = 2
+"""Highest group of shapes that MuJoCo's viewers show unless told otherwise."""
+
+_GIMBAL = 1e-12
+"""Cosine of the pitch below which roll and yaw turn about one axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """An MJCF model as a URDF.
+
+    Attributes:
+        urdf: The URDF.
+        passive: Joints without a motor; ``None`` where the model has no motors at all.
+        excluded: Pairs of links that are never checked for collision, and why.
+        notes: What was chosen and left out, one sentence each.
+    """
+
+    urdf: Path
+    passive: tuple[str, ...] | None
+    excluded: tuple[tuple[str, str, str], ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """A link of the URDF.
+
+    Attributes:
+        name: Its name.
+        body: The body whose shapes it has; ``None`` if it only stands between two joints.
+        origin: Where its frame is in the body's frame ``(3,)`` [m]: its joint's place.
+    """
+
+    name: str
+    body: int | None
+    origin: FloatArray
+
+
+def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = ()) -> Imported:
+    """Write the URDF of an MJCF model into a folder, its meshes beside it.
+
+    Args:
+        path: The MJCF file.
+        folder: Where the URDF goes.
+        folders: Where its includes and meshes may be besides its own folder.
+
+    Raises:
+        ModelError: The file cannot be read, or describes what rtee has no form for; the message
+            says what, with file and line where they are known.
+    """
+    source = read_mjcf(path, folders)
+    for joint in source.spec.joints:
+        _check_joint(joint, source)
+    try:
+        model = source.spec.compile()
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise mujoco_error(error, source.path, lines=source.alone) from None
+    writer = _Writer(model, source, motion_of(model, source.path), folder)
+    urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
+    write_atomically(urdf, writer.text())
+    return Imported(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
+
+
+def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
+    kind, body = joint.type, joint.parent.name
+    named = f"'{joint.name}' " if joint.name else ""
+    if kind == mujoco.mjtJoint.mjJNT_FREE:
+        raise ModelError(
+            f"joint {named}of body '{body}' is free; a hand's base is fixed, so take the joint "
+            "away (and bodies "
+            "that are no parts of the hand)",
+            path=source.path,
+        )
+    if kind == mujoco.mjtJoint.mjJNT_BALL:
+        raise ModelError(
+            f"joint {named}of body '{body}' is a ball joint, which has three degrees of freedom in "
+            "one; rtee "
+            "needs three hinges",
+            path=source.path,
+        )
+
+
+class _Writer:
+    """Writes a model as a URDF."""
+
+    def __init__(self, model: mujoco.MjModel, source: Source, motion: Motion, folder: Path) -> None:
+        self._model, self._source, self._motion, self._folder = model, source, motion, folder
+        self.notes = [*source.notes, *motion.notes]
+        self._lines: list[str] = []
+        self._meshes: dict[int, str] = {}
+        self._joint_names = _unique([joint_name(model, j) for j in range(model.njnt)])
+        names = [str(model.body(b).name) or f"body_{b}" for b in range(model.nbody)]
+        self._names = _unique(names)
+        children: dict[int, list[int]] = {b: [] for b in range(model.nbody)}
+        dropped = {int(model.jnt_bodyid[joint]) for joint in motion.dropped}
+        for body in range(1, model.nbody):
+            if body not in dropped:
+                children[int(model.body_parentid[body])].append(body)
+        self._children = children
+        self.root = self._root()
+
+    def _root(self) -> int:
+        """Return the body that is the hand's base: the one that the world, or a carrier, holds."""
+        model, body = self._model, 0
+        while body == 0 or self._names[body] == CARRIER:
+            below = self._children[body]
+            shapes = [
+                g for g in self._geoms(body) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
+            ]
+            if len(below) != 1 or shapes or model.body_jntnum[below[0]]:
+                break
+            body = below[0]
+        return body
+
+    def _geoms(self, body: int) -> list[int]:
+        first = int(self._model.body_geomadr[body])
+        return list(range(first, first + int(self._model.body_geomnum[body])))
+
+    def text(self) -> str:
+        """Return the URDF; writes the meshes."""
+        name = self._source.spec.modelname or self._source.path.stem
+        self._lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>"]
+        root = _Link(self._names[self.root], self.root, np.zeros(3))
+        pending = [root]
+        self._link(root)
+        while pending:
+            parent = pending.pop(0)
+            assert parent.body is not None  # noqa: S101 - only bodies have bodies below
+            pending += [self._body(parent, child) for child in self._children[parent.body]]
+        return "\n".join([*self._lines, "</robot>"]) + "\n"
+
+    def _body(self, parent: _Link, body: int) -> _Link:
+        """Write a body with its joints; several joints have links without shape between them."""
+        model = self._model
+        place, turn = model.body_pos[body] - parent.origin, model.body_quat[body]
+        first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        joints = list(range(first, first + number)) if number else []
+        if not joints:
+            link = _Link(self._names[body], body, np.zeros(3))
+            self._link(link)
+            self._fixed(f"{link.name}_fixed", parent.name, link.name, place, turn)
+            return link
+        above, before = parent.name, np.zeros(3)
+        link = parent
+        for joint in joints:
+            anchor, last = model.jnt_pos[joint].copy(), joint == joints[-1]
+            name = self._names[body] if last else f"{self._names[body]}/{self._joint_names[joint]}"
+            link = _Link(name, body if last else None, anchor)
+            self._link(link)
+            if joint == joints[0]:
+                at = place + _matrix(turn) @ anchor
+            else:
+                at, turn = anchor - before, np.array([1.0, 0.0, 0.0, 0.0])
+            self._joint(joint, above, name, at, turn)
+            above, before = name, anchor
+        return link
+
+    def _joint(
+        self, joint: int, parent: str, child: str, place: FloatArray, turn: FloatArray
+    ) -> None:
+        model, motion, name = self._model, self._motion, self._joint_names[joint]
+        axis, slide = model.jnt_axis[joint], model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        held = motion.fixed.get(joint)
+        if held is not None:
+            if slide:
+                place = place + _matrix(turn) @ (axis * held)
+            else:
+                by, total = np.zeros(4), np.zeros(4)
+                mujoco.mju_axisAngle2Quat(by, axis, held)
+                mujoco.mju_mulQuat(total, turn, by)
+                turn = total
+            self.notes.append(f"joint '{name}' is held, so it is fixed")
+            self._fixed(name, parent, child, place, turn)
+            return
+        driven = motion.driven.get(joint)
+        lower, upper = joint_range(model, joint) if driven is None else (driven.lower, driven.upper)
+        limited = math.isfinite(lower) and math.isfinite(upper)
+        if not limited and joint in motion.follows:
+            lower, upper, limited = -_ANY, _ANY, True
+        if slide and not limited:
+            raise ModelError(
+                f"slide joint '{name}' has no range; give it one, or its actuator a ctrlrange",
+                path=self._source.path,
+            )
+        if limited and lower > upper:
+            raise ModelError(
+                f"the range of joint '{name}' and the ctrlrange of its actuator have nothing in "
+                "common",
+                path=self._source.path,
+            )
+        kind = "prismatic" if slide else "revolute" if limited else "continuous"
+        effort = driven.effort if driven is not None else 0.0
+        limit = f' lower="{_number(lower)}" upper="{_number(upper)}"' if limited else ""
+        self._lines += [
+            f'  <joint name={quoteattr(name)} type="{kind}">',
+            f"    <parent link={quoteattr(parent)}/>",
+            f"    <child link={quoteattr(child)}/>",
+            f"    {_origin(place, turn)}",
+            f'    <axis xyz="{_numbers(axis)}"/>',
+            f'    <limit{limit} effort="{_number(effort)}" velocity="0"/>',
+            *self._mimic(motion.follows.get(joint)),
+            "  </joint>",
+        ]
+
+    def _mimic(self, follow: Follow | None) -> list[str]:
+        if follow is None:
+            return []
+        master = quoteattr(self._joint_names[follow.of])
+        if follow.expression is not None:
+            return [f"    <mimic joint={master} nlFunPos={quoteattr(follow.expression)}/>"]
+        how = f'multiplier="{_number(follow.factor)}" offset="{_number(follow.offset)}"'
+        return [f"    <mimic joint={master} {how}/>"]
+
+    def _fixed(
+        self, name: str, parent: str, child: str, place: FloatArray, turn: FloatArray
+    ) -> None:
+        self._lines += [
+            f'  <joint name={quoteattr(name)} type="fixed">',
+            f"    <parent link={quoteattr(parent)}/>",
+            f"    <child link={quoteattr(child)}/>",
+            f"    {_origin(place, turn)}",
+            "  </joint>",
+        ]
+
+    def _link(self, link: _Link) -> None:
+        self._lines.append(f"  <link name={quoteattr(link.name)}>")
+        if link.body is not None:
+            self._lines += self._inertial(link.body, link.origin)
+            for geom in self._geoms(link.body):
+                self._lines += self._shapes(geom, link)
+        self._lines.append("  </link>")
+
+    def _inertial(self, body: int, origin: FloatArray) -> list[str]:
+        model = self._model
+        mass = float(model.body_mass[body])
+        if mass <= 0.0 or body == 0:
+            return []
+        xx, yy, zz = (_number(moment) for moment in model.body_inertia[body])
+        return [
+            "    <inertial>",
+            f"      {_origin(model.body_ipos[body] - origin, model.body_iquat[body])}",
+            f'      <mass value="{_number(mass)}"/>',
+            f'      <inertia ixx="{xx}" iyy="{yy}" izz="{zz}" ixy="0" ixz="0" iyz="0"/>',
+            "    </inertial>",
+        ]
+
+    def _shapes(self, geom: int, link: _Link) -> list[str]:
+        """Return a shape as collision geometry, as what is seen, as both, or as neither."""
+        model = self._model
+        paired = np.isin(geom, [model.pair_geom1, model.pair_geom2])
+        touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or paired)
+        seen = int(model.geom_group[geom]) <= _SEEN
+        roles = [role for role, has in (("collision", touches), ("visual", seen)) if has]
+        if not roles:
+            return []
+        pieces = self._pieces(geom, link)
+        return [
+            line
+            for role in roles
+            for origin, shape in pieces
+            for line in (
+                f"    <{role}>",
+                f"      {origin}",
+                f"      <geometry>{shape}</geometry>",
+                f"    </{role}>",
+            )
+        ]
+
+    def _pieces(self, geom: int, link: _Link) -> list[tuple[str, str]]:
+        """Return the shapes that a MuJoCo shape is made of in a URDF, each with its origin."""
+        model, kinds = self._model, mujoco.mjtGeom
+        place, turn = model.geom_pos[geom] - link.origin, model.geom_quat[geom]
+        size, origin = model.geom_size[geom], _origin(place, turn)
+        match kinds(int(model.geom_type[geom])):
+            case kinds.mjGEOM_BOX:
+                return [(origin, f'<box size="{_numbers(2.0 * size)}"/>')]
+            case kinds.mjGEOM_SPHERE:
+                return [(origin, f'<sphere radius="{_number(size[0])}"/>')]
+            case kinds.mjGEOM_CYLINDER:
+                return [(origin, _cylinder(size))]
+            case kinds.mjGEOM_CAPSULE:
+                # A URDF has no capsules: a cylinder and a sphere at each end are one.
+                along = _matrix(turn)[:, 2] * size[1]
+                ball = f'<sphere radius="{_number(size[0])}"/>'
+                ends = [(_origin(place + end, turn), ball) for end in (along, -along)]
+                return [(origin, _cylinder(size)), *ends]
+            case kinds.mjGEOM_ELLIPSOID:
+                vertices, faces = sphere(1.0)
+                return [(origin, self._mesh_file(f"ellipsoid_{geom}", vertices * size, faces))]
+            case kinds.mjGEOM_MESH:
+                return [(origin, self._mesh(int(model.geom_dataid[geom])))]
+        self.notes.append(f"a plane of body '{link.name}' is no part of a hand and is left out")
+        return []
+
+    def _mesh(self, mesh: int) -> str:
+        model = self._model
+        if mesh not in self._meshes:
+            first, faces = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+            vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+            corners = model.mesh_face[faces : faces + int(model.mesh_facenum[mesh])]
+            name = str(model.mesh(mesh).name) or "mesh"
+            # With its number, since two names may become one when they are made safe.
+            self._meshes[mesh] = self._mesh_file(
+                f"{safe_name(name, 'mesh')[:60]}_{mesh}", vertices, corners
+            )
+        return self._meshes[mesh]
+
+    def _mesh_file(self, name: str, vertices: FloatArray, faces: Faces) -> str:
+        place = f"meshes/{name}.stl"
+        make_folder(self._folder / "meshes")
+        write_atomically(self._folder / place, _stl(vertices[faces]))
+        return f"<mesh filename={quoteattr(place)}/>"
+
+    def passive(self) -> tuple[str, ...] | None:
+        """Return the joints without a motor."""
+        if self._model.nu == 0:
+            return None
+        return tuple(self._joint_names[joint] for joint in self._motion.passive)
+
+    def excluded(self) -> tuple[tuple[str, str, str], ...]:
+        """Return the pairs of links that the model excludes."""
+        model = self._model
+        found = []
+        for signature in model.exclude_signature.tolist():
+            # MuJoCo packs both bodies into one number.
+            pair = [self._names[signature >> 16], self._names[signature & 0xFFFF]]
+            found.append((pair[0], pair[1], EXCLUDED))
+        return tuple(found)
+
+
+_ANY: Final = 1e3
+"""Limits of a joint that follows another one and has none itself [rad | m]: those of the actuator
+count."""
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """Return names with numbers where two were equal, as names made up may be."""
+    found: list[str] = []
+    for name in names:
+        other, number = name, 2
+        while other in found:
+            other, number = f"{name}_{number}", number + 1
+        found.append(other)
+    return found
+
+
+def _cylinder(size: FloatArray) -> str:
+    return f'<cylinder radius="{_number(size[0])}" length="{_number(2.0 * size[1])}"/>'
+
+
+def _matrix(turn: FloatArray) -> FloatArray:
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, turn)
+    return flat.reshape(3, 3)
+
+
+def _origin(place: FloatArray, turn: FloatArray) -> str:
+    """Return the element ``origin`` of a position [m] and a unit quaternion (w, x, y, z)."""
+    m = _matrix(turn)
+    level = math.hypot(m[0, 0], m[1, 0])
+    pitch = math.atan2(-m[2, 0], level)
+    yaw = math.atan2(m[1, 0], m[0, 0]) if level > _GIMBAL else 0.0
+    # From the yaw as chosen: near a pitch of 90 degrees only the sum of both is well known.
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * m[0, 2] - c * m[1, 2], c * m[1, 1] - s * m[0, 1])
+    return f'<origin xyz="{_numbers(place)}" rpy="{_numbers((roll, pitch, yaw))}"/>'
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _numbers(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(_number(value) for value in values)
+
+
+def _stl(triangles: FloatArray) -> bytes:
+    """Return triangles ``(n, 3, 3)`` [m] as a binary STL; readers compute the normals."""
+    records = [
+        struct.pack("<12fH", 0, 0, 0, *corners, 0) for corners in triangles.reshape(-1, 9).tolist()
+    ]
+    return b"\0" * 80 + struct.pack("<I", len(records)) + b"".join(records)

@@ -1,0 +1,228 @@
+"""Closed linkages: where one joint has the others, solved numerically and fitted.
+
+MuJoCo gives the residuals of all equalities and their Jacobian. With the position of one joint
+given, Newton's method finds the others, from one position to the next along its range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from rtee.errors import ModelError
+from rtee.exchange.mjcf_motion import TINY, Follow, joint_name, names_of
+from rtee.sample import FloatArray
+
+_STEPS: Final = 400
+"""Positions along the range of the moving joint: steps of 0.2 degrees for a quarter turn."""
+
+_ROUNDS: Final = 50
+"""Newton steps for one position; three to five do, and twenty where the linkage is stretched."""
+
+_CLOSED: Final = 1e-9
+"""Residual at which a linkage counts as closed [m, rad]."""
+
+_OPEN: Final = 1e-6
+"""Residual that is accepted where the rounded numbers of a file allow no less [m, rad]."""
+
+_DEGREES: Final = 24
+"""Highest degree of the polynomial that is fitted to a joint's way."""
+
+_CLOSE: Final = 1e-7
+"""Deviation of the fit that is striven for [rad | m]."""
+
+_FAR: Final = 1e-4
+"""Deviation of the fit that is refused [rad | m]: less than encoders of hands resolve."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A linkage as couplings.
+
+    Attributes:
+        places: Positions of the moving joint at which it was closed ``(n,)``, ascending [rad | m].
+        ways: Where the others are there ``(n, k)``.
+        follows: How the other joints follow it.
+        notes: What was found, one sentence each.
+    """
+
+    places: FloatArray
+    ways: FloatArray
+    follows: dict[int, Follow]
+    notes: tuple[str, ...]
+
+
+class Linkage:
+    """The equalities of a model as a function of the position of some joints.
+
+    Attributes:
+        model: The model.
+        joint: The joint that moves the others.
+        others: The others.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        joint: int,
+        others: Sequence[int],
+        equalities: Collection[int],
+        fixed: Mapping[int, float],
+    ) -> None:
+        """Prepare a model.
+
+        Args:
+            model: The model; its contacts and limits are switched off.
+            joint: The joint that moves the others.
+            others: The others.
+            equalities: The numbers of the equalities that count.
+            fixed: Joints that are held, with their positions [rad | m].
+        """
+        flags = mujoco.mjtDisableBit
+        model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        self.model, self.joint, self.others = model, joint, list(others)
+        self._data = mujoco.MjData(model)
+        self._equalities = list(equalities)
+        self._drawn = model.qpos0.copy()
+        for held, position in fixed.items():
+            self._drawn[held] += position
+
+    def _at(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals ``(r,)`` and their derivatives by the other joints ``(r, n)``."""
+        model, data = self.model, self._data
+        data.qpos[:] = self._drawn
+        data.qpos[self.joint] += x
+        data.qpos[self.others] += q
+        mujoco.mj_fwdPosition(model, data)
+        own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        own &= np.isin(data.efc_id, self._equalities)
+        jacobian = data.efc_J.reshape(-1, model.nv)[own]
+        return data.efc_pos[own].copy(), jacobian[:, self.others].copy()
+
+    def close(self, x: float, q: FloatArray) -> FloatArray | None:
+        """Return where the others are with the joint at ``x``, near ``q``; ``None`` if nowhere."""
+        best, least = q, math.inf
+        for _ in range(_ROUNDS):
+            residual, jacobian = self._at(x, q)
+            size = float(np.abs(residual).max(initial=0.0))
+            if size < least:
+                best, least = q, size
+            if size < _CLOSED:
+                break
+            q = q - np.linalg.pinv(jacobian, rcond=1e-8) @ residual
+            if not np.all(np.isfinite(q)):
+                return None
+        return best if least < _OPEN else None
+
+    def rank(self, x: float, q: FloatArray) -> int:
+        """Return how many directions of the others the equalities fix."""
+        return int(np.linalg.matrix_rank(self._at(x, q)[1], tol=1e-6))
+
+
+def horner(coefficients: Sequence[float], variable: str = "x") -> str:
+    """Return a polynomial as an expression in nested form, which loses no digits."""
+    text = repr(float(coefficients[-1]))
+    for coefficient in reversed(coefficients[:-1]):
+        text = f"{float(coefficient)!r} + {variable}*({text})"
+    return text
+
+
+def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: object) -> Solved:
+    """Find how the joints of a closed linkage follow one of them.
+
+    Args:
+        linkage: The linkage.
+        limits: The range of the joint [rad | m], from the position as drawn.
+        what: What closes the linkage, for messages.
+        path: The model's file, for messages.
+
+    Raises:
+        ModelError: The linkage leaves the others free, cannot be closed as drawn, or closes along
+            ways that no polynomial follows.
+    """
+    model, joint, others = linkage.model, linkage.joint, linkage.others
+    start = min(max(0.0, limits[0]), limits[1])
+    first = linkage.close(start, np.zeros(len(others)))
+    if first is None:
+        raise ModelError(f"{what} cannot be closed at the start of its range", path=str(path))
+    free = len(others) - linkage.rank(start, first)
+    if free > 0:
+        raise ModelError(
+            f"{what} leaves joints {names_of(model, [joint, *others])} {free + 1} degrees of "
+            "freedom and one "
+            "actuator moves them; couple them, or give each an actuator",
+            path=str(path),
+        )
+    places, ways = [start], [first]
+    step = (limits[1] - limits[0]) / _STEPS
+    for end in limits:
+        at, q, before = start, first, first
+        while abs(end - at) > TINY:
+            ahead = math.copysign(min(step, abs(end - at)), end - at)
+            # From where the last step leads on, so that the linkage does not fold over.
+            found = linkage.close(at + ahead, 2.0 * q - before)
+            if found is None or float(np.abs(found - q).max()) > 20.0 * step:
+                break
+            at, q, before = at + ahead, found, q
+            places.append(at)
+            ways.append(q)
+    order = np.argsort(places)
+    x, y = np.array(places)[order], np.array(ways)[order]
+    lower, upper = float(x[0]), float(x[-1])
+    notes = [
+        f"{what} is solved: joints {names_of(model, others)} follow '{joint_name(model, joint)}'"
+    ]
+    if lower > limits[0] + step or upper < limits[1] - step:
+        notes.append(
+            f"{what} closes only while '{joint_name(model, joint)}' is between {lower:.4g} and "
+            f"{upper:.4g}, which "
+            "are its limits"
+        )
+    if upper - lower < step:
+        raise ModelError(f"{what} cannot move", path=str(path))
+    follows = {
+        other: _fitted(model, joint, other, x, y[:, i], what, path)
+        for i, other in enumerate(others)
+    }
+    return Solved(x, y, follows, tuple(notes))
+
+
+def _fitted(
+    model: mujoco.MjModel,
+    joint: int,
+    other: int,
+    x: FloatArray,
+    y: FloatArray,
+    what: str,
+    path: object,
+) -> Follow:
+    """Return how a joint follows: a line where it is one, else a polynomial."""
+    middle, half = float(0.5 * (x[0] + x[-1])), float(0.5 * (x[-1] - x[0]))
+    t = (x - middle) / half
+    error = math.inf
+    for degree in (1, *range(2, _DEGREES + 1)):
+        fit = np.polynomial.Chebyshev.fit(t, y, degree, domain=[-1.0, 1.0])
+        error = float(np.abs(fit(t) - y).max())
+        if error <= (_CLOSED * 10 if degree == 1 else _CLOSE):
+            break
+    if error > _FAR:
+        raise ModelError(
+            f"{what}: joint '{joint_name(model, other)}' follows '{joint_name(model, joint)}' "
+            "along a way that no "
+            f"polynomial meets within {_FAR:g}",
+            path=str(path),
+        )
+    powers = fit.convert(kind=np.polynomial.Polynomial).coef
+    if len(powers) <= 2:
+        factor = float(powers[1] / half) if len(powers) > 1 else 0.0
+        return Follow(joint, factor, float(powers[0]) - factor * middle)
+    return Follow(
+        joint,
+        expression=horner(powers.tolist(), f"((x - {middle!r})/{half!r})".replace("- -", "+ ")),
+    )

@@ -1,0 +1,362 @@
+"""How the joints of a MuJoCo model move: which have motors, and which follow them, and how.
+
+Positions are MuJoCo's less the model's own (``qpos0``), so that all are 0 as it is drawn. MuJoCo's
+equalities are written in these, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import mujoco
+import numpy as np
+
+from rtee.errors import ModelError
+from rtee.sample import FloatArray
+
+TINY = 1e-9
+"""Slopes and remainders below this are rounding [rad, m and their quotients]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """An actuator of the model.
+
+    Attributes:
+        name: Its name; empty if it has none.
+        joint: The joint that it moves; ``None`` if it pulls a tendon.
+        tendon: The tendon that it pulls.
+        lower: Lower limit of the joint's position or the tendon's length [rad | m]; ``-inf``: none.
+        upper: Upper limit.
+        effort: Largest torque or force at the joint or tendon [N·m | N]; 0 if not known.
+    """
+
+    name: str
+    joint: int | None
+    tendon: int | None
+    lower: float = -math.inf
+    upper: float = math.inf
+    effort: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A sum of joint positions with a constant value: ``Σ factor · q = value``.
+
+    Attributes:
+        factors: The factors by joint.
+        value: The value.
+        weight: Stiffness of the spring that pulls there; 0 if it holds rigidly.
+        equality: Number of the model's equality that says so, if one does.
+    """
+
+    factors: Mapping[int, float]
+    value: float
+    weight: float = 0.0
+    equality: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A joint that follows another one by a polynomial.
+
+    Attributes:
+        joint: The joint.
+        of: The one it follows.
+        coefficients: ``c₀ … c₄``.
+        equality: Number of the model's equality that says so.
+    """
+
+    joint: int
+    of: int
+    coefficients: tuple[float, ...]
+    equality: int
+
+    @property
+    def straight(self) -> bool:
+        """Whether it is a line."""
+        return not any(self.coefficients[2:])
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """A constraint that is solved numerically: ``connect``, ``weld``, a spatial tendon.
+
+    Attributes:
+        what: What it is, for messages.
+        joints: The joints that take part.
+        equality: Number of the model's equality; -1 for a tendon that a motor pulls.
+    """
+
+    what: str
+    joints: frozenset[int]
+    equality: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Follow:
+    """How a joint of the hand follows another one.
+
+    Attributes:
+        of: The joint it follows.
+        factor: Factor of a linear coupling.
+        offset: Its offset [rad | m].
+        expression: An expression in ``x`` instead of these.
+    """
+
+    of: int
+    factor: float = 1.0
+    offset: float = 0.0
+    expression: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """A joint with a motor.
+
+    Attributes:
+        lower: Lower limit [rad | m]; ``-inf`` if it has none.
+        upper: Upper limit.
+        effort: Effort limit [N·m | N]; 0 if not known.
+    """
+
+    lower: float
+    upper: float
+    effort: float
+
+
+@dataclass(slots=True)
+class Motion:
+    """How the joints of a hand move.
+
+    Attributes:
+        driven: The joints with motors.
+        follows: The joints that follow others.
+        fixed: The joints that stand still, with their positions [rad | m].
+        passive: The joints that nothing moves.
+        dropped: Joints of motors that are no parts of the hand.
+        notes: What was chosen, one sentence each.
+    """
+
+    driven: dict[int, Driven] = field(default_factory=dict)
+    follows: dict[int, Follow] = field(default_factory=dict)
+    fixed: dict[int, float] = field(default_factory=dict)
+    passive: list[int] = field(default_factory=list)
+    dropped: set[int] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Constraints:
+    """What a model says about its joints.
+
+    Attributes:
+        motors: Its actuators.
+        fixed: Joints held at a position.
+        lines: Rigid sums.
+        springs: Sums that springs pull to a value.
+        curves: Joints that follow others.
+        loops: What is solved numerically.
+    """
+
+    motors: list[Motor]
+    fixed: dict[int, float] = field(default_factory=dict)
+    lines: list[Line] = field(default_factory=list)
+    springs: list[Line] = field(default_factory=list)
+    curves: list[Curve] = field(default_factory=list)
+    loops: list[Loop] = field(default_factory=list)
+
+
+def joint_name(model: mujoco.MjModel, joint: int) -> str:
+    """Return a joint's name, or one that its number gives."""
+    return str(model.joint(joint).name) or f"joint_{joint}"
+
+
+def tendon_factors(model: mujoco.MjModel, tendon: int) -> dict[int, float] | None:
+    """Return a fixed tendon's factors by joint; ``None`` if the tendon is spatial."""
+    first, number = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+    found: dict[int, float] = {}
+    for i in range(first, first + number):
+        if model.wrap_type[i] != mujoco.mjtWrap.mjWRAP_JOINT:
+            return None
+        joint = int(model.wrap_objid[i])
+        found[joint] = found.get(joint, 0.0) + float(model.wrap_prm[i])
+    return found
+
+
+def resting_length(model: mujoco.MjModel, factors: Mapping[int, float]) -> float:
+    """Return a fixed tendon's length as the model is drawn [rad | m]."""
+    return sum(factor * float(model.qpos0[joint]) for joint, factor in factors.items())
+
+
+def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
+    """Collect what a model says about how its joints move.
+
+    Raises:
+        ModelError: An actuator moves what rtee has no actuator for.
+    """
+    found = Constraints(_motors(model, path))
+    for i in range(model.neq):
+        if model.eq_active0[i]:
+            _add_equality(model, i, found)
+    for tendon in range(model.ntendon):
+        factors, stiffness = tendon_factors(model, tendon), float(model.tendon_stiffness[tendon])
+        if factors is not None and stiffness > 0.0:
+            lower, upper = model.tendon_lengthspring[tendon]
+            value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
+            found.springs.append(Line(factors, value, stiffness))
+    for motor in found.motors:
+        if motor.tendon is not None and tendon_factors(model, motor.tendon) is None:
+            joints = tendon_joints(model, motor.tendon)
+            found.loops.append(Loop(f"spatial tendon of '{motor.name}'", joints))
+    for joint in range(model.njnt):
+        stiffness = float(model.jnt_stiffness[joint])
+        if stiffness > 0.0:
+            away = float(model.qpos_spring[joint] - model.qpos0[joint])
+            found.springs.append(Line({joint: 1.0}, away, stiffness))
+    return found
+
+
+def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
+    motors: dict[tuple[int | None, int | None], Motor] = {}
+    kinds = mujoco.mjtTrn
+    for i in range(model.nu):
+        kind, target = kinds(int(model.actuator_trntype[i])), int(model.actuator_trnid[i, 0])
+        name = str(model.actuator(i).name) or f"actuator_{i}"
+        if kind in (kinds.mjTRN_JOINT, kinds.mjTRN_JOINTINPARENT):
+            joint, tendon = target, None
+        elif kind == kinds.mjTRN_TENDON:
+            joint, tendon = None, target
+        else:
+            raise ModelError(
+                f"actuator '{name}' moves neither a joint nor a tendon, which rtee cannot command",
+                path=str(path),
+            )
+        gear = float(model.actuator_gear[i, 0])
+        if abs(gear) < TINY:
+            continue
+        motor = Motor(
+            name, joint, tendon, *_targets(model, i, gear), _effort(model, i, joint, gear)
+        )
+        there = motors.get((joint, tendon))
+        # A joint may have a position and a velocity actuator: its limits are those that are known.
+        motors[joint, tendon] = motor if there is None else replace(
+            there, lower=max(there.lower, motor.lower), upper=min(there.upper, motor.upper),
+            effort=max(there.effort, motor.effort),
+        )  # fmt: skip
+    return list(motors.values())
+
+
+def _targets(model: mujoco.MjModel, i: int, gear: float) -> tuple[float, float]:
+    """Return the limits of a position actuator's targets as positions or lengths [rad | m]."""
+    gain, slope = float(model.actuator_gainprm[i, 0]), float(model.actuator_biasprm[i, 1])
+    servo = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and slope < 0.0 < gain
+    if not (servo and model.actuator_ctrllimited[i]):
+        return -math.inf, math.inf
+    # At rest gain · target = -slope · (gear · length), so that this is where a target leads.
+    ends = sorted(float(end) * gain / -slope / gear for end in model.actuator_ctrlrange[i])
+    return ends[0], ends[1]
+
+
+def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> float:
+    limits = []
+    if model.actuator_forcelimited[i]:
+        limits.append(float(np.abs(model.actuator_forcerange[i]).max()) * abs(gear))
+    elif model.actuator_ctrllimited[i] and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE:
+        gain = abs(float(model.actuator_gainprm[i, 0]) * gear)
+        limits.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * gain)
+    if joint is not None and model.jnt_actfrclimited[joint]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return min(limits, default=0.0)
+
+
+def _add_equality(model: mujoco.MjModel, i: int, found: Constraints) -> None:
+    kinds, data = mujoco.mjtEq, model.eq_data[i]
+    one, two = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+    polynomial = tuple(float(c) for c in data[:5])
+    kind = kinds(int(model.eq_type[i]))
+    match kind:
+        case kinds.mjEQ_JOINT if two < 0:
+            found.fixed[one] = polynomial[0]
+        case kinds.mjEQ_JOINT:
+            found.curves.append(Curve(one, two, polynomial, i))
+        case kinds.mjEQ_TENDON:
+            factors = tendon_factors(model, one)
+            others = tendon_factors(model, two) if two >= 0 else {}
+            if factors is None or others is None or (two >= 0 and any(polynomial[2:])):
+                joints = tendon_joints(model, one) | (
+                    tendon_joints(model, two) if two >= 0 else set()
+                )
+                found.loops.append(Loop(f"tendon '{model.tendon(one).name}'", frozenset(joints), i))
+                return
+            total = dict(factors)
+            for joint, factor in others.items():
+                total[joint] = total.get(joint, 0.0) - polynomial[1] * factor
+            found.lines.append(Line(total, polynomial[0], equality=i))
+        case kinds.mjEQ_CONNECT | kinds.mjEQ_WELD:
+            word = "connect" if kind == kinds.mjEQ_CONNECT else "weld"
+            name = str(model.eq(i).name) or f"number {i + 1}"
+            found.loops.append(Loop(f"<{word}> {name}", _between(model, i), i))
+
+
+def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
+    """Return the joints on the way between the two bodies of an equality."""
+    ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
+    if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+        ends = [int(model.site_bodyid[end]) for end in ends]
+    one, two = (_joints_to(model, body) for body in ends)
+    return frozenset(one ^ two)
+
+
+def _joints_to(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return the joints between the world and a body."""
+    found: set[int] = set()
+    while body > 0:
+        first = int(model.body_jntadr[body])
+        found |= set(range(first, first + int(model.body_jntnum[body])))
+        body = int(model.body_parentid[body])
+    return found
+
+
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> frozenset[int]:
+    """Return the joints that may change a tendon's length."""
+    factors = tendon_factors(model, tendon)
+    if factors is not None:
+        return frozenset(factors)
+    ways: list[set[int]] = []
+    first = int(model.tendon_adr[tendon])
+    for i in range(first, first + int(model.tendon_num[tendon])):
+        thing, kind = int(model.wrap_objid[i]), mujoco.mjtWrap(int(model.wrap_type[i]))
+        if kind == mujoco.mjtWrap.mjWRAP_SITE:
+            ways.append(_joints_to(model, int(model.site_bodyid[thing])))
+        elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
+            ways.append(_joints_to(model, int(model.geom_bodyid[thing])))
+    # A joint that carries all of the tendon does not change its length.
+    if not ways:
+        return frozenset()
+    return frozenset(ways[0].union(*ways) - ways[0].intersection(*ways))
+
+
+def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    """Return a joint's limits [rad | m]; infinite where it has none."""
+    if not model.jnt_limited[joint]:
+        return -math.inf, math.inf
+    lower, upper = model.jnt_range[joint] - model.qpos0[joint]
+    return float(lower), float(upper)
+
+
+def null_space(matrix: FloatArray) -> FloatArray:
+    """Return an orthonormal basis ``(n, k)`` of what a matrix ``(m, n)`` maps to nothing."""
+    if not matrix.size:
+        return np.eye(matrix.shape[1])
+    _, sizes, directions = np.linalg.svd(matrix)
+    rank = int(np.sum(sizes > TINY * max(1.0, float(sizes[0])))) if sizes.size else 0
+    return np.asarray(directions[rank:].T)
+
+
+def names_of(model: mujoco.MjModel, joints: Iterable[int]) -> str:
+    """Return the names of joints for a message."""
+    names = [f"'{joint_name(model, joint)}'" for joint in sorted(joints)]
+    return ", ".join(names[:6]) + (", …" if len(names) > 6 else "")

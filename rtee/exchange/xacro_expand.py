@@ -1,0 +1,188 @@
+"""Expand xacro files, in a process of its own.
+
+A xacro file is a program: its expressions are Python. xacro keeps the usual functions from them,
+which is no protection against a file that means harm. The process has the user's rights; it is
+limited in memory, time and what it writes, so that a file by mistake endless ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import types
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from rtee.errors import ConfigError, ModelError, needing_extra
+from rtee.hand.files import MAX_SIZE, read_bytes
+from rtee.hand.meshes import find_package
+
+_TIME: Final = 60.0
+"""Longest time of an expansion [s]; large robots take two."""
+
+_MEMORY: Final = 2_000_000_000
+"""Most address space of an expansion [bytes]; large robots take 200 MB."""
+
+_FAILED: Final = 3
+"""Exit status of the process when xacro refuses the file; it writes why."""
+
+_ANSWER: Final = ".json"
+"""Ending of the file with the reason, beside the URDF; the file's expressions may print."""
+
+
+def arguments_of(words: Sequence[str]) -> dict[str, str]:
+    """Return xacro arguments given as ``NAME:=VALUE``.
+
+    Raises:
+        ConfigError: A word is none, or a name is given twice.
+    """
+    found: dict[str, str] = {}
+    for word in words:
+        name, sign, value = word.partition(":=")
+        if not (sign and name.strip()):
+            raise ConfigError(f"'{word}' should be NAME:=VALUE, an argument of a xacro file")
+        if name.strip() in found:
+            raise ConfigError(f"the xacro argument '{name.strip()}' is given twice")
+        found[name.strip()] = value.strip()
+    return found
+
+
+def expand(
+    path: Path, target: Path, arguments: Mapping[str, str], package_dirs: Sequence[Path] = ()
+) -> None:
+    """Write the URDF that a xacro file expands to.
+
+    Args:
+        path: The xacro file; what it contains is run.
+        target: Where the URDF goes.
+        arguments: Its arguments, by name.
+        package_dirs: Folders to look packages up in, before those of the environment.
+
+    Raises:
+        MissingExtra: The extra ``xacro`` is not installed.
+        ModelError: xacro refuses the file, or does not come to an end.
+    """
+    with needing_extra("expanding xacro files", "xacro"):
+        import xacro  # noqa: F401 - only the other process uses it
+    read_bytes(path, "xacro file", ModelError)  # before the process is started for it
+    task = {
+        "path": str(path.absolute()),
+        "target": str(target),
+        "arguments": dict(arguments),
+        "package_dirs": [str(Path(folder).absolute()) for folder in package_dirs],
+    }
+    root = str(Path(__file__).parents[2])
+    search = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
+    # In a session of its own, so that whatever the file starts ends with it.
+    process = subprocess.Popen(
+        [sys.executable, "-m", __name__],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": search},
+        start_new_session=True,
+    )
+    try:
+        process.communicate(json.dumps(task).encode(), timeout=_TIME)
+    except subprocess.TimeoutExpired:
+        raise ModelError(f"xacro does not end within {_TIME:g} s", path=path) from None
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    if process.returncode == _FAILED:
+        raise _refusal(target.with_suffix(_ANSWER), path)
+    if process.returncode != 0 or not target.is_file():
+        raise ModelError(
+            f"xacro breaks off: the file computes for more than {_TIME:g} s, or makes more than "
+            f"{MAX_SIZE // 1_000_000} MB",
+            path=path,
+        )
+
+
+def _refusal(answer: Path, path: Path) -> ModelError:
+    try:
+        found = json.loads(read_bytes(answer, "reason"))
+        message, place, line = str(found["message"]), Path(found["path"]), found["line"]
+    except (ConfigError, ValueError, KeyError, TypeError):
+        message, place, line = "it gave no reason", path, None
+    text = " ".join(message.split())
+    return ModelError(
+        f"xacro refuses it: {text[:400]}", path=place, line=line if isinstance(line, int) else None
+    )
+
+
+def _limit() -> None:
+    """Limit what this process may take."""
+    for kind, most in (
+        (resource.RLIMIT_AS, _MEMORY),
+        (resource.RLIMIT_CPU, int(_TIME)),
+        (resource.RLIMIT_FSIZE, MAX_SIZE),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(kind)[1]
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (most, most))
+
+
+def _offer_packages(folder: Path, package_dirs: Sequence[Path]) -> None:
+    """Be the package of ROS 2 that xacro asks where packages are; it is not on the index."""
+
+    def share(name: str) -> str:
+        found = find_package(name, folder, package_dirs)
+        if found is None:
+            raise LookupError(
+                f"package '{name}' is not found; give its folder, or the one that it is in, by "
+                "--package-dir"
+            )
+        return str(found)
+
+    packages = types.ModuleType("ament_index_python.packages")
+    packages.get_package_share_directory = share  # type: ignore[attr-defined]
+    sys.modules["ament_index_python"] = types.ModuleType("ament_index_python")
+    sys.modules["ament_index_python.packages"] = packages
+
+
+def _reason(error: BaseException) -> str:
+    """Return what went wrong: the innermost error that says something."""
+    inner = error
+    while isinstance(getattr(inner, "exc", None), BaseException):
+        inner = inner.exc  # type: ignore[attr-defined]
+    if isinstance(inner, MemoryError):
+        return f"it needs more than {_MEMORY // 1_000_000} MB of memory"
+    if isinstance(inner, LookupError) and "package '" in str(inner):
+        return str(inner.args[0])
+    text = str(error) or type(error).__name__
+    # xacro puts the type of what failed first: "<class 'ValueError'>: …".
+    return re.sub(r"^<class '[\w.]*'>:\s*", "", text)
+
+
+def _main() -> int:
+    task: dict[str, Any] = json.loads(sys.stdin.read())
+    _limit()
+    path = Path(task["path"])
+    _offer_packages(path.parent, [Path(folder) for folder in task["package_dirs"]])
+    import xacro
+
+    xacro.verbosity = 0  # no warnings, and no places, on the standard output
+    try:
+        document = xacro.process_file(str(path), mappings=task["arguments"])
+        Path(task["target"]).write_text(document.toprettyxml(indent="  "), encoding="utf-8")
+    # Whatever the file's own expressions raise.
+    except Exception as error:
+        stack = getattr(xacro, "filestack", None) or [str(path)]
+        line = getattr(error, "lineno", None)
+        found = {"message": _reason(error), "path": str(stack[-1] or path), "line": line}
+        Path(task["target"]).with_suffix(_ANSWER).write_text(json.dumps(found))
+        return _FAILED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main())

@@ -1,0 +1,96 @@
+"""A URDF that can be moved: its meshes beside it, addressed relative to it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from rtee.errors import ModelError
+from rtee.hand.embedded_meshes import with_mesh_addresses
+from rtee.hand.meshes import resolve_mesh
+from rtee.hand.model import Hand
+from rtee.hand.names import safe_name
+from rtee.hand.urdf import Urdf
+
+_DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class LocalMeshes:
+    """A URDF's text and the meshes that belong beside it.
+
+    Attributes:
+        text: The URDF, with relative addresses.
+        meshes: Where each mesh is now, by its place relative to the URDF.
+        notes: What was left where it is, one sentence each.
+    """
+
+    text: str
+    meshes: Mapping[str, Path]
+    notes: tuple[str, ...]
+
+
+def with_local_meshes(hand: Hand) -> LocalMeshes:
+    """Return a hand's URDF with relative addresses of its meshes, and where these are now.
+
+    Raises:
+        ModelError: A collision mesh is missing; a visual one is only noted.
+    """
+    addresses: dict[str, str] = {}
+    sources: dict[str, Path] = {}
+    notes = []
+    for uri, line, needed in _meshes(hand.urdf):
+        try:
+            source = resolve_mesh(uri, hand.urdf.path, hand.package_dirs, line=line)
+        except ModelError as error:
+            if needed:
+                raise
+            notes.append(f"a visual mesh was left where it is: {error}")
+            continue
+        addresses[uri] = _free(_place(uri, source), sources)
+        sources[addresses[uri]] = source
+    text = with_mesh_addresses(as_utf8(hand.urdf.text), addresses)
+    return LocalMeshes(text, sources, tuple(notes))
+
+
+def as_utf8(text: str) -> str:
+    """Return the text of an XML file as it is declared when it is written in UTF-8."""
+    return '<?xml version="1.0"?>\n' + _DECLARATION.sub("", text)
+
+
+def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
+    """Return every mesh once: its address, its line, and whether it is collision geometry."""
+    found: dict[str, tuple[str, int, bool]] = {}
+    # Collision meshes first: a mesh that serves for both must not be missing.
+    for needed in (True, False):
+        for link in urdf.links.values():
+            for shape in link.collisions if needed else link.visuals:
+                if shape.kind == "mesh":
+                    found.setdefault(shape.mesh, (shape.mesh, shape.line, needed))
+    return list(found.values())
+
+
+def _free(place: str, taken: Mapping[str, Path]) -> str:
+    """Return a place that no other mesh has: two packages may have meshes of the same name."""
+    if place not in taken:
+        return place
+    stem = PurePosixPath(place)
+    numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
+    return next(other for other in numbered if other not in taken)
+
+
+def _place(uri: str, source: Path) -> str:
+    """Return where a mesh goes: as in its address below its package, or else in ``meshes``."""
+    scheme, separator, rest = uri.partition("://")
+    if separator:
+        parts = [] if scheme == "file" else rest.split("/")[1:-1]
+    else:
+        parts = uri.split("/")[:-1]
+    parts = [part for part in parts if part not in ("", ".")]
+    # An address may come from anywhere: it must not lead out of the hand's folder.
+    if ".." in parts or not parts:
+        parts = ["meshes"]
+    return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])

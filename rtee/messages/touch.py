@@ -1,0 +1,184 @@
+"""What touch sensors measure, and which there are, as messages."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from rtee.errors import MessageError
+from rtee.messages.codec import SECOND, Data, header
+from rtee.messages.layout import STAMP, Template, stamp_bytes
+from rtee.messages.schema import message_type
+from rtee.sample import FloatArray, TickRecord
+from rtee.touch import TouchSensor, TouchState
+
+TOUCH = message_type("rtee_msgs/msg/Touch")
+TOUCH_SENSORS = message_type("rtee_msgs/msg/TouchSensors")
+
+_TIME = struct.Struct("<d")
+_CHANGING: Final = (STAMP, "time", "stale", "total", "value")
+
+MOST_TAXELS: Final = 100_000
+"""Taxels that a message may have: far more than any hand; more are damage or malice."""
+
+Sensors = tuple[TouchSensor, ...]
+
+
+class TouchEncoder:
+    """Encodes ``rtee_msgs/Touch``; the layout of each device's messages is made once."""
+
+    def __init__(self) -> None:
+        self._templates: dict[str, tuple[Sensors, Template]] = {}
+
+    def encode(self, state: TouchState, wall_ns: int) -> bytes:
+        """Return the bytes of a message.
+
+        Args:
+            state: What was measured.
+            wall_ns: When, since 1970 [ns].
+
+        Raises:
+            ValueError: if the values are not those of the sensors.
+        """
+        known = self._templates.get(state.device)
+        if known is None or known[0] is not state.sensors:
+            known = state.sensors, Template(TOUCH, touch_fields(state), _CHANGING)
+            self._templates[state.device] = known
+        return known[1].filled(
+            (
+                stamp_bytes(wall_ns),
+                _TIME.pack(state.stamp),
+                b"\x01" if state.stale else b"\x00",
+                state.totals.tobytes(),
+                np.ascontiguousarray(state.values, dtype="<f8").tobytes(),
+            )
+        )
+
+
+def touch_fields(state: TouchState, wall_ns: int = 0) -> dict[str, Any]:
+    """Return the fields of a ``rtee_msgs/Touch`` measured at a time since 1970 [ns]."""
+    return {
+        "header": header(wall_ns),
+        "time": state.stamp,
+        "device": state.device,
+        "stale": state.stale,
+        "name": [sensor.name for sensor in state.sensors],
+        "unit": [sensor.unit for sensor in state.sensors],
+        "taxels": [sensor.taxels for sensor in state.sensors],
+        "total": state.totals,
+        "value": state.values,
+    }
+
+
+def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchState:
+    """Return the state in a decoded ``rtee_msgs/Touch``.
+
+    Args:
+        fields: The message's fields.
+        known: The sensors by device, as far as they are known; of others the place is not.
+
+    Raises:
+        MessageError: if the values do not fit the sensors.
+    """
+    names, units, taxels = fields["name"], fields["unit"], [int(n) for n in fields["taxels"]]
+    values = fields["value"]
+    if not len(names) == len(units) == len(taxels) or len(set(names)) != len(names):
+        raise MessageError("the sensors of a touch message do not fit each other")
+    if sum(taxels) != len(values) or min(taxels, default=1) < 1 or len(values) > MOST_TAXELS:
+        raise MessageError("the values of a touch message do not fit its sensors")
+    sensors = known.get(fields["device"], ())
+    if [(s.name, s.unit, s.taxels) for s in sensors] != list(
+        zip(names, units, taxels, strict=True)
+    ):
+        sensors = tuple(map(TouchSensor, names, taxels, units))
+    return TouchState(fields["device"], sensors, values, float(fields["time"]), fields["stale"])
+
+
+def decode_touch(data: Data, known: Mapping[str, Sensors]) -> TouchState:
+    """Return the state in a ``rtee_msgs/Touch``; see `touch_of`."""
+    return touch_of(TOUCH.decode(data), known)
+
+
+def sensors_fields(states: Iterable[TouchState], wall_ns: int = 0) -> dict[str, Any]:
+    """Return the fields of a ``rtee_msgs/TouchSensors`` with the sensors of some devices."""
+    sensors = [
+        {
+            "device": state.device,
+            "name": sensor.name,
+            "taxels": sensor.taxels,
+            "unit": sensor.unit,
+            "full": sensor.full,
+            "link": sensor.link,
+            "finger": sensor.finger,
+            "grid": list(sensor.grid or ()),
+            "position": sensor.position.ravel(),
+            "normal": sensor.normal.ravel(),
+        }
+        for state in states
+        for sensor in state.sensors
+    ]
+    return {"header": header(wall_ns), "sensors": sensors}
+
+
+def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
+    """Return the sensors by device in a decoded ``rtee_msgs/TouchSensors``.
+
+    Raises:
+        MessageError: if places do not fit the taxels.
+    """
+    found: dict[str, list[TouchSensor]] = {}
+    for each in fields["sensors"]:
+        grid = tuple(int(n) for n in each["grid"])
+        if not 1 <= each["taxels"] <= MOST_TAXELS:
+            raise MessageError(f"a touch sensor has {each['taxels']} taxels")
+        if grid and (len(grid) != 2 or math.prod(grid) != each["taxels"]):
+            raise MessageError("the grid of a touch sensor does not fit its taxels")
+        sensor = TouchSensor(
+            each["name"],
+            int(each["taxels"]),
+            each["unit"],
+            float(each["full"]),
+            each["link"],
+            each["finger"],
+            (grid[0], grid[1]) if grid else None,
+            _rows(each["position"], each["taxels"]),
+            _rows(each["normal"], each["taxels"]),
+        )
+        found.setdefault(each["device"], []).append(sensor)
+    return {device: tuple(sensors) for device, sensors in found.items()}
+
+
+def measured_at(record: TickRecord, state: TouchState) -> int:
+    """Return when a state of a tick was measured, since 1970 [ns]."""
+    return record.wall_ns - round((record.stamp - state.stamp) * SECOND)
+
+
+def reply_fields(record: TickRecord) -> dict[str, Any]:
+    """Return the fields of a ``rtee_msgs/TouchReply`` with what was known at a tick."""
+    states = record.touch.values()
+    return {
+        "sensors": sensors_fields(states)["sensors"],
+        "states": [touch_fields(state, measured_at(record, state)) for state in states],
+    }
+
+
+def reply_of(fields: Mapping[str, Any]) -> dict[str, TouchState]:
+    """Return the states by device in a decoded ``rtee_msgs/TouchReply``.
+
+    Raises:
+        MessageError: if values or places do not fit the sensors.
+    """
+    known = sensors_of(fields)
+    states = [touch_of(each, known) for each in fields["states"]]
+    return {state.device: state for state in states}
+
+
+def _rows(values: Sequence[float], taxels: int) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.size not in (0, 3 * taxels):
+        raise MessageError("the places of a touch sensor do not fit its taxels")
+    return array.reshape(-1, 3)

@@ -1,0 +1,592 @@
+"""MJCF becomes the hand that it describes; what cannot is refused in a sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+mujoco = pytest.importorskip("mujoco")
+pytest.importorskip("pinocchio")
+
+from hand.test_scaffold import stl  # noqa: E402
+
+from rtee.errors import ModelError  # noqa: E402
+from rtee.exchange import mjcf_files  # noqa: E402
+from rtee.exchange.export import Kind, export_hand  # noqa: E402
+from rtee.exchange.mjcf_import import import_mjcf  # noqa: E402
+from rtee.exchange.reading import mjcf_as_urdf  # noqa: E402
+from rtee.extract.extraction import extract  # noqa: E402
+from rtee.hand.kinematics import Kinematics  # noqa: E402
+from rtee.hand.load import load_hand, load_model  # noqa: E402
+from rtee.hand.model import Hand, JointRole  # noqa: E402
+from rtee.hand.scaffold import make_hand  # noqa: E402
+
+CONFIG = Path(__file__).parents[2] / "config"
+
+
+def made(folder: Path, text: str, **more: object) -> Hand:
+    """Return the hand that an MJCF text describes."""
+    file = folder / "hand.xml"
+    file.write_text(text)
+    return imported(file, **more)
+
+
+def imported(file: Path, **more: object) -> Hand:
+    out = file.parent / "made"
+    out.mkdir(exist_ok=True)
+    found = import_mjcf(file, out)
+    return load_model(found.urdf, passive=found.passive or (), **more)  # type: ignore[arg-type]
+
+
+def notes_of(file: Path) -> str:
+    return "\n".join(import_mjcf(file, file.parent / "made").notes)
+
+
+def coupling(hand: Hand, joint: str) -> tuple[str, float, float]:
+    """Return what a joint follows, its slope and its offset."""
+    found = hand.transmission.couplings[hand.joint_index(joint)]
+    assert found.linear
+    assert found.actuator is not None
+    zero, one = found.value(0.0), found.value(1.0)
+    return hand.actuator_names[found.actuator], one - zero, zero
+
+
+FINGER = """
+  <body name="{name}" pos="{x} 0 0.02">
+    <joint name="{name}_1" axis="0 1 0" range="0 90"/>
+    <geom type="capsule" size="0.008" fromto="0 0 0 0 0 0.04"/>
+    <body name="{name}_tip" pos="0 0 0.045">
+      <joint name="{name}_2" axis="0 1 0" range="0 90"/>
+      <geom type="box" size="0.006 0.008 0.015" pos="0 0 0.015"/>
+    </body>
+  </body>"""
+
+
+def hand_of(extra: str, *, fingers: str = "", head: str = "") -> str:
+    """Return a palm with two fingers of two joints, and what is added."""
+    two = FINGER.format(name="a", x=-0.03) + FINGER.format(name="b", x=0.03).replace(
+        "0 1 0", "0 -1 0"
+    )
+    return f"""<mujoco model="two">
+{head}
+<worldbody>
+  <geom type="plane" size="1 1 0.1"/>
+  <body name="palm" pos="0 0 0.3">
+    <geom type="box" size="0.05 0.02 0.02"/>
+    {two}{fingers}
+  </body>
+</worldbody>
+{extra}
+</mujoco>"""
+
+
+MOTORS = """<actuator>
+  <position name="A" joint="a_1" ctrlrange="0 1.2" forcerange="-2 2" kp="5"/>
+  <position joint="a_2" kp="5"/>
+  <motor joint="b_1" gear="3" ctrlrange="-1 1"/>
+  <position joint="b_2" gear="2" ctrlrange="0 2" kp="5"/>
+</actuator>"""
+
+
+def test_motors_give_actuators_limits_and_efforts(tmp_path: Path) -> None:
+    hand = made(tmp_path, hand_of(MOTORS))
+    assert hand.name == "two"
+    assert hand.base == "palm"
+    assert hand.actuator_names == ("a_1", "a_2", "b_1", "b_2")
+    half = np.pi / 2
+    assert hand.lower == pytest.approx([0.0] * 4)
+    assert hand.upper == pytest.approx([1.2, half, half, 1.0])
+    assert [a.effort for a in hand.actuators] == pytest.approx([2.0, np.inf, 3.0, np.inf])
+    assert {finger.tip for finger in hand.fingers} == {"a_tip", "b_tip"}
+    assert "a plane of body" not in notes_of(tmp_path / "hand.xml")
+
+
+def test_without_actuators_every_free_joint_is_one(tmp_path: Path) -> None:
+    tied = '<equality><joint joint1="a_2" joint2="a_1" polycoef="0.1 0.5 0 0 0"/></equality>'
+    hand = made(tmp_path, hand_of(tied))
+    assert hand.actuator_names == ("a_1", "b_1", "b_2")
+    assert coupling(hand, "a_2") == ("a_1", pytest.approx(0.5), pytest.approx(0.1))
+    assert "no actuators" in notes_of(tmp_path / "hand.xml")
+
+
+def test_joints_without_motors_are_passive(tmp_path: Path) -> None:
+    hand = made(tmp_path, hand_of('<actuator><position joint="a_1"/></actuator>'))
+    assert [j.name for j in hand.joints if j.role is JointRole.PASSIVE] == ["a_2", "b_1", "b_2"]
+
+
+def test_polynomials_become_expressions(tmp_path: Path) -> None:
+    extra = """<equality>
+      <joint joint1="a_2" joint2="a_1" polycoef="0.01 0.5 0.2 -0.1 0.03"/>
+      <joint joint1="b_2" joint2="a_2" polycoef="0.2 2 0 0 0"/>
+      <joint joint1="b_1" polycoef="0.3 0 0 0 0"/>
+    </equality><actuator><position joint="a_1" kp="1"/></actuator>"""
+    hand = made(tmp_path, hand_of(extra))
+    assert hand.actuator_names == ("a_1",)
+    assert hand.joint_names == ("a_1", "a_2", "b_2")  # the one that is held is fixed
+    for u in np.linspace(0.0, 1.5, 7):
+        a_2 = np.polynomial.polynomial.polyval(u, [0.01, 0.5, 0.2, -0.1, 0.03])
+        found = hand.transmission.joints(np.array([u]))
+        assert found == pytest.approx([u, a_2, 0.2 + 2.0 * a_2], abs=1e-14)
+
+
+def test_a_tendon_that_a_motor_pulls_and_equalities_between_tendons(tmp_path: Path) -> None:
+    extra = """<tendon>
+      <fixed name="pull"><joint joint="a_1" coef="0.5"/><joint joint="b_1" coef="0.5"/></fixed>
+      <fixed name="a"><joint joint="a_2" coef="2"/><joint joint="a_1" coef="-1"/></fixed>
+    </tendon>
+    <equality>
+      <joint joint1="b_1" joint2="a_1"/>
+      <tendon tendon1="a" polycoef="0.1 0 0 0 0"/>
+      <joint joint1="b_2" joint2="b_1" polycoef="0 0.25 0 0 0"/>
+    </equality>
+    <actuator><position name="grip" tendon="pull" ctrlrange="0 1" kp="1" forcerange="-4 4"/>
+    </actuator>"""
+    hand = made(tmp_path, hand_of(extra))
+    assert hand.actuator_names == ("a_1",)
+    assert hand.upper == pytest.approx([1.0])
+    assert hand.actuators[0].effort == pytest.approx(4.0)
+    assert coupling(hand, "b_1")[1] == pytest.approx(1.0)
+    assert coupling(hand, "a_2")[1:] == (pytest.approx(0.5), pytest.approx(0.05))
+    assert coupling(hand, "b_2")[1] == pytest.approx(0.25)
+
+
+def test_an_underactuated_finger_shares_its_tendon_by_springs_or_factors(tmp_path: Path) -> None:
+    tendon = """<tendon><fixed name="t">
+      <joint joint="a_1" coef="1"/><joint joint="a_2" coef="2"/>
+    </fixed></tendon>
+    <actuator><position tendon="t" ctrlrange="0 1" kp="1"/>
+    <position joint="b_1"/><position joint="b_2"/></actuator>"""
+    hand = made(tmp_path, hand_of(tendon))
+    assert hand.actuator_names == ("a_1", "b_1", "b_2")
+    assert coupling(hand, "a_2")[1] == pytest.approx(2.0)
+    assert "share a tendon" in notes_of(tmp_path / "hand.xml")
+    # The tendon pulls both; the joint with the softer spring gives more: q = coef · tension / k.
+    text = hand_of(tendon).replace('"a_1" axis', '"a_1" stiffness="1" axis')
+    sprung = made(tmp_path, text.replace('"a_2" axis', '"a_2" stiffness="4" axis'))
+    assert coupling(sprung, "a_2")[1] == pytest.approx(0.5)
+    assert "share a tendon" not in notes_of(tmp_path / "hand.xml")
+
+
+def test_a_differential_is_refused_with_the_reason(tmp_path: Path) -> None:
+    extra = """<tendon>
+      <fixed name="sum"><joint joint="a_1" coef="1"/><joint joint="a_2" coef="1"/></fixed>
+      <fixed name="difference"><joint joint="a_1" coef="1"/><joint joint="a_2" coef="-1"/></fixed>
+    </tendon>
+    <actuator><position name="m" tendon="sum"/>
+    <position name="n" tendon="difference"/></actuator>"""
+    with pytest.raises(ModelError, match="follow one actuator each"):
+        made(tmp_path, hand_of(extra))
+    many = MOTORS.replace(
+        "</actuator>", "</actuator><equality><joint joint1='a_1' joint2='b_1'/></equality>"
+    )
+    with pytest.raises(ModelError, match="fewer degrees of freedom"):
+        made(tmp_path, hand_of(many))
+
+
+SQUARE = """<mujoco model="square">
+<compiler angle="radian"/>
+<worldbody><body name="base"><geom type="box" size="0.05 0.01 0.005"/>
+  <body name="crank" pos="{x} 0 0.01">
+    <joint name="crank" axis="0 1 0" range="-0.8 0.8"/>
+    <geom type="capsule" size="0.004" fromto="0 0 0 0 0 {crank}"/>
+    <body name="coupler" pos="0 0 {crank}">
+      <joint name="coupler" axis="0 1 0"/>
+      <geom type="capsule" size="0.004" fromto="0 0 0 0.04 0 0"/>
+    </body>
+  </body>
+  <body name="rocker" pos="0.04 0 0.01">
+    <joint name="rocker" axis="0 1 0"/>
+    <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+  </body>
+</body></worldbody>
+<equality><connect body1="coupler" body2="rocker" anchor="0.04 0 0"/></equality>
+<actuator><position joint="crank" kp="1"/></actuator>
+</mujoco>"""
+
+
+def test_a_closed_linkage_is_solved(tmp_path: Path) -> None:
+    parallel = made(tmp_path, SQUARE.format(x=0, crank=0.03))
+    assert parallel.actuator_names == ("crank",)
+    # The sides of a parallelogram stay parallel.
+    assert coupling(parallel, "rocker")[1:] == (
+        pytest.approx(1.0, abs=1e-8),
+        pytest.approx(0.0, abs=1e-8),
+    )
+    assert coupling(parallel, "coupler")[1] == pytest.approx(-1.0, abs=1e-8)
+    assert "is solved" in notes_of(tmp_path / "hand.xml")
+
+
+def test_a_linkage_of_unequal_sides_follows_a_curve_and_its_limits(tmp_path: Path) -> None:
+    text = SQUARE.format(x=0, crank=0.03).replace("0.04 0 0.01", "0.045 0 0.01").replace(
+        'anchor="0.04', 'anchor="0.045').replace("range=\"-0.8 0.8\"", 'range="-2.6 1.0"').replace(
+        'body2="rocker"', 'body2="rocker"')  # fmt: skip
+    text = text.replace('pos="0.045 0 0.01">', 'pos="0.045 0 0.005">')
+    hand = made(tmp_path, text)
+    rocker = hand.transmission.couplings[hand.joint_index("rocker")]
+    coupler = hand.transmission.couplings[hand.joint_index("coupler")]
+    assert not rocker.linear
+    # The pin, reached along both ways, is one point; connect takes where it is as drawn.
+    for u in np.linspace(hand.lower[0], hand.upper[0], 9):
+        turn = u + coupler.value(u)
+        by_crank = np.array([0.03 * np.sin(u), 0.01 + 0.03 * np.cos(u)])
+        by_crank += 0.045 * np.array([np.cos(turn), -np.sin(turn)])
+        q = rocker.value(u)
+        by_rocker = np.array([0.045 + 0.035 * np.sin(q), 0.005 + 0.035 * np.cos(q)])
+        assert by_crank == pytest.approx(by_rocker, abs=1e-6)
+    assert "are its limits" in notes_of(tmp_path / "hand.xml") or hand.lower[0] == pytest.approx(
+        -2.6
+    )
+
+
+def test_a_linkage_with_too_few_motors_or_too_many_is_refused(tmp_path: Path) -> None:
+    open_chain = SQUARE.format(x=0, crank=0.03).replace(
+        '<geom type="capsule" size="0.004" fromto="0 0 0 0.04 0 0"/>',
+        '<joint name="slack" type="slide" axis="1 0 0"/><geom size="0.004"/>',
+    )
+    with pytest.raises(ModelError, match="2 degrees of freedom and one actuator"):
+        made(tmp_path, open_chain)
+    both = SQUARE.format(x=0, crank=0.03).replace(
+        '<position joint="crank" kp="1"/>', '<position joint="crank"/><position joint="rocker"/>'
+    )
+    with pytest.raises(ModelError, match="2 actuators move joints"):
+        made(tmp_path, both)
+    endless = SQUARE.format(x=0, crank=0.03).replace(' range="-0.8 0.8"', "")
+    with pytest.raises(ModelError, match="has no range"):
+        made(tmp_path, endless)
+
+
+SPATIAL = """<tendon><spatial name="cord">
+<site site="on_palm"/><site site="on_tip"/></spatial></tendon>
+<actuator><position name="pull" tendon="cord"/>
+    <position joint="b_1"/><position joint="b_2"/></actuator>"""
+
+
+def test_a_spatial_tendon_moves_one_degree_of_freedom(tmp_path: Path) -> None:
+    text = hand_of(SPATIAL, fingers='<site name="on_palm" pos="-0.05 0 0.02"/>').replace(
+        'pos="0 0 0.015"/>', 'pos="0 0 0.015"/><site name="on_tip"/>', 1
+    )
+    with pytest.raises(ModelError, match=r"spatial tendon of 'pull'.*2 degrees of freedom"):
+        made(tmp_path, text)
+    tied = text.replace(
+        "</mujoco>", "<equality><joint joint1='a_2' joint2='a_1'/></equality></mujoco>"
+    )
+    hand = made(tmp_path, tied)
+    assert hand.actuator_names == ("a_1", "b_1", "b_2")
+    assert coupling(hand, "a_2")[1] == pytest.approx(1.0)
+
+
+ODD = """<mujoco model="odd">
+<compiler angle="degree" eulerseq="zyx" meshdir="assets"/>
+<default><default class="seen"><geom contype="0" conaffinity="0" group="1"/></default>
+<default class="hidden"><geom contype="0" conaffinity="0" group="4"/></default>
+<default class="link"><joint axis="0 1 0" range="-40 80" limited="true"/></default></default>
+<asset><mesh name="shell" file="shell.stl" scale="2 2 2"/>
+<texture name="t" type="2d" file="no.png"/>
+<material name="m" texture="t"/></asset>
+<worldbody>
+  <body name="palm" pos="1 2 3" euler="10 20 30">
+    <geom type="mesh" mesh="shell" pos="0.01 0.02 0" euler="5 0 40" material="m"/>
+    <geom class="hidden" size="0.5"/>
+    <include file="parts/finger.xml"/>
+    <body name="slider" pos="0 0.03 0" quat="0.8 0.2 0 0.4">
+      <joint name="slide" type="slide" axis="1 1 0" range="0 0.03" ref="0.01"/>
+      <geom class="seen" type="cylinder" size="0.004 0.01"/>
+      <geom type="cylinder" size="0.004 0.01" pos="0.001 0 0" euler="0 90 0"/>
+    </body>
+  </body>
+</worldbody>
+<contact><exclude body1="palm" body2="slider"/></contact>
+<actuator>
+  <general joint="swing"/><general joint="bend"/><general joint="turn"/><general joint="slide"/>
+</actuator>
+</mujoco>"""
+
+PART = """<mujocoinclude>
+  <body name="finger" pos="0.02 0 0.05" axisangle="1 0 1 25" childclass="link">
+    <joint name="swing" axis="1 0 0" pos="0 0.004 -0.01"/>
+    <joint name="bend" pos="0.001 0.002 0.003" ref="10"/>
+    <geom type="capsule" size="0.006 0.02" pos="0 0 0.02"/>
+    <body name="tip" pos="0 0 0.045">
+      <joint name="turn" type="hinge" pos="0 0 -0.002" limited="false"/>
+      <geom type="ellipsoid" size="0.006 0.004 0.01" pos="0 0 0.01"/>
+    </body>
+  </body>
+</mujocoinclude>"""
+
+
+@pytest.fixture
+def odd(tmp_path: Path) -> Path:
+    for place, content in (
+        ("odd.xml", ODD.encode()), ("parts/finger.xml", PART.encode()), ("assets/shell.stl", stl()),
+    ):  # fmt: skip
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        (tmp_path / place).write_bytes(content)
+    return tmp_path / "odd.xml"
+
+
+def test_every_shape_is_where_mujoco_has_it(odd: Path) -> None:
+    hand = imported(odd)
+    assert hand.actuator_names == ("swing", "bend", "turn", "slide")
+    assert hand.actuator("turn").kind == "continuous"
+    (odd.parent / "assets" / "no.png").touch()
+    text = odd.read_text().replace('<texture name="t" type="2d" file="no.png"/>', "")
+    bare = odd.with_name("bare.xml")
+    bare.write_text(text.replace(' texture="t"', ""))
+    model = mujoco.MjModel.from_xml_path(str(bare))
+    data, kinematics = mujoco.MjData(model), Kinematics(hand)
+    palm = model.body("palm").id
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        u = rng.uniform(-0.3, 0.3, 4) * [1, 1, 1, 0.02]
+        data.qpos[:] = model.qpos0
+        for name, value in zip(hand.actuator_names, u, strict=True):
+            data.qpos[model.joint(name).qposadr[0]] += value
+        mujoco.mj_kinematics(model, data)
+        base = np.eye(4)
+        base[:3, :3], base[:3, 3] = data.xmat[palm].reshape(3, 3), data.xpos[palm]
+        for link in ("palm", "finger", "tip", "slider"):
+            theirs = [
+                np.linalg.inv(base) @ [*data.geom_xpos[geom], 1.0]
+                for geom in range(model.ngeom)
+                if model.geom_bodyid[geom] == model.body(link).id and model.geom_contype[geom]
+            ]
+            ours = [
+                kinematics.link_pose(u, link) @ [*shape.xyz, 1.0]
+                for shape in hand.urdf.links[link].collisions
+                if not (shape.kind == "sphere" and link == "finger")  # a capsule's ends
+            ]
+            assert np.array(ours) == pytest.approx(np.array(theirs), abs=1e-9), link
+
+
+def test_limits_count_from_the_drawing_and_groups_say_what_is_seen(odd: Path) -> None:
+    hand = imported(odd)
+    assert hand.actuator("bend").lower == pytest.approx(np.radians(-50.0))
+    assert hand.actuator("bend").upper == pytest.approx(np.radians(70.0))
+    assert (hand.actuator("slide").lower, hand.actuator("slide").upper) == pytest.approx(
+        (-0.01, 0.02)
+    )
+    links = hand.urdf.links
+    assert [shape.kind for shape in links["slider"].collisions] == ["cylinder"]
+    assert len(links["slider"].visuals) == 2
+    assert [shape.kind for shape in links["palm"].collisions] == ["mesh"]
+    assert [shape.kind for shape in links["finger"].collisions] == ["cylinder", "sphere", "sphere"]
+    found = import_mjcf(odd, odd.parent / "made")
+    assert found.excluded == (("palm", "slider", "excluded in the MJCF"),)
+    # Twice as large as its file, as the model scales it.
+    vertices = np.frombuffer(
+        (odd.parent / "made/meshes/shell_0.stl").read_bytes()[84:], dtype=np.uint8
+    )
+    corners = vertices.reshape(-1, 50)[:, 12:48].copy().view("<f4").reshape(-1, 3)
+    assert np.ptp(corners, axis=0).max() == pytest.approx(0.02 * np.sqrt(2), rel=0.5)
+
+
+SAME = (
+    "cia402_gripper",
+    "dagana",
+    "onrobot_3fg15",
+    "robotiq_2f_85",
+    "robotiq_3f",
+    "inspire_rh56",
+    "schunk_svh",
+)
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_a_hand_read_back_from_its_own_mjcf_has_the_same_primitives(
+    tmp_path: Path, name: str
+) -> None:
+    export_hand(CONFIG / name, tmp_path, [Kind.MJCF, Kind.SRDF])
+    hand = load_hand(CONFIG / name)
+    with mjcf_as_urdf(tmp_path / f"{name}.xml") as model:
+        again = make_hand(
+            name, model.urdf, tmp_path / f"{name}.srdf", into=tmp_path / "config",
+            passive=model.passive, excluded=model.excluded,
+        ).hand  # fmt: skip
+    assert again.actuator_names == hand.actuator_names
+    assert [f.tip for f in again.fingers] == [f.tip for f in hand.fingers]
+    assert again.rest == pytest.approx(hand.rest, abs=1e-9)
+    ours, theirs = (
+        {(p.name, p.elements): p for p in extract(h, jobs=1).primitives} for h in (again, hand)
+    )
+    assert ours.keys() == theirs.keys()
+    for key, primitive in theirs.items():
+        assert ours[key].posture.involved == primitive.posture.involved
+        for actuator in primitive.posture.involved:
+            assert ours[key].posture.position[actuator] == pytest.approx(
+                primitive.posture.position[actuator], abs=1e-4
+            )
+
+
+@pytest.mark.parametrize(
+    "name", sorted(folder.parent.name for folder in CONFIG.glob("*/hand.yaml"))
+)
+def test_every_hand_read_back_moves_as_it_did(tmp_path: Path, name: str) -> None:
+    export_hand(CONFIG / name, tmp_path, [Kind.MJCF])
+    hand, again = load_hand(CONFIG / name), imported(tmp_path / f"{name}.xml")
+    assert again.actuator_names == hand.actuator_names
+    assert (again.lower, again.upper) == (pytest.approx(hand.lower), pytest.approx(hand.upper))
+    ours, theirs = Kinematics(again), Kinematics(hand)
+    # As far as a polynomial of degree four is off the curves of HERI II.
+    close = 1e-9 if hand.transmission.linear else 0.06
+    for share in (0.0, 0.3, 1.0):
+        u = np.where(np.isfinite(hand.lower), hand.lower + share * (hand.upper - hand.lower), share)
+        for link in hand.urdf.links:
+            assert ours.link_pose(u, link) == pytest.approx(theirs.link_pose(u, link), abs=close)
+
+
+def refused(folder: Path, text: str | bytes) -> ModelError:
+    file = folder / "hand.xml"
+    file.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(ModelError) as found:
+        import_mjcf(file, folder)
+    assert "\n" not in str(found.value)
+    assert str(found.value).startswith(str(file))
+    return found.value
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "line"),
+    [
+        ("", "is not XML", 1),
+        ("<mujoco><worldbody></mujoco>", "is not XML", 1),
+        ("<robot name='a'/>", "URDF; give it by --urdf", 1),
+        ("<sdf/>", "whose root element is <mujoco>", 1),
+        ("<mujoco/>", "no joint that a motor could move", None),
+        ('<!DOCTYPE m [<!ENTITY a "b">]>\n<mujoco/>', "document type or entities", 1),
+        ("<mujoco>\n<worldbody>\n<body tye='1'/></worldbody></mujoco>", "attribute: 'tye'", 3),
+        (hand_of("").replace('pos="0 0 0.3">', 'pos="0 0 0.3"><freejoint/>'), "is free", None),
+        (hand_of("").replace('range="0 90"', 'type="ball"'), "is a ball joint", None),
+        (hand_of('<asset><mesh name="m" file="../../secret.stl"/></asset>'), "leads out of", 26),
+        (hand_of('<asset><mesh name="m" file="/etc/passwd"/></asset>'), "leads out of", 26),
+        (hand_of('<asset><texture file="../t.png" type="2d"/></asset>'), "leads out of", 26),
+        (hand_of('<include file="../../x.xml"/>'), "leads out of", 26),
+        (hand_of('<include file="x.xml"/>'), "does not exist", 26),
+        (hand_of('<asset><model name="m" file="x.xml"/></asset>'), "attaches other models", 26),
+        (hand_of('<extension><plugin plugin="p"/></extension>'), "plugin of MuJoCo", 26),
+        (hand_of("", fingers='<replicate count="9999999"><site/></replicate>'), "makes many", None),
+        (hand_of("", fingers='<flexcomp type="grid" count="999 999 99"/>'), "flexible", None),
+        (hand_of("", fingers="<body/>" * 1001), "more than 1000 are no hand", None),
+        (hand_of('<actuator><position joint="c_1"/></actuator>'), "c_1", None),
+        (hand_of('<actuator><position body="palm"/></actuator>'), "'body'", None),
+        (hand_of('<actuator><adhesion body="palm" ctrlrange="0 1"/></actuator>'), "neither", None),
+        (hand_of("").replace('range="0 90"', 'type="slide"', 1), "has no range", None),
+        (hand_of(MOTORS).replace('"0 1.2"', '"2 3"'), "nothing in common", None),
+    ],
+)  # fmt: skip
+def test_what_is_no_hand_is_refused_in_a_sentence(
+    tmp_path: Path, text: str, what: str, line: int | None
+) -> None:
+    error = refused(tmp_path, text)
+    assert what in error.message
+    if line is not None:
+        assert error.line == line
+
+
+def test_missing_meshes_count_where_they_touch(tmp_path: Path) -> None:
+    asset = '<asset><mesh name="m" file="m.stl"/></asset>'
+    error = refused(tmp_path, hand_of(asset, fingers='<geom type="mesh" mesh="m"/>'))
+    assert "mesh 'm.stl' does not exist" in error.message
+    (tmp_path / "m.stl").write_text("version https://git-lfs")
+    error = refused(tmp_path, hand_of(asset, fingers='<geom type="mesh" mesh="m"/>'))
+    assert "git lfs pull" in error.message
+    seen = hand_of(asset, fingers='<geom type="mesh" mesh="m" contype="0" conaffinity="0"/>')
+    assert made(tmp_path, seen).actuator_names == ("a_1", "a_2", "b_1", "b_2")
+    assert "a shape was left out: mesh 'm.stl' cannot be read" in notes_of(tmp_path / "hand.xml")
+
+
+def test_links_in_the_file_system_lead_nowhere_either(tmp_path: Path) -> None:
+    outside, inside = tmp_path / "outside", tmp_path / "inside"
+    outside.mkdir()
+    inside.mkdir()
+    (outside / "part.xml").write_text("<mujocoinclude><statistic/></mujocoinclude>")
+    (inside / "part.xml").symlink_to(outside / "part.xml")
+    error = refused(inside, hand_of('<include file="part.xml"/>'))
+    assert "leads out of" in error.message
+    # Unless the user says so.
+    assert import_mjcf(inside / "hand.xml", inside, [outside]).urdf.is_file()
+
+
+def test_a_huge_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (tmp_path / "hand.xml").open("wb") as file:
+        file.truncate(65_000_000)
+    with pytest.raises(ModelError, match="larger than 64 MB"):
+        import_mjcf(tmp_path / "hand.xml", tmp_path)
+    monkeypatch.setattr(mjcf_files, "MAX_SIZE", 1000)
+    (tmp_path / "part.xml").write_text("<mujocoinclude>" + " " * 2000 + "</mujocoinclude>")
+    assert "includes more than" in refused(tmp_path, hand_of('<include file="part.xml"/>')).message
+
+
+def test_includes_that_include_each_other_end(tmp_path: Path) -> None:
+    (tmp_path / "part.xml").write_text('<mujocoinclude><include file="part.xml"/></mujocoinclude>')
+    assert "refuses it" in refused(tmp_path, hand_of('<include file="part.xml"/>')).message
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_damaged_files_are_read_or_refused(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    text = bytearray(
+        hand_of(MOTORS + "<equality><joint joint1='a_2' joint2='b_2'/></equality>").encode()
+    )
+    for _ in range(int(rng.integers(1, 4))):
+        place = int(rng.integers(0, len(text)))
+        if rng.random() < 0.5:
+            text[place] = int(rng.integers(32, 127))
+        else:
+            del text[place : place + int(rng.integers(1, 30))]
+    file = tmp_path / "hand.xml"
+    file.write_bytes(text)
+    with contextlib.suppress(ModelError):
+        load_model(import_mjcf(file, tmp_path).urdf)
+
+
+def run(*words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "rtee", *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_the_commands_take_mjcf(tmp_path: Path) -> None:
+    file = tmp_path / "hand.xml"
+    file.write_text(hand_of(MOTORS))
+    ran = run("new", "mine", "--mjcf", file, "--into", tmp_path / "config")
+    assert ran.returncode == 0, ran.stderr
+    hand = load_hand(tmp_path / "config" / "mine")
+    assert hand.actuator_names == ("a_1", "a_2", "b_1", "b_2")
+    ran = run("extract", "--mjcf", file, "--jobs", 1)
+    assert ran.returncode == 0, ran.stderr
+    assert "PinchTight" in ran.stdout
+    file.write_text("<mujoco>\n<worldbody><light/><bod/></worldbody></mujoco>")
+    ran = run("new", "other", "--mjcf", file, "--into", tmp_path / "config")
+    assert ran.returncode == 2
+    assert ran.stderr.startswith(f"rtee: {file}:2: MuJoCo refuses it: ")
+    assert ran.stderr.count("\n") == 1
+    assert not (tmp_path / "config" / "other").exists()
+    ran = run("new", "other", "--urdf", file, "--into", tmp_path / "config")
+    assert "give it by --mjcf" in ran.stderr
+
+
+def test_passive_joints_and_excluded_pairs_stay_with_a_given_srdf(tmp_path: Path) -> None:
+    text = hand_of(
+        '<actuator><position joint="a_1"/><position joint="b_1"/></actuator>'
+        '<contact><exclude body1="a_tip" body2="b"/></contact>'
+    )
+    (tmp_path / "hand.xml").write_text(text)
+    (tmp_path / "g.srdf").write_text(
+        '<robot name="two"><group name="a"><chain base_link="palm" tip_link="a_tip"/></group>'
+        "</robot>"
+    )
+    with mjcf_as_urdf(tmp_path / "hand.xml") as model:
+        hand = make_hand("mine", model.urdf, tmp_path / "g.srdf", into=tmp_path / "config",
+                         passive=model.passive, excluded=model.excluded).hand  # fmt: skip
+    assert [j.name for j in hand.joints if j.role is JointRole.PASSIVE] == ["a_2", "b_2"]
+    assert ("a_tip", "b", "excluded in the MJCF") in [
+        (*sorted(pair[:2]), pair[2]) for pair in hand.disabled_collisions
+    ]
