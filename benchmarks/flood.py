@@ -131,14 +131,18 @@ async def measure(args: argparse.Namespace, endpoint: str) -> None:
     """Measure all kinds by turns and print."""
     kinds = [kind for kind in KINDS if args.only is None or args.only in kind]
     found: dict[tuple[str, str], list[float]] = {(k, e): [] for k in kinds for e in (endpoint, "")}
-    order, source = list(found), random.Random(1)
+    order, places, source = [*kinds], [endpoint, ""], random.Random(1)
     async with rtee.connect(args.hand, wait=30.0) as remote:
         await remote.ready()
         await anyio.sleep(1.0)
         for _ in range(args.rounds):
-            source.shuffle(order)  # so that what else the computer does falls on all alike
-            for kind, place in order:
-                found[kind, place].append(await missed(remote, kind, place, args))
+            # So that what else the computer does falls on all alike; the two places of a kind one
+            # right after the other, since it is their difference that counts.
+            source.shuffle(order)
+            for kind in order:
+                source.shuffle(places)
+                for place in places:
+                    found[kind, place].append(await missed(remote, kind, place, args))
     table = Table(
         "request", "elsewhere [%]", "to the hand [%]", "more [%]", "≥ 95 %", "≤ 1 %", widths=(9,)
     )

@@ -23,9 +23,9 @@ class StepFollower:
 
     It refuses or ignores a new target while it is busy. So a reference that moves is followed in
     steps, each as soon as the gripper is free, and one that rests by a last one. A motion that
-    leads past the reference is stopped. A gripper that holds something with the force asked for is
-    left alone when it is asked to press on, and one just attached to as long as it is asked to
-    stay.
+    leads past the reference, or with more force than is asked for now, is stopped. A gripper that
+    holds something with the force asked for is left alone when it is asked to press on, and one
+    just attached to as long as it is asked to stay.
 
     Widths and forces are in any unit of the caller.
 
@@ -57,6 +57,10 @@ class StepFollower:
         """Forget what was sent, as after a stop."""
         self._sent = None
 
+    def halted(self, here: float) -> None:
+        """Note that the gripper was stopped where it is, on its way."""
+        self._sent = here, 0.0 if self._sent is None else self._sent[1]
+
     def sent(self) -> None:
         """Note that the gripper has accepted what the last `next` returned."""
         self._sent, self._sent_at = self._due, time.monotonic()
@@ -81,7 +85,9 @@ class StepFollower:
                 return Order.NOTHING
         elif busy:
             leads_past = (sent[0] - target) * (sent[0] - here) > 0
-            if not leads_past or abs(sent[0] - target) <= self._reached:
+            leads_past = leads_past and abs(sent[0] - target) > self._reached
+            # A greater force can wait until it has arrived, a lesser one cannot.
+            if not leads_past and force >= sent[1]:
                 return Order.NOTHING
             self._due = here, sent[1]
             return Order.STOP

@@ -380,8 +380,9 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
             path=str(path),
         )
     motor = group.motors[0]
-    joint = motor.joint if motor.joint is not None else group.joints[0]
-    spatial = motor.tendon is not None and tendon_factors(model, motor.tendon) is None
+    pulled = tendon_factors(model, motor.tendon) if motor.tendon is not None else None
+    spatial = motor.tendon is not None and pulled is None
+    joint = motor.joint if motor.joint is not None else min(pulled or group.joints)
     lower, upper = joint_range(model, joint)
     if motor.joint is not None:
         drawn = float(model.qpos0[joint])
@@ -395,7 +396,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
     others = [other for other in group.joints if other != joint]
     numbers = {loop.equality for loop in group.loops} | {line.equality for line in group.lines}
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
-    linkage = Linkage(model, joint, others, numbers, motion.fixed)
+    linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs)
     solved = solve_loop(linkage, (lower, upper), what, path) if others else None
     effort = 0.0 if motor.tendon is not None else motor.effort
     if solved is None:

@@ -8,7 +8,9 @@ folder.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -25,6 +27,16 @@ MOST_FILES: Final = 200
 
 MOST_BODIES: Final = 1000
 """Most bodies of a model; hands have up to 50, and arms with hands 100."""
+
+_GREATEST: Final = 1e10
+"""Numbers from here on are refused; MuJoCo takes no larger ones for positions and forces either."""
+
+_FIRST: Final = 100_000
+"""So many words of an attribute are looked at; only inline meshes have more, and MuJoCo checks
+these."""
+
+_WORDS: Final = ("name", "model", "file")
+"""Attributes that are names, even if they read like numbers."""
 
 _MESHES: Final = (".stl", ".obj", ".msh")
 """Formats of meshes that MuJoCo reads."""
@@ -94,25 +106,71 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     for element in elements:
         if element.tag in _REFUSED:
             raise element.error(f"<{element.tag}> {_REFUSED[element.tag]}")
+        _check_numbers(element)
     bodies = sum(element.tag == "body" for element in elements)
     if bodies > MOST_BODIES:
         raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are no hand", path=file)
     missing = _check_meshes(elements, file, allowed)
-    try:
+    with mujoco_says(file, lines=len(parts) == 1) as notes:
         spec = mujoco.MjSpec.from_file(str(file))
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise mujoco_error(error, file, lines=len(parts) == 1) from None
-    return Source(file, spec, len(parts) == 1, tuple(_reduce(spec, missing, file)))
+    notes += _reduce(spec, missing, file)
+    return Source(file, spec, len(parts) == 1, tuple(notes))
 
 
-def mujoco_error(error: Exception, path: Path, *, lines: bool) -> ModelError:
-    """Return what MuJoCo says as one sentence.
+def _check_numbers(element: Element) -> None:
+    """Refuse numbers with which no computation comes to an end."""
+    for attribute, text in element.attributes.items():
+        for word in () if attribute in _WORDS else text.split()[:_FIRST]:
+            try:
+                value = float(word)
+            except ValueError:
+                break
+            if not abs(value) < _GREATEST:
+                raise element.error(
+                    f'{attribute}="{text[:80]}" has a number that is not finite or beyond '
+                    f"{_GREATEST:g}"
+                )
+
+
+@contextmanager
+def mujoco_says(path: Path, *, lines: bool) -> Iterator[list[str]]:
+    """Turn what MuJoCo raises into a sentence, and its warnings into notes.
 
     Args:
-        error: What it raised.
-        path: The main file.
+        path: The model's main file.
         lines: Whether the lines that it names are those of the main file.
+
+    Yields:
+        The notes, which are there after the block.
     """
+    notes: list[str] = []
+    try:
+        with listening(notes):
+            yield notes
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        if isinstance(error, ModelError):
+            raise
+        raise _mujoco_error(error, path, lines=lines) from None
+
+
+@contextmanager
+def listening(notes: list[str]) -> Iterator[None]:
+    """Add MuJoCo's warnings to notes."""
+    heard: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    # Without this it prints some, and writes them to a file in the working directory.
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        with warnings.catch_warnings(record=True) as said:  # and others come this way
+            warnings.simplefilter("always")
+            yield
+        heard += [str(each.message) for each in said]
+        notes += [f"MuJoCo warns: {' '.join(text.split())}" for text in dict.fromkeys(heard)]
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _mujoco_error(error: Exception, path: Path, *, lines: bool) -> ModelError:
     text = str(error).strip()
     found = _PLACE.search(text)
     line = int(found[1] or found[2]) if found else 0

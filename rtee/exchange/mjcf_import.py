@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtee.drivers.mujoco.model import CARRIER
 from rtee.errors import ModelError
 from rtee.exchange.mjcf_coupling import motion_of
-from rtee.exchange.mjcf_files import Source, mujoco_error, read_mjcf
+from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
 from rtee.hand.files import make_folder, write_atomically
 from rtee.hand.names import safe_name
@@ -84,11 +84,17 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
     source = read_mjcf(path, folders)
     for joint in source.spec.joints:
         _check_joint(joint, source)
-    try:
+    with mujoco_says(source.path, lines=source.alone) as notes:
         model = source.spec.compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise mujoco_error(error, source.path, lines=source.alone) from None
-    writer = _Writer(model, source, motion_of(model, source.path), folder)
+    try:
+        with listening(notes):
+            motion = motion_of(model, source.path)
+    except np.linalg.LinAlgError:
+        raise ModelError(
+            "the numbers of its couplings are too far apart to solve them", path=source.path
+        ) from None
+    motion.notes += notes
+    writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
     return Imported(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))

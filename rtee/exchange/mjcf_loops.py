@@ -15,20 +15,30 @@ import mujoco
 import numpy as np
 
 from rtee.errors import ModelError
-from rtee.exchange.mjcf_motion import TINY, Follow, joint_name, names_of
+from rtee.exchange.mjcf_motion import TINY, Follow, Line, joint_name, joint_range, names_of
 from rtee.sample import FloatArray
 
 _STEPS: Final = 400
 """Positions along the range of the moving joint: steps of 0.2 degrees for a quarter turn."""
 
-_ROUNDS: Final = 50
-"""Newton steps for one position; three to five do, and twenty where the linkage is stretched."""
+_ROUNDS: Final = 200
+"""Newton steps for one position; three to five do, twenty where the linkage is stretched, and 100
+where springs pull far."""
+
+_STRIDE: Final = 0.1
+"""Longest step towards where springs are at rest [rad | m]."""
 
 _CLOSED: Final = 1e-9
 """Residual at which a linkage counts as closed [m, rad]."""
 
 _OPEN: Final = 1e-6
 """Residual that is accepted where the rounded numbers of a file allow no less [m, rad]."""
+
+_FLAT: Final = 1e-6
+"""Change of an equality below which a direction counts as open [m/rad]."""
+
+_SINGULAR: Final = 1e-8
+"""Singular values below this share of the largest are rounding."""
 
 _DEGREES: Final = 24
 """Highest degree of the polynomial that is fitted to a joint's way."""
@@ -73,6 +83,7 @@ class Linkage:
         others: Sequence[int],
         equalities: Collection[int],
         fixed: Mapping[int, float],
+        springs: Sequence[Line],
     ) -> None:
         """Prepare a model.
 
@@ -82,6 +93,7 @@ class Linkage:
             others: The others.
             equalities: The numbers of the equalities that count.
             fixed: Joints that are held, with their positions [rad | m].
+            springs: Springs, which decide with the joints' limits what equalities leave open.
         """
         flags = mujoco.mjtDisableBit
         model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
@@ -92,6 +104,14 @@ class Linkage:
         self._drawn = model.qpos0.copy()
         for held, position in fixed.items():
             self._drawn[held] += position
+        root = np.sqrt([spring.weight for spring in springs])
+        factors = [[spring.factors.get(o, 0.0) for o in (joint, *others)] for spring in springs]
+        pull = root[:, None] * np.array(factors).reshape(-1, 1 + len(self.others))
+        self._moved, self._pull = pull[:, 0], pull[:, 1:]
+        self._rest = root * np.array([spring.value for spring in springs])
+        self._ranges = [joint_range(model, other) for other in others]
+        self._stopped: dict[int, float] = {}
+        self._by_springs = False
 
     def _at(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals ``(r,)`` and their derivatives by the other joints ``(r, n)``."""
@@ -105,24 +125,99 @@ class Linkage:
         jacobian = data.efc_J.reshape(-1, model.nv)[own]
         return data.efc_pos[own].copy(), jacobian[:, self.others].copy()
 
+    def settle(self, x: float) -> tuple[FloatArray | None, int]:
+        """Close the linkage as it is drawn, with the joint at ``x``.
+
+        Where equalities leave something open, springs and the joints' stops decide from now on.
+
+        Returns:
+            Where the others are ``(n,)``; ``None`` if it cannot be closed. And how many degrees of
+            freedom are left to them.
+        """
+        q = self.close(x, np.zeros(len(self.others)))
+        if q is None or not self._open(x, q).shape[1]:
+            return q, 0
+        self._by_springs = True
+        q = self.close(x, q)
+        if q is None:
+            return None, 0
+        left = self._open(x, q)
+        decided = np.linalg.matrix_rank(self._pull @ left, tol=_FLAT) if left.size else 0
+        return q, left.shape[1] - int(decided)
+
+    def _held(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals and derivatives as `_at` does, those of the joints at stops included."""
+        residual, jacobian = self._at(x, q)
+        stops = list(self._stopped)
+        away = q[stops] - np.array(list(self._stopped.values()))
+        return np.append(residual, away), np.vstack([jacobian, np.eye(len(q))[stops]])
+
+    def _open(self, x: float, q: FloatArray) -> FloatArray:
+        """Return a basis ``(n, k)`` of what is left open to the others."""
+        return _flat_directions(self._held(x, q)[1])
+
     def close(self, x: float, q: FloatArray) -> FloatArray | None:
         """Return where the others are with the joint at ``x``, near ``q``; ``None`` if nowhere."""
         best, least = q, math.inf
         for _ in range(_ROUNDS):
-            residual, jacobian = self._at(x, q)
+            residual, jacobian = self._held(x, q)
             size = float(np.abs(residual).max(initial=0.0))
-            if size < least:
+            if size < least or self._by_springs:
                 best, least = q, size
-            if size < _CLOSED:
+            if size < _CLOSED and not self._by_springs:
                 break
-            q = q - np.linalg.pinv(jacobian, rcond=1e-8) @ residual
+            step = -np.linalg.pinv(jacobian, rcond=_SINGULAR) @ residual
+            if self._by_springs:
+                # Within what is left open, to where the springs are at rest.
+                left = _flat_directions(jacobian)
+                pull = self._pull @ left
+                lacking = self._rest - self._moved * x - self._pull @ (q + step)
+                along = left @ np.linalg.pinv(pull, rcond=_SINGULAR) @ lacking
+                # In small steps: the way of a linkage is straight over short distances only.
+                step = step + along * min(1.0, _STRIDE / max(float(np.abs(along).max()), TINY))
+            q = q + step
             if not np.all(np.isfinite(q)):
                 return None
+            if not self._by_springs:
+                continue
+            still = size < _CLOSED and float(np.abs(step).max(initial=0.0)) < _CLOSED
+            if not self._meet_stops(q) and still and not self._leave_stop(x, q):
+                break
         return best if least < _OPEN else None
 
-    def rank(self, x: float, q: FloatArray) -> int:
-        """Return how many directions of the others the equalities fix."""
-        return int(np.linalg.matrix_rank(self._at(x, q)[1], tol=1e-6))
+    def _meet_stops(self, q: FloatArray) -> bool:
+        """Stop the joints that are beyond their limits; return whether there are any."""
+        found = {
+            i: limit
+            for i, (lower, upper) in enumerate(self._ranges)
+            for limit, beyond in ((lower, lower - q[i]), (upper, q[i] - upper))
+            if beyond > _CLOSED and i not in self._stopped
+        }
+        self._stopped |= found
+        return bool(found)
+
+    def _leave_stop(self, x: float, q: FloatArray) -> bool:
+        """Let a joint go that springs pull away from its stop; return whether there is one."""
+        if not self._stopped:
+            return False
+        force = self._pull.T @ (self._rest - self._moved * x - self._pull @ q)
+        jacobian = self._held(x, q)[1]
+        # The springs' forces are borne by the equalities and the stops; a stop can only push back.
+        borne = np.linalg.pinv(jacobian.T, rcond=_SINGULAR) @ force
+        for i, push in zip(list(self._stopped), borne[-len(self._stopped) :], strict=True):
+            outward = 1.0 if self._stopped[i] == self._ranges[i][1] else -1.0
+            if outward * push < -TINY:
+                del self._stopped[i]
+                return True
+        return False
+
+
+def _flat_directions(jacobian: FloatArray) -> FloatArray:
+    """Return a basis ``(n, k)`` of the directions in which nothing changes."""
+    if not jacobian.size:
+        return np.eye(jacobian.shape[1])
+    _, sizes, directions = np.linalg.svd(jacobian)
+    return np.asarray(directions[int(np.sum(sizes > _FLAT)) :].T)
 
 
 def horner(coefficients: Sequence[float], variable: str = "x") -> str:
@@ -148,15 +243,14 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
     """
     model, joint, others = linkage.model, linkage.joint, linkage.others
     start = min(max(0.0, limits[0]), limits[1])
-    first = linkage.close(start, np.zeros(len(others)))
+    first, free = linkage.settle(start)
     if first is None:
         raise ModelError(f"{what} cannot be closed at the start of its range", path=str(path))
-    free = len(others) - linkage.rank(start, first)
     if free > 0:
         raise ModelError(
             f"{what} leaves joints {names_of(model, [joint, *others])} {free + 1} degrees of "
-            "freedom and one "
-            "actuator moves them; couple them, or give each an actuator",
+            "freedom that no spring decides, and one actuator moves them; couple them, or give "
+            "each an actuator",
             path=str(path),
         )
     places, ways = [start], [first]

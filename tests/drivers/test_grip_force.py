@@ -153,6 +153,23 @@ async def test_a_wsg_grasps_with_the_force_limit_that_was_asked_for(force: float
     assert any(frame[3:4] == b"\x25" for frame in wires.sent)
 
 
+@pytest.mark.parametrize(("force", "percent"), [(15.0, 10), (60.0, 40), (150.0, 100)])
+async def test_an_egu_grips_with_the_percentage_that_gives_the_force(
+    force: float, percent: int
+) -> None:
+    async with on_wires("schunk_egu", object_in_hand="0.04m") as wires:
+        with pytest.raises(GoalRejected, match="at most 150 N"):
+            await wires.grasp(0.04, 151.0, "Grasp")
+        result = await wires.grasp(0.04, force, "Grasp")
+        assert result.grasped
+        assert result.force == pytest.approx(force, rel=0.02)
+        assert result.opening == pytest.approx(0.04, abs=0.003)
+    # The last four bytes of the image are the percentage; bit 12 of its first four is the grip.
+    images = [frame[-18:-2] for frame in wires.sent if len(frame) == 25]
+    grips = {struct.unpack("<I", image[12:])[0] for image in images if image[1] & 0x10}
+    assert grips == {percent}
+
+
 def test_the_3fg_gives_more_force_at_lower_angles_of_its_fingers() -> None:
     fingers = Fingers()
     low = fingers.raw_diameter(math.radians(30.0))

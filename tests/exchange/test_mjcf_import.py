@@ -21,6 +21,7 @@ from rtee.exchange.export import Kind, export_hand  # noqa: E402
 from rtee.exchange.mjcf_import import import_mjcf  # noqa: E402
 from rtee.exchange.reading import mjcf_as_urdf  # noqa: E402
 from rtee.extract.extraction import extract  # noqa: E402
+from rtee.hand.geometry import HandGeometry  # noqa: E402
 from rtee.hand.kinematics import Kinematics  # noqa: E402
 from rtee.hand.load import load_hand, load_model  # noqa: E402
 from rtee.hand.model import Hand, JointRole  # noqa: E402
@@ -248,7 +249,9 @@ def test_a_linkage_with_too_few_motors_or_too_many_is_refused(tmp_path: Path) ->
         '<geom type="capsule" size="0.004" fromto="0 0 0 0.04 0 0"/>',
         '<joint name="slack" type="slide" axis="1 0 0"/><geom size="0.004"/>',
     )
-    with pytest.raises(ModelError, match="2 degrees of freedom and one actuator"):
+    with pytest.raises(
+        ModelError, match="2 degrees of freedom that no spring decides, and one actuator"
+    ):
         made(tmp_path, open_chain)
     both = SQUARE.format(x=0, crank=0.03).replace(
         '<position joint="crank" kp="1"/>', '<position joint="crank"/><position joint="rocker"/>'
@@ -258,6 +261,61 @@ def test_a_linkage_with_too_few_motors_or_too_many_is_refused(tmp_path: Path) ->
     endless = SQUARE.format(x=0, crank=0.03).replace(' range="-0.8 0.8"', "")
     with pytest.raises(ModelError, match="has no range"):
         made(tmp_path, endless)
+
+
+ADAPTIVE = """<mujoco model="adaptive"><compiler angle="radian"/>
+<worldbody><body name="base"><geom type="box" size="0.05 0.02 0.005"/>{right}{left}</body>
+</worldbody>
+<equality>
+  <connect body1="r_follower" body2="r_coupler" anchor="-0.012 0 0.01"/>
+  <connect body1="l_follower" body2="l_coupler" anchor="-0.012 0 0.01"/>
+  <joint joint1="l_driver" joint2="r_driver"/>
+</equality>
+<tendon><fixed name="split"><joint joint="r_driver" coef="0.5"/><joint joint="l_driver" coef="0.5"/>
+</fixed></tendon>
+<actuator><general name="grip" tendon="split" ctrlrange="0 255" gainprm="0.235294"
+  biasprm="0 -100 -10" biastype="affine" forcerange="-5 5"/></actuator>
+</mujoco>"""
+
+SIDE = """<body name="{s}_driver" pos="{x} 0 0.01" euler="0 0 {turn}">
+  <joint name="{s}_driver" axis="0 1 0" range="0 0.8"/>
+  <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+  <body name="{s}_coupler" pos="0 0 0.03">
+    <joint name="{s}_coupler" axis="0 1 0" range="-1.5 0"/>
+    <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+  </body></body>
+<body name="{s}_link" pos="{inner} 0 0.02" euler="0 0 {turn}">
+  <joint name="{s}_link" axis="0 1 0" range="-0.3 1.2" stiffness="0.05" springref="2.6"/>
+  <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+  <body name="{s}_follower" pos="0 0 0.03">
+    <joint name="{s}_follower" axis="0 1 0" range="-0.9 0.9"/>
+    <geom type="box" size="0.004 0.01 0.02" pos="0.012 0 0.02"/>
+  </body></body>"""
+
+
+def test_springs_and_stops_decide_what_an_adaptive_linkage_leaves_open(tmp_path: Path) -> None:
+    right = SIDE.format(s="r", x=-0.04, inner=-0.028, turn=0)
+    left = SIDE.format(s="l", x=0.04, inner=0.028, turn=3.141592653589793)
+    hand = made(tmp_path, ADAPTIVE.format(right=right, left=left))
+    assert hand.actuator_names == ("r_driver",)
+    # 255 stand for 0.6 rad.
+    assert hand.upper == pytest.approx([0.6], abs=2e-3)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    # Beside rtee: MuJoCo's own dynamics, stiff and with weak springs, until all is at rest.
+    model.opt.timestep, model.dof_damping[:], model.dof_armature[:] = 2e-4, 0.02, 1e-3
+    model.eq_solref[:] = model.jnt_solref[:] = [0.002, 1.0]
+    model.jnt_stiffness *= 0.05
+    data = mujoco.MjData(model)
+    for target in (0.0, 0.3, 0.55):
+        data.ctrl[0] = 255 * target / 0.6
+        mujoco.mj_step(model, data, 15000)
+        u = np.array([data.joint("r_driver").qpos[0]])
+        found = dict(zip(hand.joint_names, hand.transmission.joints(u), strict=True))
+        for joint in hand.joint_names:
+            # MuJoCo's equalities and stops give way a little.
+            assert found[joint] == pytest.approx(data.joint(joint).qpos[0], abs=0.02), joint
 
 
 SPATIAL = """<tendon><spatial name="cord">
@@ -590,3 +648,45 @@ def test_passive_joints_and_excluded_pairs_stay_with_a_given_srdf(tmp_path: Path
     assert ("a_tip", "b", "excluded in the MJCF") in [
         (*sorted(pair[:2]), pair[2]) for pair in hand.disabled_collisions
     ]
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "-1e300", "0 1e11 0"])
+def test_numbers_without_an_end_are_refused_where_they_are(tmp_path: Path, number: str) -> None:
+    text = hand_of(f"<tendon><fixed><joint joint='a_1' coef='{number}'/></fixed></tendon>")
+    error = refused(tmp_path, text)
+    assert "not finite or beyond 1e+10" in error.message
+    assert error.line == 26
+
+
+def test_what_mujoco_warns_of_is_noted_and_written_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    old = '<joint name="a_2" axis="0 1 0" range="0 90"/>'
+    light = old + '<inertial pos="0 0 0" mass="1e9" diaginertia="1e-14 1e-14 1e-14"/>'
+    light += old.replace("a_2", "a_3")  # twice about the same axis
+    made(tmp_path, hand_of(MOTORS).replace(old, light))
+    assert "MuJoCo warns" in notes_of(tmp_path / "hand.xml")
+    assert capfd.readouterr() == ("", "")
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_frames_and_meshes_as_obj(tmp_path: Path) -> None:
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "pad.obj").write_text(
+        "v 0 0 0\nv 0.01 0 0\nv 0 0.02 0\nv 0 0 0.03\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    head = '<compiler meshdir="assets"/><asset><mesh file="pad.obj"/></asset>'
+    fingers = """<frame pos="0 0.03 0" euler="0 0 90"><body name="c" pos="0.01 0 0">
+      <joint name="c_1" axis="1 0 0" range="0 30"/><geom type="mesh" mesh="pad"/></body></frame>"""
+    extra = MOTORS.replace("</actuator>", '<motor joint="c_1" ctrlrange="-1 1"/></actuator>')
+    hand = made(tmp_path, hand_of(extra, fingers=fingers, head=head))
+    joint = hand.urdf.joints["c_1"]
+    assert joint.xyz == pytest.approx((0.0, 0.04, 0.0), abs=1e-12)
+    assert joint.rpy == pytest.approx((0.0, 0.0, np.pi / 2))
+    (pad,) = hand.urdf.links["c"].collisions
+    vertices, _ = HandGeometry(hand).triangles("c")
+    # Where the file has them, though MuJoCo moves a mesh to its centre of mass.
+    assert vertices.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-7)
+    assert vertices.max(axis=0) == pytest.approx([0.01, 0.02, 0.03], abs=1e-7)
+    assert pad.kind == "mesh"

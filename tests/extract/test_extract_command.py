@@ -92,10 +92,10 @@ def test_the_table_shows_every_primitive(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "give either a hand or --urdf"),
+        ([], "give either a hand, --urdf or --mjcf"),
         (["--urdf", "missing.urdf"], "missing.urdf"),
         (["dagana", "--srdf", "a.srdf"], "go with --urdf"),
-        (["dagana", "--urdf", "a.urdf"], "give either a hand or --urdf"),
+        (["dagana", "--urdf", "a.urdf"], "give either a hand, --urdf or --mjcf"),
         (["no_such_hand"], "unknown hand 'no_such_hand'"),
     ],
 )

@@ -327,9 +327,15 @@ def test_new_ends_with_what_makes_the_actions(shipped: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("mine", "give either --urdf FILE or --from HAND"),
-        (f"mine --from {GRIPPER} --urdf g.urdf", "give either --urdf FILE or --from HAND"),
-        (f"mine --from {GRIPPER} --srdf g.srdf", "--srdf and --package-dir go with --urdf"),
+        ("mine", "give either --urdf FILE, --mjcf FILE or --from HAND"),
+        (
+            f"mine --from {GRIPPER} --urdf g.urdf",
+            "give either --urdf FILE, --mjcf FILE or --from HAND",
+        ),
+        (
+            f"mine --from {GRIPPER} --srdf g.srdf",
+            "--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf",
+        ),
         ("mine --from nix", "unknown hand 'nix'"),
         (f"a/b --from {GRIPPER}", "'a/b'"),
     ],

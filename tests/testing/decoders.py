@@ -29,6 +29,7 @@ from rtee.drivers.qb_softhand.emulator import QbSoftHandEmulator
 from rtee.drivers.qb_softhand.parameters import SLOT, ListParser, Parameter
 from rtee.drivers.robotiq_2f import codec as two
 from rtee.drivers.robotiq_3f import codec as three
+from rtee.drivers.schunk_egu import codec as egu
 from rtee.drivers.schunk_svh import codec as svh
 from rtee.drivers.wsg50 import codec as wsg
 from rtee.drivers.xbot2 import codec as xbot2
@@ -298,6 +299,18 @@ DECODERS = [
         "OnRobot RG command",
         [bytes.fromhex("01 90 04 4C 00 10")],
         decode=registers(3, rg.Command.from_registers),
+        errors=(FrameError,),
+    ),
+    Decoder(
+        "SCHUNK EGU input",
+        [bytes.fromhex("80 00 00 80 FB 00 00 00 00 00 00 00 D9 00 00 00")],
+        decode=registers(8, egu.Input.from_registers),
+        errors=(FrameError,),
+    ),
+    Decoder(
+        "SCHUNK EGU output",
+        [bytes.fromhex("01 20 00 00 10 27 00 00 20 4E 00 00 00 00 00 00")],
+        decode=registers(8, egu.Output.from_registers),
         errors=(FrameError,),
     ),
     Decoder(

@@ -132,9 +132,19 @@ async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
         return _robotiq(robotiq, unit, options)
     # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
     if robotiq is not None:
-        onrobot = await _onrobot(bus, unit, options)
-        return onrobot or Found("", f"a Modbus slave, unit {unit}", options)
+        known = await _onrobot(bus, unit, options) or await _egu(bus, unit, options)
+        return known or Found("", f"a Modbus slave, unit {unit}", options)
     return None
+
+
+async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return a SCHUNK EGU or EGK if one tells its module type."""
+    from rtee.drivers.schunk_egu.codec import MODULES, Parameter
+
+    module = await _registers(bus, unit, Parameter.MODULE.register, 1)
+    # The low byte comes first.
+    name = MODULES.get(module[0] >> 8) if isinstance(module, tuple) else None
+    return None if name is None else Found("schunk_egu", f"SCHUNK {name}, unit {unit}", options)
 
 
 async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:

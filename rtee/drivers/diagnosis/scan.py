@@ -76,6 +76,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
         probes.linkerhand(),
         probes.modbus(115200, "N", units or (*range(1, 17),), name="Robotiq"),
         probes.modbus(1_000_000, "E", units or (65, 66, 67), name="OnRobot"),
+        probes.modbus(115200, "E", units or (12, 65, 66, 67), name="SCHUNK EGU, OnRobot"),
         *(probes.feetech(rate) for rate in FEETECH_RATES),
         *(probes.dynamixel(rate) for rate in DYNAMIXEL_RATES),
     )

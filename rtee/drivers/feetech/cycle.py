@@ -17,13 +17,18 @@ from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, MODELS, State
 from rtee.drivers.feetech.units import Measured, Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.servo_lines import Calibrated
-from rtee.errors import CalibrationError, ConfigError
+from rtee.errors import CalibrationError, ConfigError, FrameError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _FASTER = 1.5
 """Speed without a limit of its own [velocity limit of the actuators]: a servo that is behind its
 set-points has to be faster than they are."""
+
+_QUICK = 30.0
+"""Rate of a servo that is not believed [rad/s]: several times that of a free one."""
+_JUMP = 0.1
+"""Change of a servo's angle that is always believed [rad]: backlash, and a push."""
 
 
 class ServoCycle:
@@ -81,6 +86,8 @@ class ServoCycle:
         self._goal: FloatArray = np.full(n, math.nan)
         self._fastest = np.array([_FASTER * a.velocity for a in spec.actuators])
         self._warnings: tuple[str, ...] = ()
+        self._seen: tuple[float, list[int]] | None = None
+        self._doubted: list[int] = []
 
     # --- set-up ------------------------------------------------------------------------------
 
@@ -145,6 +152,7 @@ class ServoCycle:
             CalibrationError: if one is where it cannot be.
             ConfigError: if one cannot go where its actuator can.
             DeviceFault: if one reports a fault, or takes no torque.
+            DriverError: if one does not take a setting.
             BusError: if the line fails.
         """
         # Again: what was set before the supply was cut is lost.
@@ -152,7 +160,7 @@ class ServoCycle:
         self.check(await self.states())
         off = {n: servo for n, servo in self.found.items() if not servo.powered}
         if off:
-            await setup.prepare(self.link, self.family, self._options, off)
+            await setup.prepare(self.link, self.family, self._device, self._options, off)
             await self.find()
             # Before the torque: an old goal would make the servo jump to it.
             await self.hold(list(off))
@@ -192,19 +200,21 @@ class ServoCycle:
 
         Raises:
             DeviceFault: if one that must have torque has none, or reports a fault.
+            FrameError: if one tells a position that it cannot have come to.
             BusError: if the line fails.
         """
         self._count += 1
         if self.active and self._count % self._options.check_every == 0:
             # One servo each time: all at once would take as long as a whole cycle.
-            number = self.ids[self._count // self._options.check_every % len(self.ids)]
-            if await self.link.value(number, table.TORQUE) != POWERED:
-                self.refuse(await self.states())
-                raise setup.lost(self._device, self.names, [number])
+            await self._check_torque(
+                self.ids[self._count // self._options.check_every % len(self.ids)]
+            )
         states = await self.states()
         stamp = time.monotonic()
-        if self.active:
-            self.refuse(states)
+        self._believe(states, stamp)
+        if self.active and any(state.status for state in states):
+            # Asked again: a sum of bytes lets one damaged answer in fifty pass.
+            self.refuse(await self.states())
         measured = self._take(states)
         velocity, effort = measured.rate, measured.torque
         current, temperature = measured.current, measured.temperature
@@ -226,6 +236,47 @@ class ServoCycle:
             extras={"voltage": measured.voltage},
             warnings=self._warnings,
         )
+
+    async def _check_torque(self, number: int) -> None:
+        """Raise the `DeviceFault` of a servo that has no torque, asked twice; or `BusError`."""
+        told = POWERED
+        for _ in range(2):
+            told = await self.link.value(number, table.TORQUE)
+            if told == POWERED:
+                return
+        if told:
+            # Neither on nor off: only a frame that was damaged on its way has set that.
+            await self.link.set_all(table.TORQUE, {number: POWERED})
+            return
+        self.refuse(await self.states())
+        raise setup.lost(self._device, self.names, [number])
+
+    def _believe(self, states: Sequence[State], stamp: float) -> None:
+        """Refuse positions that servos cannot have come to, unless they are told twice.
+
+        Args:
+            states: What the servos tell.
+            stamp: When they did, CLOCK_MONOTONIC [s].
+
+        Raises:
+            FrameError: if an answer must have been damaged, though its checksum fits.
+        """
+        told, doubted = [state.position for state in states], self._doubted
+        self._doubted = []
+        if self._seen is not None:
+            when, last = self._seen
+            reach = (_JUMP + _QUICK * (stamp - when)) / self.family.rad_per_count
+            jumped = [n for n, p, q in zip(self.ids, told, last, strict=True) if abs(p - q) > reach]
+            again = bool(doubted) and all(
+                abs(p - q) <= reach for p, q in zip(told, doubted, strict=True)
+            )
+            if jumped and not again:
+                self._doubted = told
+                numbers = ", ".join(str(n) for n in jumped)
+                raise FrameError(
+                    self._options.port, f"servo {numbers} cannot have come to where it says it is"
+                )
+        self._seen = stamp, told
 
     async def move(self, reference: Reference) -> None:
         """Set positions, speeds and torque limits of all servos that a reference is for."""

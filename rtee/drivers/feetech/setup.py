@@ -12,7 +12,7 @@ from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, ServoOptions
 from rtee.drivers.feetech.table import FULL, MODELS, RAM, Family, Register, model_name
 from rtee.drivers.servo_lines import check_present
-from rtee.errors import DeviceFault, HandshakeError
+from rtee.errors import DeviceFault, DriverError, HandshakeError
 
 POWERED = 1
 """Value of the torque register that lets a servo drive; 2 damps, 0 leaves it limp."""
@@ -124,6 +124,7 @@ def _found(data: bytes) -> str:
 async def prepare(
     link: FeetechLink,
     family: Family,
+    device: str,
     options: FeetechOptions,
     found: Mapping[int, Found],
 ) -> None:
@@ -132,21 +133,35 @@ async def prepare(
     Args:
         link: The line.
         family: The servos' family.
+        device: The device's name.
         options: How they are to be set.
         found: The servos without torque, by id.
 
     Raises:
         BusError: if the line fails.
+        DriverError: if one does not take a setting.
     """
-    if not found:
-        return
+
+    async def take(register: Register, values: Mapping[int, int]) -> None:
+        for number, told in (await link.set_all(register, values)).items():
+            raise DriverError(
+                device,
+                f"servo {number} does not take {values[number]} at address {register.address}; "
+                f"it has {told}",
+            )
+
     # Locked, they take settings without storing them: their memory does not wear out.
-    await link.set_all(family.lock, dict.fromkeys(found, 1))
+    await take(family.lock, dict.fromkeys(found, 1))
     for register, wanted, present in _settings(family, options, found):
         # Only what differs: each is written and read back one by one.
-        await link.set_all(register, {n: v for n, v in wanted.items() if v != present[n]})
+        await take(register, {n: v for n, v in wanted.items() if v != present[n]})
     if options.acceleration is not None and family.offset is not None:
-        await link.set_all(table.ACCELERATION, dict.fromkeys(found, options.acceleration))
+        await take(table.ACCELERATION, dict.fromkeys(found, options.acceleration))
+    # The register of the delay means something else to HLS servos.
+    if options.return_delay is not None and family.name != "hls":
+        slow = [n for n, servo in found.items() if servo.return_delay != options.return_delay]
+        # One that keeps its delay is slower, and no worse.
+        await link.set_all(table.RETURN_DELAY, dict.fromkeys(slow, options.return_delay))
 
 
 def _settings(
@@ -164,10 +179,6 @@ def _settings(
         given = {n: common if gain is None else gain for n, gain in own.items()}
         wanted = {n: gain for n, gain in given.items() if gain is not None}
         yield register, wanted, {n: servo.gains[i] for n, servo in found.items()}
-    # The register of the delay means something else to HLS servos.
-    if options.return_delay is not None and family.name != "hls":
-        delays = {n: servo.return_delay for n, servo in found.items()}
-        yield table.RETURN_DELAY, dict.fromkeys(found, options.return_delay), delays
     if family.offset is not None:
         yield table.MODE, dict.fromkeys(found, 0), {n: servo.mode for n, servo in found.items()}
     if options.torque is not None and not family.limits_torque:

@@ -74,6 +74,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
     Attributes:
         axis: Its links; position is their angle [rad], effort the force [N].
         begun: The force register when the last motion started.
+        stopped: Motions that a stop has ended.
     """
 
     FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
@@ -108,6 +109,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         self.axis.enabled = True
         self.axis.self_locking = True  # the worm gear keeps the fingers where they are
         self.begun = 0
+        self.stopped = 0
         self._offset = round(made.offset / TENTH_MM)
         self._triggered = [False, False]
         self._error = False
@@ -230,6 +232,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         except ValueError:
             raise Refused(ILLEGAL_VALUE) from None
         if control is Control.STOP:
+            self.stopped += self._busy
             self._busy = False
             self._halt()
         elif control is not Control.NONE and not (self._busy or self._locked()):

@@ -38,6 +38,7 @@ from rtee.drivers.wsg50.link import Report, WsgLink, WsgRefusal
 from rtee.errors import (
     BusError,
     BusTimeout,
+    CommandRejected,
     ConfigError,
     DeviceFault,
     FrameError,
@@ -181,8 +182,8 @@ class Wsg50Driver(Driver):
             },
         )
         every = self.spec.every or max(1.0, self.spec.rate / options.rate)
-        # One and a half of its periods leaves room for jitter.
-        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.03)
+        # One and a half of its periods leaves room for jitter; a tenth of a second for networks.
+        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.1)
 
     async def activate(self) -> None:
         """Attach to a gripper that is referenced; home one that is not where that was asked for."""
@@ -270,13 +271,17 @@ class Wsg50Driver(Driver):
         speed = min(max(speed, limits.speed[0]), limits.speed[1])
         held = report.grasping is Grasping.HOLDING
         order = self._follower.next(width, force, report.width, busy=self._busy, held=held)
-        if order is Order.STOP:
-            await link.ask(Frame(Command.STOP))
-            self._follower.sent()
-        elif order is Order.GO or self._meets(width):
-            await self._limit_force(link, force)
-            if await link.begin(self._motion(width, speed)):
+        try:
+            if order is Order.STOP:
+                await link.ask(Frame(Command.STOP))
                 self._follower.sent()
+            elif order is Order.GO or self._meets(width):
+                await self._limit_force(link, force)
+                if await link.begin(self._motion(width, speed)):
+                    self._follower.sent()
+        except WsgRefusal as refusal:
+            # Such as a width beyond the soft limits that were set on its page.
+            raise CommandRejected(self.spec.name, refusal.message) from refusal
 
     def _meets(self, width: float) -> bool:
         """Return whether a motion to a width has just met something, which is to be grasped."""

@@ -336,7 +336,8 @@ class Wsg50Emulator(Emulator, Grasps):
         width, speed = numbers(Frame(command, b"\0\0" + payload), 2)
         width += self.axis.position if flags & 1 else 0.0
         low, high = self.limits.speed
-        if not (0.0 <= width <= self.limits.stroke and low <= speed <= high):
+        inner, outer = self._settings[Command.SET_SOFT_LIMITS]
+        if not (inner <= width <= outer and low <= speed <= high):
             return answer(command, Status.RANGE)
         self._stop_on_block = bool(flags & 2)
         self._begin(command, (width, speed))

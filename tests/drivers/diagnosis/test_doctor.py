@@ -198,6 +198,7 @@ async def test_another_device_is_found_out() -> None:
             "safety_error",
             "6: a safety switch was pushed at power-up",
         ),
+        ("schunk_egu", "left_finger_joint", {}, "overcurrent", "222: motor current too high"),
         ("inspire_rh56", "index_bend", {}, "over_current", "4: index: over-current"),
         ("linkerhand", "index_bend", {}, "encoder", "3: index: encoder error"),
         ("robotiq_2f", "finger_joint", {}, "", "none, but not activated"),
@@ -212,7 +213,9 @@ async def test_what_keeps_a_device_from_being_active_is_told(
         emulator.inject(fault)
     with SimulatedLine([emulator], wire_time=False) as line:
         spec = gripper(options={"port": line.address, **options})
-        spec = replace(spec, driver=driver, actuators=(actuator(name, 0.0, 0.8),))
+        # A finger of the EGU has a way of 40 mm.
+        upper = 0.04 if driver == "schunk_egu" else 0.8
+        spec = replace(spec, driver=driver, actuators=(actuator(name, 0.0, upper),))
         async with BusPool() as pool:
             check = named(await check_device(spec, pool), "fault")
     assert check.verdict is (Verdict.WRONG if fault else Verdict.WARNING)

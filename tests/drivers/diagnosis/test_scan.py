@@ -38,6 +38,7 @@ def device(name: str, **properties: object) -> Emulator:
         ("robotiq_3f", {}, "Robotiq 3-Finger, unit 9, 115200 baud 8N1"),
         ("onrobot_3fg", {"unit": 66, "framing": "rtu"}, "OnRobot 3FG, unit 66, 1000000 baud 8E1"),
         ("onrobot_rg", {"unit": 67, "framing": "rtu"}, "OnRobot RG2, unit 67, 1000000 baud 8E1"),
+        ("schunk_egu", {}, "SCHUNK EGK 40 M-B, unit 12"),
         ("qb_softhand", {"device": 3}, "qb SoftHand, device 3"),
         ("schunk_svh", {}, "SCHUNK SVH, firmware"),
         ("inspire_rh56", {"unit": 3}, "Inspire RH56, unit 3"),

@@ -1,12 +1,13 @@
 """Programs that others wrote for Feetech servos talk to the emulated ones.
 
-They are no dependency of rtee: ``pip install rustypot feetech-servo-sdk`` lets these tests run.
+`make device-peers` installs them, as `make test` does.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,9 +17,17 @@ from rtee.drivers.feetech import table
 from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
 from rtee.drivers.feetech.table import FamilyName
 
+PEERS = Path(__file__).parents[3] / ".device-peers"
 _LATE = -6  # the SDK's word for no answer in time
 OPEN = {n: math.radians(-35.0 if n % 2 else 35.0) for n in range(1, 9)}
 """The AmazingHand's open pose [rad], by id."""
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find them where they are installed for tests alone."""
+    if (PEERS / ".ready").exists():
+        monkeypatch.syspath_prepend(PEERS)
 
 
 def servos(family: FamilyName, ids: tuple[int, ...], **more: Any) -> FeetechEmulator:

@@ -19,6 +19,8 @@ from rtee.errors import (
     CalibrationError,
     ConfigError,
     DeviceFault,
+    DriverError,
+    FrameError,
     HandshakeError,
     NotConnected,
 )
@@ -209,8 +211,8 @@ async def test_powering_sets_up_what_differs_and_stores_nothing() -> None:
         session.pool.trace = wire.trace
         await session.start()
         registers = [frame.params[0] for frame in wire if frame.code == Instruction.SYNC_WRITE]
-        # Lock, P, the return delay, the acceleration, the goal, torque: D and mode were right.
-        assert registers == [55, 21, 7, 41, 42, 40]
+        # Lock, P, the acceleration, the return delay, the goal, torque: D and mode were right.
+        assert registers == [55, 21, 41, 7, 42, 40]
         assert wire.written(7) == [bytes([7, 1, 1, 0])]
         for servo in session.emulator.ordered:
             assert servo.get(table.GOAL_POSITION) == servo.position
@@ -240,6 +242,25 @@ async def test_a_largest_torque_keeps_scs_servos_from_switching_off() -> None:
         await session.start()
         await session.reach([0.5] * 3)
         assert [s.get(table.TORQUE_LIMIT) for s in session.emulator.ordered] == [750] * 3
+
+
+async def test_a_setting_that_a_servo_does_not_take_is_told() -> None:
+    async with Session(case(p=20, return_delay=5)) as session:
+        await session.connect()
+        third = session.emulator.ordered[2]
+        kept = [(register, third.get(register)) for register in (table.P, table.RETURN_DELAY)]
+        session.wire.call(lambda: setattr(third, "_act", lambda: [third.set(*one) for one in kept]))
+        with pytest.raises(DriverError, match="servo 3 does not take 20 at address 21; it has 32"):
+            await session.driver.activate()
+    async with Session(case(return_delay=5)) as session:
+        await session.connect()
+        third = session.emulator.ordered[2]
+        act = third._act
+        session.wire.call(
+            lambda: setattr(third, "_act", lambda: (third.set(table.RETURN_DELAY, 0), act()))
+        )
+        # It is slower so, and no worse.
+        await session.driver.activate()
 
 
 async def test_a_servo_that_takes_no_torque_is_a_fault() -> None:
@@ -333,6 +354,34 @@ async def test_a_velocity_is_measured_on_the_way() -> None:
         await anyio.sleep(0.1)
         state = await session.sense()
         assert state.velocity.tolist() == pytest.approx([0.5] * 3, rel=0.01)
+
+
+async def test_a_position_that_cannot_be_is_believed_only_when_told_twice() -> None:
+    async with Session(case()) as session:
+        state = await session.start()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0 + 500))
+        with pytest.raises(FrameError, match="servo 2 cannot have come to where it says it is"):
+            await session.driver.sense()
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0))
+        assert (await session.driver.sense()).position.tolist() == state.position.tolist()
+        # A hand that somebody has bent while nobody looked is where it is.
+        session.wire.call(lambda: setattr(second.axis, "target", 2048.0 + 500))
+        session.wire.call(lambda: setattr(second.axis, "position", 2048.0 + 500))
+        with pytest.raises(FrameError):
+            await session.driver.sense()
+        there = await session.driver.sense()
+        assert there.position[1] == pytest.approx(500 * math.tau / 4096)
+
+
+async def test_a_torque_that_nobody_sets_is_set_right() -> None:
+    async with Session(case(check_every=1)) as session:
+        await session.start()
+        second = session.emulator.ordered[1]
+        session.wire.call(lambda: second.write(table.TORQUE.address, b"\x03"))
+        for _ in range(3):
+            await session.driver.sense()
+        assert second.get(table.TORQUE) == 1
 
 
 async def test_servos_that_are_read_one_by_one_are_checked_one_by_one() -> None:

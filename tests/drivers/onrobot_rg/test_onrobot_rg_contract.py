@@ -10,7 +10,7 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.onrobot_rg.codec import MODELS, Control, Scale
+from rtee.drivers.onrobot_rg.codec import MODELS, Scale
 from rtee.drivers.onrobot_rg.driver import OnRobotRGDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
@@ -94,15 +94,26 @@ async def test_a_moving_reference_is_followed_in_steps() -> None:
 
 
 async def test_a_motion_that_leads_past_the_reference_is_stopped() -> None:
-    case = replace(TCP, options={**TCP.options, "emulator": {"haste": 1.0}})
+    case = replace(TCP, options={**TCP.options, "emulator": {"haste": 0.5}})
     async with Session(case) as session:
         await session.start()
         while session.emulator.axis.position > 0.9:
             await cycled(session, FINGER.lower, 2)
         assert session.emulator.status().busy
         assert session.near(await session.reach([1.1]), [1.1])
-        controls = [pdu[-1] for pdu in session.emulator.requests if len(pdu) > 10]
-        assert Control.STOP in controls
+        assert session.emulator.stopped == 1
+
+
+async def test_a_motion_with_more_force_than_is_asked_for_now_is_stopped() -> None:
+    case = replace(TCP, options={**TCP.options, "emulator": {"haste": 0.5}})
+    async with Session(case) as session:
+        await session.start()
+        while session.emulator.axis.position > 1.1:
+            await cycled(session, FINGER.lower, 2, max_effort=[SCALE.effort.to_si(300)])
+        assert session.emulator.begun == 300
+        await cycled(session, FINGER.lower, 10, max_effort=[SCALE.effort.to_si(50)])
+        assert session.emulator.status().busy
+        assert session.emulator.begun == 50
 
 
 async def test_a_safety_switch_is_named_and_recovered_from() -> None:

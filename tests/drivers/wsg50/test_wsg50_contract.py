@@ -10,9 +10,9 @@ import pytest
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.wsg50.codec import Command, Grasping, State
+from rtee.drivers.wsg50.codec import Command, Grasping, State, setting
 from rtee.drivers.wsg50.driver import Wsg50Driver
-from rtee.errors import ConfigError, DeviceFault, HandshakeError
+from rtee.errors import CommandRejected, ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
 
@@ -180,6 +180,16 @@ async def test_a_connection_is_ended_with_a_word() -> None:
         state = await session.start()
         assert not session.emulator.state() & State.FAST_STOP
         assert state.fresh
+
+
+async def test_a_width_beyond_the_soft_limits_is_rejected_by_name() -> None:
+    async with Session(CASE) as session:
+        await session.start()
+        await session.reach([0.010])
+        session.emulator.feed(setting(Command.SET_SOFT_LIMITS, 30.0, 105.0).to_bytes(), 0.0)
+        with pytest.raises(CommandRejected, match="refuses command 0x21: range"):
+            await cycled(session, 0.050)
+        assert session.near(await session.reach([0.030]), [0.030])
 
 
 async def test_a_refusal_is_named() -> None:

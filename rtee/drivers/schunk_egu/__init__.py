@@ -1,0 +1,1 @@
+"""SCHUNK EGU and EGK."""

@@ -1,0 +1,263 @@
+"""Parameters, cyclic images and error codes of SCHUNK's EGU and EGK on Modbus RTU; no I/O.
+
+Sources: the maker's own ROS 2 library, simulator and Python tools, which agree on parameters,
+images and bits. A parameter's number less one is its first register; its bytes follow each other in
+the registers in the order of the device's memory, numbers with the low byte first.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+from typing import Self
+
+from rtee.errors import FrameError
+
+IMAGE = 8
+"""Registers of either cyclic image."""
+
+_OUTPUT = struct.Struct("<Iiii")
+_INPUT = struct.Struct("<IiIHBB")
+_FLOAT = struct.Struct("<f")
+
+
+class Parameter(IntEnum):
+    """Numbers of parameters."""
+
+    INPUT = 0x0040
+    OUTPUT = 0x0048
+    ERROR = 0x0118
+    POSITION = 0x0230
+    SPEED = 0x0238
+    MODULE = 0x0500
+    RELEASE_DELTA = 0x0540
+    STROKE = 0x0588
+    LEAST_POSITION = 0x0600
+    MOST_POSITION = 0x0608
+    MOST_SPEED = 0x0630
+    MOST_GRIP_SPEED = 0x0650
+    MOST_FORCE = 0x0660
+    SERIAL = 0x1000
+    SOFTWARE = 0x1118
+    FIELDBUS = 0x1130
+
+    @property
+    def register(self) -> int:
+        """Its first register."""
+        return self.value - 1
+
+
+TEXTS = {Parameter.SERIAL: 8, Parameter.SOFTWARE: 11}
+"""Registers of the parameters that are text."""
+
+MODULES: dict[int, str] = {
+    **{6 + i: f"EGU {size} N-B" for i, size in enumerate((50, 60, 70, 80))},
+    **{10 + i: f"EGU {size} M-B" for i, size in enumerate((50, 60, 70, 80))},
+    **{14 + i: f"EGK {size} N-B" for i, size in enumerate((25, 40, 50))},
+    **{17 + i: f"EGK {size} M-B" for i, size in enumerate((25, 40, 50))},
+    **{20 + i: "EGU or EGK, SD" for i in range(8)},
+}
+"""Module types by their number; M: it maintains force and position without power."""
+
+
+class Control(IntFlag):
+    """Bits of the control word."""
+
+    RUN = 1 << 0
+    """Clear, it is a fast stop."""
+    STOP = 1 << 1
+    ACKNOWLEDGE = 1 << 2
+    SHUTDOWN = 1 << 3
+    SOFT_RESET = 1 << 4
+    EMERGENCY_RELEASE = 1 << 5
+    REPEAT = 1 << 6
+    """Toggled, the same command is given again."""
+    OUTWARD = 1 << 7
+    JOG_MINUS = 1 << 8
+    JOG_PLUS = 1 << 9
+    RELEASE = 1 << 11
+    GRIP = 1 << 12
+    MOVE = 1 << 13
+    MOVE_BY = 1 << 14
+    GRIP_AT = 1 << 16
+    BRAKE_TEST = 1 << 30
+    MAINTAIN = 1 << 31
+
+
+class Status(IntFlag):
+    """Bits of the status word."""
+
+    READY = 1 << 0
+    AUTHORITY = 1 << 1
+    SHUTDOWN_READY = 1 << 2
+    NOT_FEASIBLE = 1 << 3
+    SUCCESS = 1 << 4
+    RECEIVED = 1 << 5
+    """Toggles with every command that is taken."""
+    WARNING = 1 << 6
+    ERROR = 1 << 7
+    RELEASED = 1 << 8
+    SOFT_LIMIT = 1 << 9
+    NO_WORKPIECE = 1 << 11
+    GRIPPED = 1 << 12
+    REACHED = 1 << 13
+    PRE_HOLDING = 1 << 14
+    MOVING = 1 << 15
+    LOST = 1 << 16
+    WRONG_WORKPIECE = 1 << 17
+    BRAKE = 1 << 31
+
+
+RESULTS = (
+    Status.NOT_FEASIBLE
+    | Status.SUCCESS
+    | Status.ERROR
+    | Status.NO_WORKPIECE
+    | Status.GRIPPED
+    | Status.REACHED
+    | Status.LOST
+    | Status.WRONG_WORKPIECE
+)
+"""Bits of which one at least tells that a command has ended."""
+
+FAST_STOP, SILENT, UNHEARD = 0xD9, 0xEF, 0xF7
+"""Errors that are normal after power-up and after a pause: fast stop, and communication lost."""
+
+ERRORS: dict[int, str] = {
+    0x03: "no rights",
+    0x28: "brake test failed",
+    0x6C: "motor too cold",
+    0x6D: "motor too hot",
+    0x70: "electronics too cold",
+    0x71: "electronics too hot",
+    0x72: "supply of the electronics too low",
+    0x73: "supply of the electronics too high",
+    0x74: "supply of the motor too low",
+    0x75: "supply of the motor too high",
+    0x7C: "it must be started anew",
+    0x7E: "power stage",
+    0xBA: "position not held",
+    0xBB: "position not held",
+    0xD4: "invalid command",
+    0xD5: "below its least position",
+    0xD6: "above its greatest position",
+    FAST_STOP: "fast stop",
+    0xDE: "motor current too high",
+    0xDF: "motor overloaded (I²t)",
+    0xE4: "too fast",
+    SILENT: "communication lost",
+    0xF0: "referencing took too long",
+    0xF1: "motion took too long",
+    0xF2: "not referenced",
+    0xF4: "motion blocked",
+    UNHEARD: "no communication",
+    0xFB: "lost its memory",
+}
+"""Names of the error codes."""
+
+WARNINGS: dict[int, str] = {
+    0x90: "electronics nearly too cold",
+    0x91: "electronics nearly too hot",
+    0x92: "motor nearly too cold",
+    0x93: "motor nearly too hot",
+    0x94: "command not feasible",
+    0x96: "supply of the electronics low",
+    0x97: "supply of the electronics high",
+    0x98: "supply of the motor low",
+    0x99: "supply of the motor high",
+    0xA1: "no workpiece",
+}
+"""Names of the warning codes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the host writes in one frame.
+
+    Attributes:
+        control: Control word; one command bit at most.
+        position: Target [µm].
+        speed: Of a motion [µm/s]; 0 in a grip: the gripper's own.
+        force: Of a grip [%].
+    """
+
+    control: Control = Control.RUN
+    position: int = 0
+    speed: int = 0
+    force: int = 0
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the eight registers."""
+        data = _OUTPUT.pack(int(self.control), self.position, self.speed, self.force)
+        return registers(data)
+
+    @classmethod
+    def from_registers(cls, words: Sequence[int]) -> Self:
+        """Read it from eight registers."""
+        control, position, speed, force = _OUTPUT.unpack(data_of(words))
+        return cls(Control(control), position, speed, force)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """What the gripper reports in every cycle.
+
+    Attributes:
+        status: Status word.
+        position: Measured [µm].
+        error: Error code, 0 for none; see `ERRORS`.
+        warning: Warning code, 0 for none; see `WARNINGS`.
+        additional: A further code.
+    """
+
+    status: Status = field(default_factory=lambda: Status(0))
+    position: int = 0
+    error: int = 0
+    warning: int = 0
+    additional: int = 0
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the eight registers."""
+        codes = (self.error, self.warning, self.additional)
+        return registers(_INPUT.pack(int(self.status), self.position, 0, *codes))
+
+    @classmethod
+    def from_registers(cls, words: Sequence[int], bus: str = "") -> Self:
+        """Read it from eight registers.
+
+        Raises:
+            FrameError: if they are no image of such a gripper.
+        """
+        data = data_of(words)
+        if len(data) != _INPUT.size:
+            raise FrameError(bus, f"{len(data)} bytes are no image of an EGU or EGK", data)
+        status, position, _, error, warning, additional = _INPUT.unpack(data)
+        # Only the low byte of the error is used.
+        return cls(Status(status), position, error & 0xFF, warning, additional)
+
+
+def registers(data: bytes) -> tuple[int, ...]:
+    """Return bytes of the device's memory as registers."""
+    return struct.unpack(f">{len(data) // 2}H", data)
+
+
+def data_of(words: Sequence[int]) -> bytes:
+    """Return registers as bytes of the device's memory."""
+    return struct.pack(f">{len(words)}H", *words)
+
+
+def float_of(words: Sequence[int]) -> float:
+    """Return a parameter that is a number."""
+    return float(_FLOAT.unpack(data_of(words))[0])
+
+
+def float_registers(value: float) -> tuple[int, ...]:
+    """Return a number as registers."""
+    return registers(_FLOAT.pack(value))
+
+
+def text_of(words: Sequence[int]) -> str:
+    """Return a parameter that is text."""
+    return data_of(words).split(b"\0")[0].decode("ascii", "replace").strip()

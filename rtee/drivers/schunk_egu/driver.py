@@ -1,0 +1,472 @@
+"""Drives a SCHUNK EGU or EGK over Modbus RTU."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Literal
+
+from pydantic import BaseModel, Field
+
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.pool import BusPool
+from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.emulators import emulator_of
+from rtee.drivers.options import DeviceOptions, read_options
+from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.scale import LinearScale
+from rtee.drivers.schunk_egu.codec import (
+    ERRORS,
+    FAST_STOP,
+    IMAGE,
+    MODULES,
+    RESULTS,
+    SILENT,
+    TEXTS,
+    UNHEARD,
+    WARNINGS,
+    Control,
+    Input,
+    Output,
+    Parameter,
+    Status,
+    float_of,
+    text_of,
+)
+from rtee.drivers.step_follower import Order, StepFollower
+from rtee.errors import (
+    BusError,
+    BusTimeout,
+    ConfigError,
+    DeviceFault,
+    FrameError,
+    HandshakeError,
+    NotConnected,
+)
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+_UM = 1e-6  # m in the images' unit of lengths
+_SAME, _REACHED = 500.0, 100.0
+"""Positions this near to the measured one ask for no motion of a gripper just attached to, and
+count as reached [µm]."""
+_TAKEN = 0.3
+"""Longest time until a command is taken [s]; the maker's tools wait as long."""
+_READY = 1.0
+"""Longest time until it is ready after an acknowledgement [s]."""
+_BRAKE_TEST = 5.0
+"""Longest time of a brake test [s]; no document states it."""
+_POLL = 0.01
+"""Time between two readings while waiting [s]."""
+_WRITE_GAP = 0.1
+"""Pause after an acknowledgement that was there already is withdrawn [s]; the maker's tools."""
+_MISFIT = 1e-3
+"""How far the actuator's range may exceed the gripper's stroke [m]: rounding of models."""
+_EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
+_BRAKE = 0x28  # error: brake test
+
+
+class SchunkEguOptions(DeviceOptions):
+    """Options of an EGU or EGK."""
+
+    port: str = Field("/dev/ttyUSB0", description="tty, socket:// or rfc2217://")
+    unit: int = Field(12, ge=1, le=247, description="Modbus number of the gripper")
+    baudrate: int = Field(115200, gt=0, description="of the line (8E1)")
+    opens: Literal["up", "down"] = Field(
+        "up", description="whether its position grows or falls while the fingers open"
+    )
+    speed: float = Field(
+        0.02, gt=0.0, description="speed of a motion whose reference has no limit, per finger [m/s]"
+    )
+    rate: float = Field(
+        25.0,
+        gt=0.0,
+        description="exchanges per second; below 20 the gripper may miss them and stop",
+    )
+    brake_test: bool = Field(False, description="test the brake whenever it is activated")
+    settle: float = Field(
+        0.1, ge=0.0, description="a reference that rests this long is gone to, however near [s]"
+    )
+    step: float = Field(
+        0.003,
+        gt=0.0,
+        description="a moving reference is followed in steps of at least this, per finger [m]",
+    )
+
+
+class SchunkEguDriver(BlocksDriver):
+    """An EGU or EGK.
+
+    Each command is given by the rise of its bit, and taken when a bit of the status toggles. A
+    motion that meets something is an error, so the gripper closes by *grip*, with the force
+    asked for, and is stopped where the reference is; it opens by *release* and by motions to a
+    position. A reference that moves is followed in steps: see `StepFollower`.
+    """
+
+    Options: ClassVar[type[BaseModel] | None] = SchunkEguOptions
+
+    def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        super().__init__(spec, buses)
+        options = self.options = read_options(SchunkEguOptions, spec)
+        if len(spec.actuators) != 1:
+            raise ConfigError(
+                f"device '{spec.name}': an EGU or EGK has one actuator, not {len(spec.actuators)}",
+                key=f"devices.{spec.name}.actuators",
+            )
+        self._follower = StepFollower(options.settle, options.step / _UM, _SAME, _REACHED)
+        self._input = Input()
+        self._gripping = False
+        self._asked: tuple[bool, float] | None = None
+        self._running = False
+        self._most_speed = 0.0
+        self._word: Control | None = None
+        self.capabilities = self._adopt(0.0, 1e6 * self._range, 1.0, {}, options.rate)
+
+    @property
+    def _range(self) -> float:
+        actuator = self.spec.actuators[0]
+        return actuator.upper - actuator.lower
+
+    def _adopt(
+        self, least: float, most: float, force: float, identity: Mapping[str, str], best_rate: float
+    ) -> Capabilities:
+        """Take over the gripper's own limits: positions [µm], force [N]."""
+        actuator = self.spec.actuators[0]
+        opened = most if self.options.opens == "up" else least
+        closed = least if self.options.opens == "up" else most
+        # A finger's way in metres, from open at the lower limit.
+        end = opened + math.copysign(self._range / _UM, closed - opened)
+        self.position = LinearScale(
+            (opened, end), (actuator.lower, actuator.upper), ends=(least, most)
+        )
+        # Both fingers move by it: a newton between the fingertips is two at one finger's slide.
+        weakest = force / 100.0
+        self.effort = LinearScale((1.0, 100.0), (2.0 * weakest, 2.0 * force))
+        return Capabilities(
+            measures=frozenset({"position", "grasped"}),
+            accepts=frozenset({"position", "max_effort", "max_velocity"}),
+            best_rate=best_rate,
+            recoverable=True,
+            watchdog=True,
+            grip={actuator.name: GripForce(self.effort.si, (weakest,), (force,))},
+            identity={"model": "SCHUNK EGU or EGK", **identity},
+        )
+
+    # --- life --------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """Open the line and ask what gripper it is; moves nothing."""
+        options = self.options
+        blocks = await self.connection.open(
+            self.buses.modbus(
+                options.port,
+                owner=self.connection.owner,
+                baudrate=options.baudrate,
+                parity="E",
+                emulator=emulator_of(self.spec, "schunk_egu"),
+            ),
+            lambda bus: Blocks(
+                bus,
+                options.unit,
+                output=Parameter.OUTPUT.register,
+                source=Parameter.INPUT.register,
+                count=IMAGE,
+                deadline=PATIENT,
+                # The gripper has no function that does both.
+                kind="separate",
+                refresh=0.0,
+            ),
+        )
+        try:
+            await self._identify(blocks)
+        except BusTimeout as error:
+            raise NotConnected(
+                self.spec.name,
+                f"no answer from unit {options.unit} at {options.port}",
+                hint="check supply, wiring, `unit`, `baudrate` and even parity",
+            ) from error
+        except (FrameError, ModbusRefusal) as error:
+            raise HandshakeError(self.spec.name, "an EGU or EGK", error.message) from error
+        self._pace(self.capabilities.best_rate)
+
+    async def _identify(self, blocks: Blocks) -> None:
+        bus = blocks.bus
+        module = (await self._parameter(bus, Parameter.MODULE, 1))[0].to_bytes(2, "big")
+        name = MODULES.get(int.from_bytes(module, "little"))
+        if name is None:
+            raise HandshakeError(
+                self.spec.name,
+                "an EGU or EGK",
+                f"a device of module type {int.from_bytes(module, 'little')}",
+            )
+        least, most, force, speed = [
+            float_of(await self._parameter(bus, parameter, 2))
+            for parameter in (
+                Parameter.LEAST_POSITION,
+                Parameter.MOST_POSITION,
+                Parameter.MOST_FORCE,
+                Parameter.MOST_SPEED,
+            )
+        ]
+        if not (least < most and force > 0.0 and speed > 0.0):
+            raise HandshakeError(
+                self.spec.name,
+                "an EGU or EGK",
+                f"positions {least} to {most} mm, {force} N, {speed} mm/s",
+            )
+        if self._range > 1e-3 * (most - least) + _MISFIT:
+            raise ConfigError(
+                f"device '{self.spec.name}': each finger of this {name} moves "
+                f"{most - least:.1f} mm, but the actuator has {1e3 * self._range:.1f} mm; set its "
+                "limits in the URDF",
+                key=f"devices.{self.spec.name}.actuators",
+            )
+        texts = {
+            parameter: text_of(await self._parameter(bus, parameter, count))
+            for parameter, count in TEXTS.items()
+        }
+        self._most_speed = 1e3 * speed
+        # Three exchanges: the image is read, and a command takes two writes.
+        wire = bus.exchange_time(5, 2 + 2 * IMAGE) + 2 * bus.exchange_time(6 + 2 * IMAGE, 5)
+        self.capabilities = self._adopt(
+            1e3 * least,
+            1e3 * most,
+            force,
+            {
+                "model": f"SCHUNK {name}",
+                "address": f"unit {self.options.unit}",
+                "serial": texts[Parameter.SERIAL],
+                "firmware": texts[Parameter.SOFTWARE],
+                "way of a finger": f"{most - least:.1f} mm",
+                "largest force": f"{force:g} N",
+            },
+            min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
+        )
+        self._input = await self._read()
+
+    async def _parameter(self, bus: ModbusBus, what: Parameter, count: int) -> tuple[int, ...]:
+        return await bus.read(self.options.unit, what.register, count, deadline=PATIENT)
+
+    async def activate(self) -> None:
+        """Attach to a gripper that is ready; acknowledge what is normal after power-up."""
+        link = self.connection.link
+        with link.unhurried():
+            now = self._input = await self._read()
+            if now.error not in _EXPECTED:
+                self._refuse(now)
+            if not self._ready(now):
+                await self._acknowledge()
+            if self.options.brake_test:
+                await self._test_brake()
+        self._forget()
+        self._active = True
+
+    @staticmethod
+    def _ready(now: Input) -> bool:
+        return bool(now.status & Status.READY) and not now.status & Status.ERROR
+
+    async def _acknowledge(self) -> None:
+        """Withdraw a fast stop and acknowledge errors; wait until it is ready."""
+        await self._write(Output(Control.RUN))
+        await asyncio.sleep(_WRITE_GAP if self._input.error == SILENT else 0.0)
+        await self._write(Output(Control.RUN | Control.ACKNOWLEDGE))
+        try:
+            await self._until(self._ready, _READY)
+        except DeviceFault:
+            self._refuse(self._input)
+            raise
+        finally:
+            with contextlib.suppress(BusError):
+                await self._write(Output(Control.RUN))
+
+    async def _test_brake(self) -> None:
+        await self._write(Output(Control.RUN))
+        before = self._input.status & Status.RECEIVED
+        await self._write(Output(Control.RUN | Control.BRAKE_TEST))
+
+        def done(now: Input) -> bool:
+            self._refuse(now)
+            return now.status & Status.RECEIVED != before and bool(now.status & RESULTS)
+
+        self.doing = "testing its brake"
+        try:
+            await self._until(done, _BRAKE_TEST)
+        finally:
+            self.doing = ""
+        if self._input.status & Status.NOT_FEASIBLE:
+            raise self._fault(_BRAKE, "brake test not feasible; has this model a brake?")
+        await self._write(Output(Control.RUN))
+
+    async def _until(self, done: Callable[[Input], bool], within: float) -> None:
+        """Read until something is so; raises `DeviceFault` when that takes too long [s]."""
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    if done(await self._read_on()):
+                        return
+                    await asyncio.sleep(_POLL)
+        # A `BusTimeout` is a `TimeoutError` too, but means a lost gripper and not a slow one.
+        except BusTimeout:
+            raise
+        except TimeoutError:
+            what = self.doing or "becoming ready"
+            raise self._fault(self._input.error, f"{what} took too long") from None
+
+    async def examine(self) -> str:
+        """Raise the error that it reports, unless it is one that activation acknowledges."""
+        now = await self._read()
+        if now.error not in _EXPECTED:
+            self._refuse(now)
+        return ""
+
+    # --- every cycle -------------------------------------------------------------------------
+
+    async def sense(self) -> ActuatorState:
+        """Return the position and whether something is gripped."""
+        now = await self._read_on()
+        stamp = time.monotonic()
+        if self._active:
+            self._refuse(now)
+        gripped = bool(now.status & Status.GRIPPED) and not now.status & Status.LOST
+        return ActuatorState.measured(
+            [self.position.to_si(now.position)],
+            stamp,
+            grasped=(gripped,),
+            warnings=self._warnings(now),
+        )
+
+    def _warnings(self, now: Input) -> tuple[str, ...]:
+        found = []
+        if now.warning:
+            found.append(WARNINGS.get(now.warning, f"warning {now.warning:#04x}"))
+        if now.status & Status.LOST:
+            found.append("workpiece lost")
+        if now.status & Status.WRONG_WORKPIECE:
+            found.append("wrong workpiece")
+        return tuple(found)
+
+    async def move(self, reference: Reference) -> None:
+        """Follow a reference in steps."""
+        if not reference.mask[0] or self._waits():
+            return
+        target = float(self.position.to_count(float(reference.position[0])))
+        force = self.effort.to_count(float(reference.max_effort[0]))
+        now = self._input
+        here, held = float(now.position), bool(now.status & Status.GRIPPED)
+        if self._gripping and self._running:
+            # A grip goes on to the end of its way, unless it is stopped where it should be.
+            if not self._closes(here, target) or force < (self._follower.force or 0.0):
+                await self._command(Control.STOP)
+                self._follower.halted(here)
+            return
+        order = self._follower.next(target, force, here, busy=self._running, held=held)
+        if order is Order.STOP:
+            await self._command(Control.STOP)
+            self._follower.sent()
+        elif order is Order.GO and self._word != Control.RUN:
+            # In a cycle of its own: with the command it would take longer than a cycle has.
+            await self._write(Output(Control.RUN))
+        elif order is Order.GO:
+            await self._go(here, target, force, float(reference.max_velocity[0]), held)
+
+    async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
+        if self._closes(here, target) or (held and here == target):
+            await self._command(Control.GRIP, force=force)
+        elif held:
+            # It opens by a way of its own; the motion to the target follows when it has.
+            await self._command(Control.RELEASE)
+            self._follower.forget()
+            return
+        else:
+            wanted = speed if math.isfinite(speed) else self.options.speed
+            limited = max(1, round(min(wanted / _UM, self._most_speed)))
+            await self._command(Control.MOVE, position=round(target), speed=limited)
+        self._follower.sent()
+
+    def _closes(self, here: float, target: float) -> bool:
+        """Return whether a position [µm] is further closed than where it is."""
+        further = target - here if self.options.opens == "down" else here - target
+        return further > _REACHED
+
+    async def _command(
+        self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
+    ) -> None:
+        """Give a command: by the rise of its bit, so without any command before."""
+        if self._word != Control.RUN:
+            await self._write(Output(Control.RUN))
+        # Noted before it is written: an answer that is lost may leave it begun.
+        self._gripping = control is Control.GRIP
+        self._running = True
+        self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
+        await self._write(Output(Control.RUN | control, position, speed, force))
+
+    def _waits(self) -> bool:
+        """Return whether the last command is still to be taken; one never taken is given up."""
+        if self._asked is None:
+            return False
+        if time.monotonic() - self._asked[1] > _TAKEN:
+            self._asked, self._running = None, False
+            self._follower.forget()
+            return False
+        return True
+
+    def _forget(self) -> None:
+        self._follower.forget()
+        self._asked = self._word = None
+        self._gripping = self._running = False
+
+    # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if not self.connection.is_open:
+            return
+        if self._input.status & Status.GRIPPED and not self._running:
+            self._forget()
+            return
+        await self._insist(Output(Control.RUN).to_registers())
+        if await self._insist(Output(Control.RUN | Control.STOP).to_registers()):
+            self._forget()
+
+    async def recover(self) -> None:
+        """Acknowledge the error; what it was doing is not gone on with."""
+        with self.connection.link.unhurried():
+            await self._read_on()
+            if not self._ready(self._input):
+                await self._acknowledge()
+        self._refuse(self._input)
+        self._forget()
+
+    def _refuse(self, now: Input) -> None:
+        if now.status & Status.ERROR:
+            name = ERRORS.get(now.error, "an error that no document names")
+            raise self._fault(now.error, name)
+
+    def _fault(self, code: int, name: str) -> DeviceFault:
+        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
+        self._active = False
+        hint = "remove the cause, then `rtee recover`, which acknowledges it"
+        return DeviceFault(self.spec.name, code, name, hint=hint)
+
+    # --- the wire ----------------------------------------------------------------------------
+
+    async def _read(self) -> Input:
+        return Input.from_registers(await self.connection.link.read(), self.options.port)
+
+    async def _read_on(self) -> Input:
+        """Read the image and see how far the last command is."""
+        now = self._input = await self._read()
+        if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
+            self._asked = None
+        if self._asked is None and now.status & RESULTS:
+            self._running = False
+        return now
+
+    async def _write(self, output: Output) -> None:
+        # Not known as long as nothing has answered.
+        self._word = None
+        await self.connection.link.write(output.to_registers())
+        self._word = output.control

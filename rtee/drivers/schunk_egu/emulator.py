@@ -1,0 +1,357 @@
+"""Emulates a SCHUNK EGU or EGK on Modbus RTU: parameters, cyclic images, the toggle-bit handshake.
+
+What the sources leave open is a property here: the timeout of the communication, the speed of a
+grip, and the time to build up its force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.objects import Closing, Grasps
+from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
+from rtee.drivers.schunk_egu.codec import (
+    FAST_STOP,
+    IMAGE,
+    SILENT,
+    TEXTS,
+    Control,
+    Input,
+    Output,
+    Parameter,
+    Status,
+    float_registers,
+    registers,
+)
+
+_COMMANDS = (
+    Control.STOP
+    | Control.ACKNOWLEDGE
+    | Control.RELEASE
+    | Control.GRIP
+    | Control.MOVE
+    | Control.MOVE_BY
+    | Control.GRIP_AT
+    | Control.BRAKE_TEST
+    | Control.REPEAT
+)
+_MOVE_FORCE = 0.3
+"""Force of a motion that is no grip, as a share of the largest; no document states it."""
+_NEAR = 0.02
+"""Position within which a target counts as reached [mm]."""
+_ERRORS: Mapping[str, int] = {
+    "motor_hot": 0x6D,
+    "motor_supply_low": 0x74,
+    "overcurrent": 0xDE,
+    "brake_test": 0x28,
+}
+_BLOCKED = 0xF4  # error: a motion met something
+
+
+@dataclass(frozen=True, slots=True)
+class SchunkEguProperties:
+    """Properties of the emulated gripper.
+
+    Attributes:
+        unit: Its number on the line.
+        baudrate: Bits per second.
+        module: Its module type.
+        stroke: Largest position, of one finger [mm]; the least is 0.
+        position: Position of a finger at power-up [mm].
+        force: Largest grip force [N].
+        speed: Fastest motion [mm/s].
+        grip_speed: Speed of a grip that names none [mm/s].
+        release: Way by which it opens on release [mm].
+        force_time: Time to build up the force after the contact [s].
+        watch: Silence after which it stops with an error [s].
+        ready: It is ready at power-up, as after an earlier connection.
+        serial: Its serial number.
+        haste: How much faster than the real one it moves.
+    """
+
+    unit: Byte = 12
+    baudrate: Rate = 115200
+    module: Byte = 18
+    stroke: Positive = 40.0
+    position: float = 40.0
+    force: Positive = 150.0
+    speed: Positive = 100.0
+    grip_speed: Positive = 20.0
+    release: Duration = 5.0
+    force_time: Duration = 0.1
+    watch: Duration = 1.0
+    ready: bool = False
+    serial: str = "EMULATED"
+    haste: Positive = 1.0
+
+
+class SchunkEguEmulator(ModbusEmulator, Grasps):
+    """An EGU or EGK; greater positions are more open.
+
+    Attributes:
+        axis: One finger; position in mm, effort the force [N].
+        moves: Times a motion was started.
+        begun: Force of the last grip [%]; motions have none.
+        tests: Brake tests done.
+        taken: Commands that it took, newest last, for tests.
+    """
+
+    FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_ERRORS)
+    FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x10})
+    EXCEPTIONS: ClassVar[bool] = True
+
+    def __init__(self, properties: SchunkEguProperties | None = None) -> None:
+        made = self.properties = properties or SchunkEguProperties()
+        super().__init__(made.unit, "rtu", baudrate=made.baudrate)
+        self.axis = Axis(
+            made.position,
+            lower=0.0,
+            upper=made.stroke,
+            max_effort=_MOVE_FORCE * made.force,
+            time_constant=0.01,
+            resolution=_NEAR / 2,
+        )
+        self.axis.rating = made.force
+        self.axis.enabled = True
+        self.axis.self_locking = True
+        self.moves = 0
+        self.begun = 0
+        self.tests = 0
+        self.taken: list[Control] = []
+        self._now: float | None = None
+        self._start(made.ready)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Self:
+        """Make the gripper that a driver's options describe."""
+        names = ("unit", "baudrate")
+        found = {name: options[name] for name in names if options.get(name) is not None}
+        return cls(read_properties(SchunkEguProperties, options, **found))
+
+    def _start(self, ready: bool) -> None:
+        self._output = Output(Control.RUN if ready else Control(0))
+        self._error = 0 if ready else FAST_STOP
+        self._results = Status(0)
+        self._toggle = False
+        self._running = Control(0)
+        self._building = 0.0
+        self._heard: float | None = None
+        self._halt()
+
+    def power_cycle(self, now: float) -> None:
+        """Come back in a fast stop; encoder and brake keep the position."""
+        self.line_reset()
+        self._start(False)
+
+    def _halt(self) -> None:
+        self.axis.target = self.axis.position
+        self._running = Control(0)
+
+    # --- objects and faults ------------------------------------------------------------------
+
+    def closings(self) -> Sequence[Closing]:
+        """Return how the fingers close."""
+        return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
+
+    def closure_at(self, width: float) -> float:
+        """Return how far the fingers are closed at a width [m], of which each has half."""
+        return 1.0 - 1e3 * width / 2.0 / self.properties.stroke
+
+    def grip_object(self, position: float = 15.0, stiffness: float = 200.0) -> None:
+        """Grip an object, as if another program had done so before.
+
+        Args:
+            position: Of a finger when it meets the object [mm].
+            stiffness: Of the object [N/mm].
+        """
+        self._start(True)
+        self.axis.position = max(self.axis.position, position + 5.0)
+        self.axis.obstacle = VirtualObject(position, stiffness, closing=-1.0)
+        self._obey(Output(Control.RUN | Control.GRIP, force=50))
+        # Ten seconds, long enough to arrive and to build up the whole force.
+        for _ in range(100):
+            self._advance_by(0.1)
+        self.moves = 0
+
+    def on_faults(self) -> None:
+        """Block the motor while it is stuck; an error stops it."""
+        self.axis.stuck = "stuck" in self.faults
+        for fault, code in _ERRORS.items():
+            if fault in self.faults and fault != "brake_test":
+                self._fail(code)
+
+    def _fail(self, code: int) -> None:
+        self._error = code
+        self._results = Status(0)
+        self._halt()
+
+    # --- registers ---------------------------------------------------------------------------
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        """Return the registers of one parameter, or a part of it."""
+        self._hear(now)
+        for parameter, words in self._parameters().items():
+            start = address - parameter.register
+            if start >= 0 and start + count <= len(words):
+                return words[start : start + count]
+        raise Refused(ILLEGAL_ADDRESS)
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        """Take an output image, whole."""
+        self._hear(now)
+        if address != Parameter.OUTPUT.register:
+            raise Refused(ILLEGAL_ADDRESS)
+        if len(values) != IMAGE:
+            raise Refused(ILLEGAL_VALUE)
+        self._obey(Output.from_registers(values))
+
+    def _hear(self, now: float) -> None:
+        self.advance(now)
+        self._heard = now
+
+    def _parameters(self) -> Mapping[Parameter, Sequence[int]]:
+        made = self.properties
+        texts = {Parameter.SERIAL: made.serial, Parameter.SOFTWARE: "5.2.0"}
+        module = 99 if "wrong_device" in self.faults else made.module
+        # The word of an enumeration has its low byte first, like every number.
+        found: dict[Parameter, Sequence[int]] = {
+            Parameter.INPUT: self.image().to_registers(),
+            Parameter.OUTPUT: self._output.to_registers(),
+            Parameter.ERROR: (self._error << 8,),
+            Parameter.POSITION: float_registers(self.axis.position),
+            Parameter.SPEED: float_registers(self.axis.velocity),
+            Parameter.MODULE: (module << 8,),
+            Parameter.RELEASE_DELTA: float_registers(made.release),
+            Parameter.STROKE: float_registers(made.stroke),
+            Parameter.LEAST_POSITION: float_registers(0.0),
+            Parameter.MOST_POSITION: float_registers(made.stroke),
+            Parameter.MOST_SPEED: float_registers(made.speed),
+            Parameter.MOST_GRIP_SPEED: float_registers(made.grip_speed),
+            Parameter.MOST_FORCE: float_registers(made.force),
+            Parameter.FIELDBUS: (7 << 8,),
+        }
+        for parameter, text in texts.items():
+            found[parameter] = registers(text.encode("ascii").ljust(2 * TEXTS[parameter], b"\0"))
+        return found
+
+    def image(self) -> Input:
+        """Return the input image."""
+        ready = self._error == 0
+        status = self._results
+        # As captured from a real one, which after power-up reports error and brake.
+        status |= Status.READY if ready else Status.ERROR | Status.BRAKE
+        status |= Status.RECEIVED if self._toggle else Status(0)
+        return Input(status, round(1e3 * self.axis.position), self._error)
+
+    # --- behaviour ---------------------------------------------------------------------------
+
+    def _obey(self, output: Output) -> None:
+        before, self._output = self._output, output
+        if not output.control & Control.RUN:
+            self._fail(FAST_STOP)
+            return
+        # A command is given by the rise of its bit, or by a change of the repeat bit.
+        risen = output.control & ~before.control & _COMMANDS & ~Control.REPEAT
+        if (output.control ^ before.control) & Control.REPEAT:
+            risen = output.control & _COMMANDS & ~Control.REPEAT
+        if not risen:
+            return
+        self._toggle = not self._toggle
+        self.taken = [*self.taken[-63:], risen]
+        if risen is Control.ACKNOWLEDGE:
+            self._acknowledge()
+        elif self._error or (risen.bit_count() != 1):
+            self._results = Status.NOT_FEASIBLE
+        else:
+            self._command(risen, output)
+
+    def _acknowledge(self) -> None:
+        left = [_ERRORS[f] for f in self.faults if f in _ERRORS and f != "brake_test"]
+        self._error = left[0] if left else 0
+
+    def _command(self, command: Control, output: Output) -> None:
+        made = self.properties
+        target, speed, force = self._motion(command, output)
+        if target is None or not 0.0 <= target <= made.stroke or not 0.0 < speed <= made.speed:
+            feasible = command in (Control.STOP, Control.BRAKE_TEST)
+            if not feasible:
+                self._results = Status.NOT_FEASIBLE
+                return
+        self._results, self._building = Status(0), 0.0
+        if command is Control.STOP:
+            self._halt()
+            self._results = Status.SUCCESS | Status.REACHED
+        elif command is Control.BRAKE_TEST:
+            self.tests += 1
+            if "brake_test" in self.faults:
+                self._fail(_ERRORS["brake_test"])
+            else:
+                self._results = Status.SUCCESS
+        elif target is not None:
+            self._running = command
+            self.axis.target, self.axis.max_velocity, self.axis.max_effort = target, speed, force
+            self.moves += 1
+            if command in (Control.GRIP, Control.GRIP_AT):
+                self.begun = output.force
+
+    def _motion(self, command: Control, output: Output) -> tuple[float | None, float, float]:
+        """Return the target [mm], the speed [mm/s] and the force [N] of a command."""
+        made = self.properties
+        position, speed = output.position / 1e3, output.speed / 1e3
+        outward = bool(output.control & Control.OUTWARD)
+        if command in (Control.GRIP, Control.GRIP_AT):
+            if not 1 <= output.force <= 100:
+                return None, 0.0, 0.0
+            end = made.stroke if outward else 0.0
+            return end, speed or made.grip_speed, output.force / 100.0 * made.force
+        free = _MOVE_FORCE * made.force
+        if command is Control.MOVE:
+            return position, speed, free
+        if command is Control.MOVE_BY:
+            return self.axis.position + position, speed, free
+        if command is Control.RELEASE:
+            way = -made.release if outward else made.release
+            wanted = min(max(self.axis.position + way, 0.0), made.stroke)
+            return wanted, made.grip_speed, free
+        return None, 0.0, 0.0
+
+    def advance(self, now: float) -> None:
+        """Let time pass up to ``now``."""
+        dt = 0.0 if self._now is None else max(0.0, now - self._now)
+        self._now = now
+        silent = self._heard is not None and now - self._heard > self.properties.watch
+        if silent and not self._error:
+            # A break in the communication stops it; the brake holds what is gripped.
+            self._fail(SILENT)
+        if dt > 0.0:
+            self._advance_by(dt * self.properties.haste)
+
+    def _advance_by(self, dt: float) -> None:
+        self.axis.advance(dt)
+        if not self._running or self.axis.velocity != 0.0:
+            return
+        there = abs(self.axis.position - self.axis.target) < _NEAR
+        if self._running in (Control.GRIP, Control.GRIP_AT):
+            self._grip(there, dt)
+        elif there:
+            self._running = Control(0)
+            self._results = Status.SUCCESS | Status.REACHED
+        elif not self.axis.stuck:
+            self._fail(_BLOCKED)
+
+    def _grip(self, there: bool, dt: float) -> None:
+        if there:
+            self._running = Control(0)
+            self._results = Status.SUCCESS | Status.NO_WORKPIECE
+            return
+        if self.axis.stuck:
+            return
+        self._building += dt
+        self._results = Status.PRE_HOLDING
+        if self._building >= self.properties.force_time:
+            self._running = Control(0)
+            self._results = Status.SUCCESS | Status.GRIPPED

@@ -1,0 +1,217 @@
+"""The EGU and EGK pass the suite of all drivers, and what is special about them."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.axis import VirtualObject
+from rtee.drivers.schunk_egu.codec import Control, Status
+from rtee.drivers.schunk_egu.driver import SchunkEguDriver
+from rtee.errors import ConfigError, DeviceFault, HandshakeError
+from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
+from rtee.types import JointKind, Reference
+
+FINGER = actuator(
+    "left_finger_joint", 0.0, 0.040, kind=JointKind.PRISMATIC, velocity=0.1, effort=300.0
+)
+CASE = DeviceCase(
+    driver="schunk_egu",
+    actuators=(FINGER,),
+    options={"settle": 0.02, "emulator": {"haste": 8.0, "watch": 5.0}},
+    grip_object=lambda emulator: emulator.grip_object(),
+    commands=lambda emulator: emulator.moves,
+    # Two newtons at one finger's joint are one at the fingertips; the largest force is 150 N.
+    efforts=lambda emulator: [2.0 * 1.5 * emulator.begun],
+    max_efforts=[120.0],
+    fault="motor_hot",
+    homes=False,
+    # The gripper closes on what may be there, so it goes from open to closed for its force.
+    postures=([0.010], [0.030]),
+    tolerance=0.0005,
+    cycles=cycles(100),
+)
+
+
+class TestOnTheLine(DriverContract):
+    case = CASE
+
+
+pytestmark = pytest.mark.anyio
+
+
+async def cycled(session: Session, goal: float, times: int = 100, **limits: Any) -> Any:
+    for _ in range(times):
+        await session.cycle(Reference.at([goal], **limits))
+        await asyncio.sleep(0.005)
+    return await session.sense()
+
+
+async def test_it_closes_by_grip_with_the_force_asked_for() -> None:
+    async with Session(CASE) as session:
+        await session.start()
+        await session.reach([0.005])
+        session.emulator.axis.obstacle = VirtualObject(20.0, 1e3, closing=-1.0)
+        state = await cycled(session, 0.040, max_effort=[90.0])
+        assert state.grasped == (True,)
+        assert float(state.position[0]) == pytest.approx(0.020, abs=0.0005)
+        # 30 % of 150 N.
+        assert abs(session.emulator.axis.effort) == pytest.approx(45.0)
+        moves = session.emulator.moves
+        await cycled(session, 0.040, max_effort=[90.0])
+        assert session.emulator.moves == moves
+        await cycled(session, 0.040, max_effort=[180.0])
+        assert abs(session.emulator.axis.effort) == pytest.approx(90.0)
+
+
+async def test_a_grip_is_stopped_where_the_reference_is() -> None:
+    case = replace(CASE, options={**CASE.options, "emulator": {"haste": 1.0, "watch": 5.0}})
+    async with Session(case) as session:
+        await session.start()
+        # From open, 6 mm at the 20 mm/s of a grip.
+        assert session.near(await session.reach([0.006]), [0.006])
+        state = await cycled(session, 0.006, 40)
+        assert Control.STOP in session.emulator.taken
+        assert session.near(state, [0.006])
+        assert not session.emulator.image().status & Status.NO_WORKPIECE
+
+
+async def test_what_is_gripped_is_released_before_it_opens() -> None:
+    async with Session(CASE) as session:
+        await session.before(lambda emulator: emulator.grip_object())
+        state = await session.start()
+        assert state.grasped == (True,)
+        assert session.near(await session.reach([0.005]), [0.005])
+        assert (await session.sense()).grasped == (False,)
+        order = session.emulator.taken
+        assert order.index(Control.RELEASE) < order.index(Control.MOVE)
+
+
+async def test_a_motion_takes_the_speed_of_the_reference() -> None:
+    case = replace(CASE, options={**CASE.options, "emulator": {"haste": 1.0, "watch": 5.0}})
+    async with Session(case) as session:
+        await session.start()
+        await session.reach([0.030])
+        await cycled(session, 0.010, 20, max_velocity=[0.015])
+        assert session.emulator.axis.max_velocity == pytest.approx(15.0)
+
+
+async def test_after_power_up_it_is_made_ready_without_moving() -> None:
+    async with Session(CASE) as session:
+        await session.before(lambda emulator: emulator.power_cycle(0.0))
+        assert session.emulator.image().to_registers()[0] == 0x8000
+        await session.connect()
+        assert await session.driver.examine() == ""
+        await session.driver.activate()
+        status = session.emulator.image().status
+        assert status & Status.READY
+        assert not status & Status.ERROR
+        assert session.emulator.moves == 0
+
+
+async def test_silence_is_an_error_that_connecting_again_acknowledges() -> None:
+    options = {**CASE.options, "emulator": {"haste": 8.0, "watch": 0.2}}
+    async with Session(replace(CASE, options=options)) as session:
+        await session.start()
+        await session.driver.close()
+        await asyncio.sleep(0.4)
+        await session.connect()
+        assert session.emulator.image().error == 0xEF
+        await session.driver.activate()
+        assert session.near(await session.reach([0.02]), [0.02])
+        await asyncio.sleep(0.4)
+        with pytest.raises(DeviceFault, match="communication lost"):
+            await session.sense()
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "name"),
+    [
+        ("motor_hot", 0x6D, "motor too hot"),
+        ("motor_supply_low", 0x74, "supply of the motor too low"),
+        ("overcurrent", 0xDE, "motor current too high"),
+    ],
+)
+async def test_errors_have_names_and_are_acknowledged(fault: str, code: int, name: str) -> None:
+    async with Session(CASE) as session:
+        await session.start()
+        session.emulator.inject(fault)
+        with pytest.raises(DeviceFault, match=name) as told:
+            await session.sense()
+        assert (told.value.code, "rtee recover" in told.value.hint) == (code, True)
+        with pytest.raises(DeviceFault, match=name):
+            await session.driver.recover()
+        session.emulator.clear()
+        await session.driver.recover()
+        assert Control.ACKNOWLEDGE in session.emulator.taken
+        await session.driver.activate()
+        assert session.near(await session.reach([0.01]), [0.01])
+
+
+async def test_a_motion_that_meets_something_is_an_error() -> None:
+    async with Session(CASE) as session:
+        await session.start()
+        await session.reach([0.030])
+        session.emulator.axis.obstacle = VirtualObject(20.0, 1e4, closing=1.0)
+        with pytest.raises(DeviceFault, match="motion blocked") as told:
+            await cycled(session, 0.005)
+        assert told.value.code == 0xF4
+
+
+async def test_the_brake_is_tested_where_asked_for() -> None:
+    options = {**CASE.options, "brake_test": True}
+    async with Session(replace(CASE, options=options)) as session:
+        await session.start()
+        assert session.emulator.tests == 1
+        assert session.emulator.moves == 0
+        assert session.near(await session.reach([0.02]), [0.02])
+        await session.driver.close()
+        session.emulator.inject("brake_test")
+        await session.connect()
+        with pytest.raises(DeviceFault, match="brake test failed") as told:
+            await session.driver.activate()
+        assert told.value.code == 0x28
+
+
+async def test_another_device_and_a_wrong_stroke_are_named() -> None:
+    async with Session(CASE) as session:
+        await session.before(lambda emulator: emulator.inject("wrong_device"))
+        with pytest.raises(HandshakeError, match="module type 99"):
+            await session.driver.configure()
+    long = replace(CASE, actuators=(replace(FINGER, upper=0.060),))
+    async with Session(long) as session:
+        with pytest.raises(ConfigError, match=r"moves 40.0 mm, but the actuator has 60.0 mm"):
+            await session.driver.configure()
+
+
+async def test_it_tells_what_it_is() -> None:
+    async with Session(CASE) as session:
+        await session.connect()
+        capabilities = session.driver.capabilities
+        assert capabilities.identity["model"] == "SCHUNK EGK 40 M-B"
+        assert capabilities.identity["serial"] == "EMULATED"
+        assert capabilities.identity["largest force"] == "150 N"
+        assert capabilities.grip["left_finger_joint"].range_at(0.0) == (1.5, 150.0)
+
+
+async def test_a_gripper_whose_positions_fall_while_it_opens() -> None:
+    async with Session(replace(CASE, options={**CASE.options, "opens": "down"})) as session:
+        await session.start()
+        state = await session.sense()
+        # At 40 mm it is closed then.
+        assert float(state.position[0]) == pytest.approx(0.040)
+        assert session.driver.position.to_count(0.040) == 40_000
+
+
+def test_options_are_checked() -> None:
+    for options, message in [
+        ({"unit": 0}, "option 'unit'"),
+        ({"opens": "left"}, "option 'opens'"),
+        ({"brakes": True}, "did you mean 'brake_test'"),
+    ]:
+        with pytest.raises(ConfigError, match=message):
+            SchunkEguDriver(replace(CASE, options=options).spec(), BusPool())
