@@ -96,6 +96,7 @@ OFFLINE = (
     needs("ros2 list", "ros2"),
     Case("doctor claw", "no stored pinch of two fingertips lies there"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
+    Case("set-id 3 --port /nowhere", "there is no such port", 1),
     Case("locate robotiq_2f_85 --emulated --yes --times 1", ""),
     Case("calibrate robotiq_2f_85 --emulated --yes --out calibration.yaml", ""),
     needs("try claw PinchTight left right", "sim"),
