@@ -71,14 +71,14 @@ def _plans(
     bitrate: int,
     units: list[int] | None,
 ) -> list[Plan]:
-    from rtee.drivers.diagnosis import probes
+    from rtee.drivers.diagnosis.can_probe import can as can_probe
     from rtee.drivers.diagnosis.scan import Plan, network_probes, serial_ports, serial_probes
 
     given = ports or hosts or channels
     there = [(port, "") for port in ports or ()] if given else serial_ports()
     plans = [Plan(port, about, serial_probes(units)) for port, about in there]
     plans += [Plan(f"tcp://{host}", probes=network_probes(units)) for host in hosts or ()]
-    plans += [Plan(c, probes=(probes.can(interface, bitrate),)) for c in channels or ()]
+    plans += [Plan(c, probes=(can_probe(interface, bitrate),)) for c in channels or ()]
     return plans
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
+from rtee.drivers.diagnosis.can_probe import can
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address
-from rtee.drivers.diagnosis.probes import can
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
 from rtee.drivers.registry import find_driver
 from rtee.errors import (

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from rtee.buses.bus import Bus
-from rtee.buses.can import CanBus
 from rtee.buses.dynamixel import DynamixelBus
-from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
 from rtee.errors import BusError, BusTimeout, FrameError
 
-_HAND_INFO = 7
-"""Length of the information that an Allegro Hand reports about itself [byte]."""
-
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
-_OWNER = "scan"
+OWNER = "scan"
+"""Who asks, for the buses."""
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 _ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 _SERVO = 0.02
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
-
 _LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
 
 
@@ -59,11 +53,12 @@ class Probe:
     ask: Callable[[BusPool, str], Awaitable[list[Found]]]
 
 
-async def _ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
+async def ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
+    """Return what was found, once the bus is given back."""
     try:
         return await asked
     finally:
-        await bus.detach(_OWNER)
+        await bus.detach(OWNER)
 
 
 # --- Modbus ----------------------------------------------------------------------------------
@@ -84,8 +79,8 @@ def modbus(baudrate: int, parity: str, units: Sequence[int], *, name: str = "Mod
     """Return a probe for Modbus slaves, known ones by name."""
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.modbus(address, owner=_OWNER, baudrate=baudrate, parity=parity)
-        return await _ended(bus, _slaves(bus, address, baudrate, parity, units))
+        bus = await pool.modbus(address, owner=OWNER, baudrate=baudrate, parity=parity)
+        return await ended(bus, _slaves(bus, address, baudrate, parity, units))
 
     return Probe(name, ask)
 
@@ -218,8 +213,8 @@ def linkerhand() -> Probe:
         return found
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.modbus(address, owner=_OWNER, baudrate=BAUDRATE)
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.modbus(address, owner=OWNER, baudrate=BAUDRATE)
+        return await ended(bus, listen(bus, address))
 
     return Probe("LinkerHand", ask)
 
@@ -241,8 +236,8 @@ def svh() -> Probe:
         return [Found("schunk_svh", what, {"port": address})]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATE)
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATE)
+        return await ended(bus, listen(bus, address))
 
     return Probe("SCHUNK SVH", ask)
 
@@ -262,8 +257,8 @@ def softhand(devices: Sequence[int]) -> Probe:
         ]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATE)
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATE)
+        return await ended(bus, listen(bus, address))
 
     return Probe("qb SoftHand", ask)
 
@@ -282,8 +277,8 @@ def ability_hand() -> Probe:
         ]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATES[0])
+        return await ended(bus, listen(bus, address))
 
     return Probe("PSYONIC Ability Hand", ask)
 
@@ -306,8 +301,8 @@ def rh56(units: Sequence[int]) -> Probe:
         return found
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=_OWNER, baudrate=BAUDRATES[0])
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATES[0])
+        return await ended(bus, listen(bus, address))
 
     return Probe("Inspire RH56", ask)
 
@@ -332,10 +327,10 @@ def wsg50() -> Probe:
         elif scheme != "socket":
             return []  # a tty, or another port that was named
         try:
-            bus = await pool.serial(f"socket://{place}", owner=_OWNER)
+            bus = await pool.serial(f"socket://{place}", owner=OWNER)
         except BusError:
             return []  # the host may still serve Modbus
-        return await _ended(bus, listen(bus, f"socket://{place}"))
+        return await ended(bus, listen(bus, f"socket://{place}"))
 
     return Probe("WSG 50", ask)
 
@@ -369,8 +364,8 @@ def dynamixel(baudrate: int) -> Probe:
         ]
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.dynamixel(address, owner=_OWNER, baudrate=baudrate)
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.dynamixel(address, owner=OWNER, baudrate=baudrate)
+        return await ended(bus, listen(bus, address))
 
     return Probe("Dynamixel", ask)
 
@@ -433,70 +428,7 @@ def feetech(baudrate: int) -> Probe:
         return found
 
     async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=_OWNER, baudrate=baudrate, fresh=True)
-        return await _ended(bus, listen(bus, address))
+        bus = await pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=True)
+        return await ended(bus, listen(bus, address))
 
     return Probe("Feetech", ask)
-
-
-# --- CAN ---------------------------------------------------------------------------------------
-
-
-def can(interface: str, bitrate: int) -> Probe:
-    """Return a probe for nodes on a CAN bus: Allegro Hands, LinkerHands and CANopen."""
-
-    async def ask(pool: BusPool, channel: str) -> list[Found]:
-        bus = await pool.can(channel, owner=_OWNER, interface=interface, bitrate=bitrate)
-        return await _ended(bus, _nodes(bus, channel, interface))
-
-    return Probe("CAN", ask)
-
-
-async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
-    from rtee.drivers.allegro.codec import Command, request
-    from rtee.drivers.linkerhand import codec as linker
-
-    heard: dict[int, bytes] = {}
-    forms: set[tuple[int, bytes, int]] = set()
-
-    def hear(frame: CanFrame) -> None:
-        if not frame.remote:  # some interfaces hand back what was sent
-            heard.setdefault(frame.id, frame.data)
-            forms.add((frame.id, frame.data[:1], len(frame.data)))
-
-    undo = bus.subscribe(hear)
-    try:
-        for hand in range(4):
-            await bus.send(request(Command.HAND_INFO, hand))
-        for unit in (linker.RIGHT, linker.LEFT):
-            for code in (1, 4):  # both halves of the positions
-                await bus.send(linker.query(unit, code))
-        for node in range(1, 128):
-            await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
-            # One request a millisecond: nodes on a slow bus must not overflow their buffers.
-            await asyncio.sleep(0.001)
-        # Long enough for a heartbeat of nodes that answer nothing else.
-        await asyncio.sleep(0.6)
-    finally:
-        undo()
-    where = {"channel": channel, "interface": interface}
-    found = [
-        Found("allegro", f"Allegro Hand {hand}", {**where, "hand": hand})
-        for hand in range(4)
-        if len(heard.get(request(Command.HAND_INFO, hand).id, b"")) >= _HAND_INFO
-    ]
-    for unit in (linker.RIGHT, linker.LEFT):
-        if (unit, b"\x01", 7) in forms:
-            model = "l10" if (unit, b"\x04", 5) in forms else "o6"
-            options = {**where, "model": model, "unit": unit}
-            found.append(Found("linkerhand", f"LinkerHand {model.upper()}, unit {unit}", options))
-    for node in range(1, 128):
-        answer = heard.get(0x580 + node)
-        if answer is not None and len(answer) == 8:
-            kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
-            name = "CiA 402 drive" if kind == 402 else "CANopen node"
-            driver = "cia402" if kind == 402 else ""
-            found.append(Found(driver, f"{name} {node}", {**where, "id": node}))
-        elif 0x700 + node in heard:
-            found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
-    return found

@@ -12,6 +12,7 @@ from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.diagnosis import probes
+from rtee.drivers.diagnosis.can_probe import can as can_probe
 from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
 
@@ -206,8 +207,8 @@ async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
     plans = [
         Plan(str(tmp_path / "file"), probes=serial_probes([9])),
         Plan("tcp://no-such-host.invalid", probes=network_probes([9])),
-        Plan("can9", probes=(probes.can("socketcan", 1_000_000),)),
-        Plan("can9", probes=(probes.can("no_such_interface", 1_000_000),)),
+        Plan("can9", probes=(can_probe("socketcan", 1_000_000),)),
+        Plan("can9", probes=(can_probe("no_such_interface", 1_000_000),)),
     ]
     async with BusPool() as pool:
         file, name, channel, interface = [one.problem for one in await scan(plans, pool)]
@@ -219,7 +220,7 @@ async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
 
 async def test_what_a_can_interface_hands_back_is_no_device() -> None:
     async with BusPool() as pool:
-        plan = Plan("239.74.163.93", probes=(probes.can("udp_multicast", 1_000_000),))
+        plan = Plan("239.74.163.93", probes=(can_probe("udp_multicast", 1_000_000),))
         [found] = await scan([plan], pool)
     assert (found.found, found.problem) == ((), "")
 
@@ -236,7 +237,7 @@ async def test_nodes_on_a_can_bus_are_found(driver: str, options: dict[str, Any]
     async with BusPool() as pool:
         await pool.can("can0", owner="x", emulator=lambda: make_emulator(driver, options))
         [channel] = pool.simulations
-        plan = Plan(channel, probes=(probes.can("virtual", 1_000_000),))
+        plan = Plan(channel, probes=(can_probe("virtual", 1_000_000),))
         async with BusPool() as asking:
             [found] = await scan([plan], asking)
     assert [one.driver for one in found.found] == [driver]

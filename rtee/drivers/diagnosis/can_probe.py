@@ -1,0 +1,73 @@
+"""The question for the nodes of a CAN bus; nothing moves by it."""
+
+from __future__ import annotations
+
+import asyncio
+
+from rtee.buses.can import CanBus
+from rtee.buses.emulator import CanFrame
+from rtee.buses.pool import BusPool
+from rtee.drivers.diagnosis.probes import OWNER, Found, Probe, ended
+
+_HAND_INFO = 7
+"""Length of the information that an Allegro Hand reports about itself [byte]."""
+
+
+def can(interface: str, bitrate: int) -> Probe:
+    """Return a probe for nodes on a CAN bus: Allegro Hands, LinkerHands and CANopen."""
+
+    async def ask(pool: BusPool, channel: str) -> list[Found]:
+        bus = await pool.can(channel, owner=OWNER, interface=interface, bitrate=bitrate)
+        return await ended(bus, _nodes(bus, channel, interface))
+
+    return Probe("CAN", ask)
+
+
+async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
+    from rtee.drivers.allegro.codec import Command, request
+    from rtee.drivers.linkerhand import codec as linker
+
+    heard: dict[int, bytes] = {}
+    forms: set[tuple[int, bytes, int]] = set()
+
+    def hear(frame: CanFrame) -> None:
+        if not frame.remote:  # some interfaces hand back what was sent
+            heard.setdefault(frame.id, frame.data)
+            forms.add((frame.id, frame.data[:1], len(frame.data)))
+
+    undo = bus.subscribe(hear)
+    try:
+        for hand in range(4):
+            await bus.send(request(Command.HAND_INFO, hand))
+        for unit in (linker.RIGHT, linker.LEFT):
+            for code in (1, 4):  # both halves of the positions
+                await bus.send(linker.query(unit, code))
+        for node in range(1, 128):
+            await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
+            # One request a millisecond: nodes on a slow bus must not overflow their buffers.
+            await asyncio.sleep(0.001)
+        # Long enough for a heartbeat of nodes that answer nothing else.
+        await asyncio.sleep(0.6)
+    finally:
+        undo()
+    where = {"channel": channel, "interface": interface}
+    found = [
+        Found("allegro", f"Allegro Hand {hand}", {**where, "hand": hand})
+        for hand in range(4)
+        if len(heard.get(request(Command.HAND_INFO, hand).id, b"")) >= _HAND_INFO
+    ]
+    for unit in (linker.RIGHT, linker.LEFT):
+        if (unit, b"\x01", 7) in forms:
+            model = "l10" if (unit, b"\x04", 5) in forms else "o6"
+            options = {**where, "model": model, "unit": unit}
+            found.append(Found("linkerhand", f"LinkerHand {model.upper()}, unit {unit}", options))
+    for node in range(1, 128):
+        answer = heard.get(0x580 + node)
+        if answer is not None and len(answer) == 8:
+            kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
+            name = "CiA 402 drive" if kind == 402 else "CANopen node"
+            driver = "cia402" if kind == 402 else ""
+            found.append(Found(driver, f"{name} {node}", {**where, "id": node}))
+        elif 0x700 + node in heard:
+            found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
+    return found
