@@ -107,7 +107,8 @@ async def test_what_its_certificate_does_not_allow_cannot_be_used(
         words = chosen | {str(c.label) for c in controls if not getattr(c, "disabled", True)}
         words |= {c.label for c in server.gui._command_handle_from_uuid.values() if not c.disabled}
         assert {"STOP", "Stop the hand", "Search", "Preview", "Effort"} <= words
-        moving = {"Open", "Open the hand", "Cancel", "Do", "Do wave", "Jog (holds the hand)"}
+        moving = {"Open", "Open the hand", "Cancel", "Do", "Do wave", "Grasp"}
+        moving.add("Jog (holds the hand)")
         changing = {"Save as generic action", "Rename", "Compose", "Start", "Set mark"}
         changing.add("Holding effort [%]")
         assert words & moving == (moving if role >= Role.OPERATOR else set())

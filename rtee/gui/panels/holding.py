@@ -9,6 +9,7 @@ from typing import Final
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.execution import Execution
 from rtee.gui.wording import offer
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.openings import OpeningRange
 
@@ -29,7 +30,7 @@ class HoldingPanel:
         self._folder = gui.add_folder("Hold an object", expand_by_default=False, visible=False)
         with self._folder:
             self._width = gui.add_slider(
-                "Width [mm]", 0.0, 1.0, 0.1, 0.0, hint="Width of the object", order=0
+                "Width [mm]", 0.0, 1.0, 0.1, 0.0, hint="Width of the object [mm]", order=0
             )
             self._force = gui.add_slider(
                 "Force [N]",
@@ -37,7 +38,7 @@ class HoldingPanel:
                 1.0,
                 0.1,
                 0.0,
-                hint="Force to hold it with; 0: as hard as the hand closes",
+                hint="Force to hold it with [N]; 0: as hard as the hand closes",
                 order=1,
             )
             self._speed = gui.add_slider(
@@ -46,7 +47,7 @@ class HoldingPanel:
                 200.0,
                 5.0,
                 0.0,
-                hint="How fast the fingertips close; 0: as fast as the force allows",
+                hint="How fast the fingertips close [mm/s]; 0: as fast as the force allows",
                 order=2,
             )
             self._fingers = gui.add_dropdown(
@@ -59,6 +60,7 @@ class HoldingPanel:
                 "Grasp", hint="Open wider than the object, close on it, keep the force", order=4
             )
             self._execution = Execution(bridge, hand, ())
+        bridge.need(Role.OPERATOR, self._button)
         self._width.on_update(lambda _: self._offer_forces())
         self._fingers.on_update(lambda _: self._offer_widths())
         self._button.on_click(bridge.clicked(self._grasp))
