@@ -1,19 +1,16 @@
 """The maker's published client talks to the emulated Ability Hand.
 
-It is no dependency of rtee: ``pip install ability-hand`` lets this test run. The client writes
-files into its working directory when it is imported, so it runs in a process and a folder of its
-own.
+The client writes files into its working directory when it is imported, so it runs in a process and
+a folder of its own.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from drivers.peers.running import installed, told_by
 
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.ability_hand.codec import touch_force
@@ -22,44 +19,21 @@ from rtee.drivers.axis import VirtualObject
 
 GOAL = [30.0, 40.0, 50.0, 60.0, 70.0, -80.0]  # what the client is asked for [degrees]
 
-CLIENT = """
-import json, sys, time
-from ah_wrapper.ah_serial_client import AHSerialClient
-
-goal = json.loads(sys.argv[2])
-reply = int(sys.argv[3])
-client = AHSerialClient(port=sys.argv[1], baud_rate=460800, reply_mode=reply, rate_hz=100)
-end = time.monotonic() + 30.0
-while time.monotonic() < end:
-    client.set_position(goal)
-    here = client.hand.get_position()
-    if here and all(abs(a - b) < 1.0 for a, b in zip(here[1:], goal[1:])):
-        break
-    time.sleep(0.01)
-time.sleep(0.3)
-hand = client.hand
-print(json.dumps([hand.get_position(), hand.get_fsr(), hand.get_current(), hand.get_velocity()]))
-client.close()
-"""
-
 
 def by_the_client(word: int) -> float:
     """Return the force of a touch word as the client has it [N]."""
     return 121591.0 / (33000.0 / (word * 3.3 / 4096) + 10000.0) + 0.878894 if word else 0.0
 
 
-@pytest.mark.skipif(find_spec("ah_wrapper") is None, reason="ability-hand is not installed")
+@installed
 @pytest.mark.parametrize("reply", [0, 1, 2])
 def test_the_makers_client_moves_the_hand_and_reads_it(tmp_path: Path, reply: int) -> None:
     hand = AbilityHandEmulator()
     # Something in the way of the index finger, so that it is felt.
     hand.axes[0].obstacle = VirtualObject(0.4, 2.0)
     with SimulatedLine([hand], wire_time=False) as line:
-        words = [sys.executable, "-c", CLIENT, line.address, json.dumps(GOAL), str(reply)]
-        done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=60)
-    assert done.returncode == 0, done.stderr
-    [told] = [text for text in done.stdout.splitlines() if text.startswith("[")]
-    position, touch, current, velocity = json.loads(told)
+        words = (line.address, json.dumps(GOAL), str(reply))
+        position, touch, current, velocity = told_by("ability_peer.py", words, tmp_path)
     assert position[1:] == pytest.approx(GOAL[1:], abs=1.0)
     if reply != 2:
         felt = hand.reply(1).touch

@@ -1,6 +1,6 @@
-"""Drive an Ability Hand with the maker's own library: `ability_peer.py PORT`; prints JSON.
+"""Drive an Ability Hand with the maker's client: `ability_peer.py PORT GOAL REPLY`; prints JSON.
 
-The library writes its settings and a log into the working directory.
+GOAL is a JSON list of six angles [degrees], REPLY the form of the hand's replies: 0, 1 or 2.
 """
 
 from __future__ import annotations
@@ -9,38 +9,26 @@ import json
 import sys
 import time
 
-from ah_wrapper import AHSerialClient
-
-GOAL = [20.0, 30.0, 40.0, 50.0, 25.0, -35.0]  # degrees; the thumb's rotator is negative
-POSITION_CURRENT_TOUCH, POSITION_VELOCITY_TOUCH, POSITION_CURRENT_VELOCITY = range(3)
+from ah_wrapper.ah_serial_client import AHSerialClient
 
 
-def main(port: str) -> None:
-    """Move to a posture with each form of reply, and tell what the hand has said."""
-    client = AHSerialClient(port=port, baud_rate=460800, write_timeout=1.0, rate_hz=100)
-    try:
-        client.set_position(GOAL, reply_mode=POSITION_CURRENT_TOUCH)
-        end = time.monotonic() + 20.0
-        while time.monotonic() < end:
-            position = client.hand.get_position()
-            if position and all(abs(a - b) < 2.0 for a, b in zip(position, GOAL, strict=True)):
-                break
-            time.sleep(0.02)
-        touch = client.hand.get_fsr()
-        client.set_position(GOAL, reply_mode=POSITION_CURRENT_VELOCITY)
-        while time.monotonic() < end and client.hand.get_velocity() is None:
-            time.sleep(0.02)
-        found = {
-            "position": client.hand.get_position(),
-            "current": client.hand.get_current(),
-            "velocity": client.hand.get_velocity(),
-            "touch": len(touch or ()),
-            "read": client.n_reads,
-        }
-    finally:
-        client.close()
-    print(json.dumps(found))
+def main(port: str, goal: list[float], reply: int) -> None:
+    """Move to the goal, and print positions, touch, currents and velocities."""
+    client = AHSerialClient(port=port, baud_rate=460800, reply_mode=reply, rate_hz=100)
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end:
+        client.set_position(goal)
+        here = client.hand.get_position()
+        # The first finger may be blocked.
+        if here and all(abs(a - b) < 1.0 for a, b in zip(here[1:], goal[1:], strict=True)):
+            break
+        time.sleep(0.01)
+    time.sleep(0.3)  # until the velocities are 0
+    hand = client.hand
+    told = [hand.get_position(), hand.get_fsr(), hand.get_current(), hand.get_velocity()]
+    client.close()  # which prints, too
+    print(json.dumps(told))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], json.loads(sys.argv[2]), int(sys.argv[3]))
