@@ -39,7 +39,7 @@ HELD = 1.0
 """How long an object is watched after its support was removed [s]."""
 
 CLOSING = 0.3
-"""An object that moves faster than this has been lost, and is no part of the study [m/s]."""
+"""An object that moves faster than this has been lost, and is not a part of the study [m/s]."""
 
 
 @dataclass(frozen=True)

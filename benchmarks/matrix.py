@@ -162,7 +162,7 @@ async def _returned(session: Session, case: DeviceCase, name: str, *, good: bool
 
 async def _error(session: Session) -> str:
     """Return the name of the error that the device leads to; a time-out only if it lasts."""
-    # A single time-out is mended in the next cycle and is no finding.
+    # A single time-out is mended in the next cycle and is not a finding.
     end, name = time.monotonic() + 0.5, "nothing"
     while time.monotonic() < end:
         try:

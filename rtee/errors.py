@@ -20,13 +20,13 @@ The tree::
     │   ├── BusBroken (OSError)    broken by an external cause: unplugged, reset
     │   ├── BusBusy                somebody else owns it
     │   ├── BusTimeout (TimeoutError)
-    │   └── FrameError             bytes that are no valid frame
+    │   └── FrameError             bytes that are not a valid frame
     ├── DriverError(device)
     │   ├── NotConnected (ConnectionError)
     │   ├── HandshakeError         another device than the one expected
     │   ├── DeviceFault            the device reports a fault
     │   └── CommandRejected        a reference the device cannot take
-    ├── MessageError (ValueError)  bytes that are no valid message
+    ├── MessageError (ValueError)  bytes that are not a valid message
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
@@ -299,7 +299,7 @@ class BusTimeout(BusError, TimeoutError):
 
 
 class FrameError(BusError):
-    """Bytes came that are no valid frame.
+    """Bytes came that are not a valid frame.
 
     Attributes:
         raw: The offending bytes.
@@ -366,7 +366,7 @@ class CommandRejected(DriverError):
 
 
 class MessageError(RteeError, ValueError):
-    """Bytes that are no valid message, or a message with values that make no sense."""
+    """Bytes that are not a valid message, or a message with values that make no sense."""
 
 
 class WorkerLost(RteeError):

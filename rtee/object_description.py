@@ -69,7 +69,7 @@ class ObjectPart:
     def __post_init__(self) -> None:
         """Check it: descriptions come over the network and from files."""
         if KINDS.get(self.kind) != len(self.size) or not all(0.0 < s < 1e3 for s in self.size):
-            raise ValueError(f"'{self.kind[:20]}' with {len(self.size)} sizes is no part")
+            raise ValueError(f"'{self.kind[:20]}' with {len(self.size)} sizes is not a part")
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
             raise ValueError("the pose of a part is seven finite numbers")
         if not np.isfinite(self.vertices).all():

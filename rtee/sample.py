@@ -109,7 +109,7 @@ class ActuatorState(Measurements):
         extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
             on every finger of the hand, on whichever of its links, in its order [N]; ``NaN``: not
             measured there.
-        warnings: Conditions the device reports that are no faults.
+        warnings: Conditions the device reports that are not faults.
         touch: The newest reading of the sensors in ``capabilities.touch``; the same object as
             before, or ``None``, where there is no newer one.
     """

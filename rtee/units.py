@@ -49,7 +49,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
         number, unit = float(match[1]), match[2]
         if unit and unit not in units:
             raise GoalRejected(
-                f"the {name} must be {what}, and '{unit}' is no unit of one; "
+                f"the {name} must be {what}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
         found = number * units.get(unit, 1.0)

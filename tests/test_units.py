@@ -33,9 +33,9 @@ def test_forces_and_speeds_have_units_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("text", "units", "sentence"),
     [
-        ("30N", LENGTH, "the width must be a length, and 'N' is no unit of one"),
-        ("10mm", FORCE, "must be a force, and 'mm' is no unit of one"),
-        ("50mm", SPEED, "must be a speed, and 'mm' is no unit of one"),
+        ("30N", LENGTH, "the width must be a length, and 'N' is not a unit of one"),
+        ("10mm", FORCE, "must be a force, and 'mm' is not a unit of one"),
+        ("50mm", SPEED, "must be a speed, and 'mm' is not a unit of one"),
         ("-3mm", LENGTH, "must not be negative"),
         (-0.03, LENGTH, "must not be negative"),
         ("nan", LENGTH, "must be a length, such as"),

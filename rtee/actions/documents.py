@@ -386,7 +386,7 @@ def read_document(path: Path) -> YamlDocument:
     """Read a YAML file of actions.
 
     Raises:
-        ActionError: if it cannot be read, is empty or is no YAML; with the line.
+        ActionError: if it cannot be read, is empty or is not YAML; with the line.
     """
     text = read_text(path, WHAT, ActionError)
     return parse_yaml(text, path, WHAT, ActionError, foreign=True)

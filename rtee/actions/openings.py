@@ -362,7 +362,8 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
         if isinstance(error, ConfigError):
             raise
         raise ConfigError(
-            f"these are no openings ({error}); `rtee openings {hand.name} --save` makes them again",
+            f"these are not openings ({error}); `rtee openings {hand.name} --save` makes them"
+            " again",
             path=path,
         ) from error
 

@@ -164,7 +164,7 @@ def list_(
 
     sort = kind.removesuffix("s") if kind is not None else None
     if sort is not None and sort not in list(Sort):
-        raise ConfigError(f"'{kind}' is no kind: nodes, topics, services or actions")
+        raise ConfigError(f"'{kind}' is not a kind: nodes, topics, services or actions")
 
     async def work(context: Context) -> list[Listed]:
         return listed(context.graph.entities(), parts=parts)

@@ -108,12 +108,12 @@ class Installation:
         root: Where its files are: ``/``, or the folder of an image.
 
     Raises:
-        ConfigError: if it is no folder, or its manifest can't be used.
+        ConfigError: if it is not a folder, or its manifest can't be used.
     """
 
     def __init__(self, root: Path = Path("/")) -> None:
         if not root.is_dir():
-            raise ConfigError("is no folder", path=root)
+            raise ConfigError("is not a folder", path=root)
         self.root = root.resolve()
         self.manifest = Manifest.read(self.root)
 

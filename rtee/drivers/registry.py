@@ -83,7 +83,7 @@ def find_driver(name: str, *, source: str = "") -> type[Driver]:
         source: ``file:line`` of the name, for the message.
 
     Raises:
-        ConfigError: if there is none, it cannot be imported, or it is no `Driver`.
+        ConfigError: if there is none, it cannot be imported, or it is not a `Driver`.
     """
     where = f"{source}: " if source else ""
     target = _target(name, DRIVERS, DRIVER_GROUP)
@@ -97,7 +97,7 @@ def find_emulator(name: str) -> type[Emulator]:
     """Return the emulator class of a driver's name, entry point or ``module:Class``.
 
     Raises:
-        ConfigError: if there is none, it cannot be imported, or it is no `Emulator`.
+        ConfigError: if there is none, it cannot be imported, or it is not an `Emulator`.
     """
     target = _target(name, EMULATORS, EMULATOR_GROUP)
     if target is None:

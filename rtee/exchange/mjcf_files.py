@@ -96,7 +96,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
         folders: Where its includes and meshes may be besides its own folder.
 
     Raises:
-        ModelError: A file is missing, is no MJCF, leads out of these folders, is too large, or
+        ModelError: A file is missing, is not MJCF, leads out of these folders, is too large, or
             describes what rtee refuses; the message names file and line where they are known.
     """
     file = Path(path)
@@ -109,7 +109,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
         _check_numbers(element)
     bodies = sum(element.tag == "body" for element in elements)
     if bodies > MOST_BODIES:
-        raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are no hand", path=file)
+        raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are not a hand", path=file)
     missing = _check_meshes(elements, file, allowed)
     with mujoco_says(file, lines=len(parts) == 1) as notes:
         spec = mujoco.MjSpec.from_file(str(file))

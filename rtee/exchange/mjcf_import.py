@@ -107,7 +107,7 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
         raise ModelError(
             f"joint {named}of body '{body}' is free; a hand's base is fixed, so take the joint "
             "away (and bodies "
-            "that are no parts of the hand)",
+            "that are not parts of the hand)",
             path=source.path,
         )
     if kind == mujoco.mjtJoint.mjJNT_BALL:
@@ -328,7 +328,7 @@ class _Writer:
                 return [(origin, self._mesh_file(f"ellipsoid_{geom}", vertices * size, faces))]
             case kinds.mjGEOM_MESH:
                 return [(origin, self._mesh(int(model.geom_dataid[geom])))]
-        self.notes.append(f"a plane of body '{link.name}' is no part of a hand and is left out")
+        self.notes.append(f"a plane of body '{link.name}' is not a part of a hand and is left out")
         return []
 
     def _mesh(self, mesh: int) -> str:

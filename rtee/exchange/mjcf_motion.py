@@ -136,7 +136,7 @@ class Motion:
         follows: The joints that follow others.
         fixed: The joints that stand still, with their positions [rad | m].
         passive: The joints that nothing moves.
-        dropped: Joints of motors that are no parts of the hand.
+        dropped: Joints of motors that are not parts of the hand.
         notes: What was chosen, one sentence each.
     """
 

@@ -1,7 +1,7 @@
 """Expand xacro files, in a process of its own.
 
 A xacro file is a program: its expressions are Python. xacro keeps the usual functions from them,
-which is no protection against a file that means harm. The process has the user's rights; it is
+which is not a protection against a file that means harm. The process has the user's rights; it is
 limited in memory, time and what it writes, so that a file by mistake endless ends.
 """
 

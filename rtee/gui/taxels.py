@@ -21,7 +21,7 @@ _SHADES: Final = 32
 _COLOURS: Final = np.array([ramp(k / (_SHADES - 1)) for k in range(_SHADES)], dtype=np.uint8)
 
 _STALE: Final = np.array((150, 150, 150), dtype=np.uint8)
-"""Taxels that have gone silent: grey is no colour of a measured value."""
+"""Taxels that have gone silent: grey is not the colour of any measured value."""
 
 _LIFT: Final = 0.0006
 """Height of the points over the surface [m]: in it they would flicker."""

@@ -162,7 +162,7 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
         return _why_no_stl(data)
     if suffix == ".dae":
         if b"<COLLADA" not in data:
-            return "it is no COLLADA file"
+            return "it is not a COLLADA file"
         # Entities may expand without bound when the loader parses the file.
         if b"<!ENTITY" in data:
             return "it declares XML entities, which are refused"
@@ -174,7 +174,7 @@ def _why_no_stl(data: bytes) -> str | None:
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
         return None
     if len(data) < 84:
-        return "it is no STL file"
+        return "it is not an STL file"
     # A binary STL: 80 bytes of header, the number of triangles, and 50 bytes for each.
     count = int.from_bytes(data[80:84], "little")
     if count == 0:

@@ -103,7 +103,7 @@ def read_srdf(path: Path | str) -> Srdf:
     """Read an SRDF.
 
     Raises:
-        ModelError: The file does not exist, is no XML or no SRDF, or defines a name twice.
+        ModelError: The file does not exist, is neither XML nor an SRDF, or defines a name twice.
     """
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":

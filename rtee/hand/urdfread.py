@@ -42,8 +42,8 @@ def read_urdf(path: Path | str) -> Urdf:
     """Read a URDF.
 
     Raises:
-        ModelError: The file does not exist, is no XML or no URDF, or describes no tree of links
-            with well-defined joints; the message names file and line.
+        ModelError: The file does not exist, is neither XML nor a URDF, or describes no tree of
+            links with well-defined joints; the message names file and line.
     """
     root, text = read_xml(path, "URDF")
     _check_root(root)

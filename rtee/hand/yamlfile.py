@@ -109,7 +109,7 @@ def read_yaml(path: Path | str, what: str) -> YamlDocument:
         what: What it should be, for messages, such as ``"hand.yaml"``.
 
     Raises:
-        ConfigError: The file does not exist or cannot be read, is no YAML, or holds a tab, a
+        ConfigError: The file does not exist or cannot be read, is not YAML, or holds a tab, a
             duplicate key, a tag, an anchor, a NaN or an infinite number.
     """
     file = Path(path)
@@ -128,7 +128,7 @@ def read_text(path: Path, what: str, raised: type[UserError] = ConfigError) -> s
         raised: The error to raise.
 
     Raises:
-        UserError: It cannot be read, is larger than 64 MB, or is no UTF-8 text.
+        UserError: It cannot be read, is larger than 64 MB, or is not UTF-8 text.
     """
     data = read_bytes(path, what, raised)
     try:

@@ -132,7 +132,7 @@ def survey(path: Path | str) -> Survey:
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
-            raise LogError("is no file", path=path)
+            raise LogError("is not a file", path=path)
         return _Surveyor(path).look()
     except OSError as error:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
@@ -154,7 +154,7 @@ class _Surveyor:
     def look(self) -> Survey:
         with self._path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
-                raise LogError("is no MCAP file", path=self._path)
+                raise LogError("is not an MCAP file", path=self._path)
             size = self._path.stat().st_size
             good = len(MAGIC)
             data = True

@@ -70,7 +70,7 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
             return
         opcode, length = _HEAD.unpack(head)
         record = Record(opcode, position + _HEAD.size, length)
-        # 0 is no opcode: a power cut may leave zeros at the end of a file.
+        # 0 is not an opcode: a power cut may leave zeros at the end of a file.
         if record.end > size or opcode == 0:
             return
         yield record

@@ -327,7 +327,7 @@ class HandLoop:
             max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``None``: the actuators' own.
 
         Raises:
-            GoalRejected: if an actuator is unknown or not active, or a value is no number.
+            GoalRejected: if an actuator is unknown or not active, or a value is not a number.
         """
         names = self.hand.actuator_names
         for name, value in positions.items():

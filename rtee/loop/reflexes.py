@@ -385,7 +385,7 @@ class Reflexes:
         full = self._limit(i)
         if watched.limit < full:
             return watched.limit
-        # What was learned from currents is no effort.
+        # What was learned from currents is not an effort.
         free = self._free[i].most if watched.in_effort else 0.0
         return min(free + watched.threshold, full)
 

@@ -179,7 +179,7 @@ class Squeeze:
             return False
         if stamp < self._settled:
             for held in self.held.values():
-                # What is measured while the force changes is no reference for slips.
+                # What is measured while the force changes is not a reference for slips.
                 held.position = math.nan
             return False
         for i, held in self.held.items():

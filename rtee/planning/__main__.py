@@ -36,7 +36,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
     text, mass, scale = question["object"], question["mass"], question["scale"]
     mesh = base64.b64decode(question["mesh"])
     if not mesh and not is_shape(text):
-        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS.rpartition(', or')[0]}")
+        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
     folder = Path(question["hand"])
     hand = load_hand(folder)
     library = ActionLibrary.load(hand, folder / "actions")
@@ -71,7 +71,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     )
     text = asked["object"]
     if text and not is_shape(text):
-        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS.rpartition(', or')[0]}")
+        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
     thing = read_object(text) if text else None
     approach, retreat = asked["approach"] or None, asked["retreat"]
     if not asked["points"]:

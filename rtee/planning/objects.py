@@ -184,7 +184,7 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         return GraspObject(text, (piece,), mass)
     path = Path(text)
     if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"'{text[:200]}' is no object; write {FORMS} ({', '.join(FORMATS)})")
+        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS} ({', '.join(FORMATS)})")
     if not path.is_file():
         raise ConfigError("no such mesh", path=path)
     pieces, notes = _mesh(path, scale)
@@ -200,12 +200,12 @@ def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
         math.isfinite(value) and _SMALLEST <= value <= _LARGEST for value in size
     ):
         raise ConfigError(
-            f"'{text[:200]}' is no object; write {FORMS}, each number from {_SMALLEST:g} to "
+            f"'{text[:200]}' is not an object; write {FORMS}, each number from {_SMALLEST:g} to "
             f"{_LARGEST:g}"
         )
     if kind == "capsule" and size[1] < 2.0 * size[0]:
         raise ConfigError(
-            f"'{text}' is no object: a capsule is at least as long as thick, here {2 * size[0]:g} m"
+            f"'{text}' is not an object: a capsule is at least as long as thick, {2 * size[0]:g} m"
         )
     return size
 

@@ -180,7 +180,7 @@ def _evidence_of(fields: Fields) -> Evidence:
     pairs, links, angles = fields["pair"], fields["colliding"], fields["angles"].tolist()
     depths = fields["pair_depth"].tolist()
     if len(pairs) != 2 * len(depths) or len(links) % 2 or len(angles) not in (0, 2):
-        raise MessageError("evidence with names that are no pairs")
+        raise MessageError("evidence with names that are not pairs")
     opposition = None
     if angles:
         pair = (angles[0], angles[1])

@@ -113,7 +113,7 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
     """
     if _PERSON.match(who) is None:
         raise ConfigError(
-            f"{who[:50]!r} is no name of a client; use up to 31 letters, digits, '_' and '-'"
+            f"{who[:50]!r} is not a name of a client; use up to 31 letters, digits, '_' and '-'"
         )
     known = _known(folder)
     common = next((spare for spare, of in known.spare.items() if of is role), None)
@@ -177,7 +177,7 @@ def _issued(
     signer = serialization.load_pem_private_key(path.read_bytes(), None)
     authority = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
     if not isinstance(signer, ec.EllipticCurvePrivateKey):
-        raise ConfigError("is no key of 'rtee secure init'", path=path)
+        raise ConfigError("is not a key of 'rtee secure init'", path=path)
     made = _builder(_name(name), authority.subject, key, days)
     made = made.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     made = made.add_extension(_usage(signs=False), critical=True)

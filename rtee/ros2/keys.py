@@ -70,7 +70,7 @@ def checked(full: str, called: str) -> str:
     parts = full.removeprefix("/").split("/")
     if not full.startswith("/") or not all(map(_NAME.fullmatch, parts)):
         raise ConfigError(
-            f"{called} is no name of ROS 2: letters, digits and underscores, parted by slashes, and"
+            f"{called} is not a name of ROS 2: letters, digits, underscores, parted by slashes, and"
             " no part begins with a digit"
         )
     if len(full) > _LONGEST_NAME:

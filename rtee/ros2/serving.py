@@ -157,7 +157,7 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
     """Show a hand whenever it runs."""
 
     def waiting(reason: str) -> None:
-        log.info("%s is no node of ROS 2 yet: %s", hand.name, reason)
+        log.info("%s is not a node of ROS 2 yet: %s", hand.name, reason)
 
     while True:
         try:

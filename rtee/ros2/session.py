@@ -82,7 +82,7 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
     if not text:
         return settings.domain
     if not (text.isascii() and text.isdigit() and int(text[:9]) <= _LARGEST_DOMAIN):
-        raise ConfigError(f"{DOMAIN}={text} is no domain: a whole number, 0 to {_LARGEST_DOMAIN}")
+        raise ConfigError(f"{DOMAIN}={text} is not a domain: a number, 0 to {_LARGEST_DOMAIN}")
     return int(text)
 
 
@@ -160,7 +160,7 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
         words = str(error).partition(" at /")[0]
-        raise ConfigError(f"{source}: {key}={value} is no setting of Zenoh: {words}") from None
+        raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {words}") from None
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:

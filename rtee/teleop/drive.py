@@ -158,7 +158,7 @@ def _of_table(path: Path) -> list[Played]:
             when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
             for cell, value in zip(row, (when, *values), strict=True):
                 if cell.strip() and not math.isfinite(value):
-                    raise ValueError(f"'{cell.strip()}' is no finite number")
+                    raise ValueError(f"'{cell.strip()}' is not a finite number")
             if not math.isfinite(when) or (found and when <= found[-1].time):
                 raise ValueError("the times must rise")
         except ValueError as error:

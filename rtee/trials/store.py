@@ -178,7 +178,7 @@ def _results(read: YamlDocument, made_with: str | None) -> dict[str, TrialResult
         results = [from_document(entry) for entry in document["trials"]]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(
-            f"these are no results of trials ({error}); remove the file to make them anew",
+            f"these are not results of trials ({error}); remove the file to make them anew",
             path=read.path,
         ) from error
     return {result.trial.key: result for result in results}

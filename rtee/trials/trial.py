@@ -315,7 +315,7 @@ class TrialRun:
                 headless.hand.fingers, headless.simulation.contact_forces, strict=True
             )
         )
-        # From here on the object should stay: how far closing moved it is no slip.
+        # From here on the object should stay: how far closing moved it does not count as slip.
         start = around.position_in_hand
         moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
         if not around.touching() or moved > _FALLEN + _PUSHED:

@@ -87,9 +87,9 @@ def test_a_name_that_is_taken_is_refused_unless_it_is_to_be_replaced(run: Run) -
     ("words", "said"),
     [
         (["--object", "box:0.14x0.2x0.3"], "does not fit: width 140 mm, the hand opens to 8"),
-        (["--object", "cone:1x1"], "'cone:1x1' is no object"),
-        (["--object", "sphere:-0.1"], "is no object"),
-        (["--object", "sphere:nan"], "is no object"),
+        (["--object", "cone:1x1"], "'cone:1x1' is not an object"),
+        (["--object", "sphere:-0.1"], "is not an object"),
+        (["--object", "sphere:nan"], "is not an object"),
         (["--object", "nothing.stl"], "nothing.stl: no such mesh"),
         (["--object", "sphere:0.02", "--mass", "nan"], "should be a finite number"),
         (["--object", "sphere:0.02", "--mass", "-1"], "the mass of an object"),

@@ -110,7 +110,7 @@ def test_a_stale_table_is_refused_and_one_command_makes_it_again(tmp_path: Path)
     with pytest.raises(ActionError, match="are not known; `rtee openings"):
         known.openings.of(known.find("Grasp"))
     (home / "openings.yaml").write_text("format: 1\nmodel: x\nopenings: [{action: 3}]\n")
-    with pytest.raises(ConfigError, match="these are no openings"):
+    with pytest.raises(ConfigError, match="these are not openings"):
         _ = known.openings
 
 

@@ -148,7 +148,7 @@ def test_a_named_pipe_keeps_nobody_waiting(story: Path) -> None:
         assert pipe not in [file.path for file in recordings(story.parent)]
         assert not being_written(pipe)
         for work in (read, recover):
-            with pytest.raises(LogError, match="is no file"):
+            with pytest.raises(LogError, match="is not a file"):
                 work(pipe)
     finally:
         pipe.unlink()

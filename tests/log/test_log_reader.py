@@ -200,7 +200,11 @@ def test_a_damaged_chunk_is_left_out_and_said(story: Path, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("content", "text"),
-    [(b"", "is no MCAP file"), (b"hello, world", "is no MCAP file"), (None, "cannot be read")],
+    [
+        (b"", "is not an MCAP file"),
+        (b"hello, world", "is not an MCAP file"),
+        (None, "cannot be read"),
+    ],
 )
 def test_other_files_are_refused(tmp_path: Path, content: bytes | None, text: str) -> None:
     path = tmp_path / "file.mcap"

@@ -61,7 +61,7 @@ async def test_a_new_reading_comes_once_with_the_next_tick(hand: Hand) -> None:
         assert last.of("raw").tolist() == [7.0, 9.0]
         assert last.totals.tolist() == [1.0, 16.0]
         assert (last.sensors[0].finger, last.stale) == ("index", False)
-        # Counts are no forces: only the pad is felt, and the thumb has no sensor.
+        # Counts are not forces: only the pad is felt, and the thumb has no sensor.
         felt = rig.watcher.records[-1].channels["dummy/contact_force"]
         assert felt[0] == 1.0
         assert math.isnan(felt[1])

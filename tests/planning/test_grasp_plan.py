@@ -232,15 +232,15 @@ def test_a_saved_action_goes_as_far_as_planned(library: ActionLibrary) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("sphere", "'sphere' is no object"),
-        ("cone:0.1x0.2", "'cone:0.1x0.2' is no object"),
-        ("sphere:-0.03", "is no object"),
-        ("sphere:nan", "is no object"),
-        ("sphere:inf", "is no object"),
-        ("box:0.1x0.1", "is no object"),
+        ("sphere", "'sphere' is not an object"),
+        ("cone:0.1x0.2", "'cone:0.1x0.2' is not an object"),
+        ("sphere:-0.03", "is not an object"),
+        ("sphere:nan", "is not an object"),
+        ("sphere:inf", "is not an object"),
+        ("box:0.1x0.1", "is not an object"),
         ("capsule:0.05x0.02", "at least as long as thick"),
         ("missing.stl", "no such mesh"),
-        ("missing.step", "is no object"),
+        ("missing.step", "is not an object"),
     ],
 )
 def test_what_is_no_object_is_refused(text: str, said: str) -> None:

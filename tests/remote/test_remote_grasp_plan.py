@@ -60,7 +60,7 @@ def test_the_hand_says_why_it_does_not_fit(remote: BlockingHand) -> None:
 
 @pytest.mark.parametrize("thing", ["sphere:nan", "cone:1x1", "ball"])
 def test_what_is_no_object_is_refused(remote: BlockingHand, thing: str) -> None:
-    with pytest.raises(RequestRejected, match="is no object"):
+    with pytest.raises(RequestRejected, match="is not an object"):
         remote.grasp_plan(thing)
 
 
@@ -70,7 +70,7 @@ def test_a_hand_reads_no_file_that_a_client_names(
     path = str(repository / "experiments/objects/wedge.stl")
     question = rtee.planning.apart.Question(path)
     monkeypatch.setattr("rtee.remote.action_client.question_about", lambda *_: question)
-    with pytest.raises(RequestRejected, match="is no object"):
+    with pytest.raises(RequestRejected, match="is not an object"):
         remote.grasp_plan(path)
 
 

@@ -74,7 +74,7 @@ def test_a_grasp_that_meets_the_object_is_refused(remote: BlockingHand) -> None:
         remote.grasp_at(met)
     assert remote.state().position == pytest.approx(before)
     assert remote.grasp_at(met, stage="pre_grasp", despite_collisions=True).reached
-    with pytest.raises(RequestRejected, match="is no object; write"):
+    with pytest.raises(RequestRejected, match="is not an object; write"):
         remote.reach(width=0.03, pose=POSE, thing="../secret.stl")
     with pytest.raises(ConfigError, match="the object's pose is 4 by 4"):
         remote.reach(width=0.03, pose=POSE, thing="sphere:0.01", object_pose=np.eye(3))

@@ -209,7 +209,7 @@ def test_a_table_of_samples(tmp_path: Path) -> None:
         ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: makes no sense: the times must rise"),
         ("t,near\n0,0.1,5\n", "3 cells for 2 names"),
         ("t,near\n0,much\n", "makes no sense"),
-        ("t,near\n0,nan\n", "'nan' is no finite number"),
+        ("t,near\n0,nan\n", "'nan' is not a finite number"),
     ],
 )
 def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:
@@ -220,7 +220,7 @@ def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None
 
 
 async def test_a_gap_is_filled(hand: Hand) -> None:
-    """A pause of the person is no pause of the stream."""
+    """A pause of the person is not a pause of the stream."""
     samples = [Played(0.0, {"near": 0.1}, {}), Played(0.4, {"near": 0.2}, {})]
     async with (
         serving(hand, make_library(hand)) as served,

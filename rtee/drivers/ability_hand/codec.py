@@ -57,7 +57,7 @@ TORQUES = tuple(gear * _TORQUE for gear in GEARS)
 
 
 class AbilityFrameError(ValueError):
-    """Bytes that are no frame of an Ability Hand, or no reply that it could give."""
+    """Bytes that are not a frame of an Ability Hand, or not a reply that it could give."""
 
 
 class Header(IntEnum):
@@ -182,11 +182,11 @@ class Command:
             AbilityFrameError: if it is too short, or its set-points are incomplete.
         """
         if len(frame) < 2:
-            raise AbilityFrameError(f"{len(frame)} bytes are no command")
+            raise AbilityFrameError(f"{len(frame)} bytes are not a command")
         words: tuple[int, ...] = ()
         if frame[1] & 0xF0 in SET_POINTS:
             if len(frame) != 2 + _WORDS.size:
-                raise AbilityFrameError(f"{len(frame)} bytes are no set-points")
+                raise AbilityFrameError(f"{len(frame)} bytes are not set-points")
             words = _WORDS.unpack_from(frame, 2)
         return cls(frame[0], frame[1], words)
 
@@ -240,7 +240,7 @@ class Reply:
         if not 1 <= variant <= 3 or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
             raise AbilityFrameError(f"no header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
-            raise AbilityFrameError(f"{len(frame)} bytes are no reply of variant {variant}")
+            raise AbilityFrameError(f"{len(frame)} bytes are not a reply of variant {variant}")
         if frame[-1] & 0xC0:
             raise AbilityFrameError(f"no status of six motors: {frame[-1]:#04x}")
         pairs = _PAIRS.unpack_from(frame, 1)

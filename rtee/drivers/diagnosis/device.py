@@ -199,7 +199,7 @@ def _rate(driver: Driver) -> Check:
     if math.isinf(best):
         return ok("rate", "as fast as the loop")
     asked = driver.spec.rate / every if every else 0.0
-    # A thousandth more: rounding is no reason for a warning.
+    # A thousandth more: rounding is not a reason for a warning.
     if asked > best * 1.001:
         return warning(
             "rate",

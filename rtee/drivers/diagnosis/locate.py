@@ -73,7 +73,7 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
             missed = 0
         except (BusTimeout, FrameError):
             missed += 1
-            # A lost frame now and then is no reason to stop halfway.
+            # A lost frame now and then is not a reason to stop halfway.
             if missed > 5:
                 raise
         await asyncio.sleep(_STEP)

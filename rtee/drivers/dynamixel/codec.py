@@ -23,7 +23,7 @@ _STUFFED = b"\xff\xff\xfd"
 
 
 class DynamixelFrameError(ValueError):
-    """Bytes that are no packet."""
+    """Bytes that are not a packet."""
 
 
 class Instruction(IntEnum):

@@ -25,7 +25,7 @@ _LARGEST_STATUS = 0x7F  # clients take a reply with a larger one for garbage
 
 
 class FeetechFrameError(ValueError):
-    """Bytes that are no frame."""
+    """Bytes that are not a frame."""
 
 
 class Instruction(IntEnum):
@@ -162,7 +162,7 @@ class GroupParser:
 
     Args:
         ids: Their ids.
-        size: Bytes that each reports; others are no answers to this request.
+        size: Bytes that each reports; others are not answers to this request.
     """
 
     def __init__(self, ids: Collection[int], size: int) -> None:

@@ -29,7 +29,7 @@ class FeetechLink:
     """Talks to servos on one line; several devices may share it.
 
     What a servo sends is known as an answer by its id and its length alone. An adapter that hands
-    back what it sends is understood: a frame that is the request itself is no answer to it.
+    back what it sends is understood: a frame that is the request itself is not an answer to it.
 
     Args:
         bus: The line.

@@ -31,7 +31,7 @@ _REFUSED = 0xAA00  # the board did not accept the command
 
 
 class HeriFrameError(ValueError):
-    """Bytes that are no process data of these boards."""
+    """Bytes that are not process data of these boards."""
 
 
 class Order(IntEnum):
@@ -62,7 +62,7 @@ class Fault(IntFlag):
 ACKNOWLEDGE = 0x7FFF
 """Bits of the fault word that an acknowledgement clears; the last one is only a sign of life."""
 WARNINGS = Fault.CURRENT_LIMITED
-"""Bits that are no faults: the board limits the current because it is hot."""
+"""Bits that are not faults: the board limits the current because it is hot."""
 
 LEAST_TORQUE = 1e-3
 """Smallest torque that can be sent to a board [N·m]."""

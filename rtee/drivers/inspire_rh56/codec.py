@@ -34,13 +34,13 @@ OVERHEAD = 8  # bytes of a frame beside its data
 _LONGEST = 255 + 5
 """Bytes of the longest frame: its length byte does not count five of them."""
 _BELOW, _ABOVE = -100, 2000
-"""What lies beyond is no angle count: a tenth of the way below 0, and above what an example frame
-of the manual has."""
+"""What lies beyond is not an angle count: a tenth of the way below 0, and above what an example
+frame of the manual has."""
 _TABLE = struct.Struct(f"<{COUNT}h")
 
 
 class Rh56FrameError(ValueError):
-    """Bytes that are no frame of an RH56, or no table of its registers."""
+    """Bytes that are not a frame of an RH56, or not a table of its registers."""
 
 
 class Command(IntEnum):
@@ -149,7 +149,7 @@ class Frame:
             Rh56FrameError: if it is none.
         """
         if len(raw) <= OVERHEAD or raw[3] < 4 or len(raw) != raw[3] + 5:
-            raise Rh56FrameError(f"{len(raw)} bytes are no frame")
+            raise Rh56FrameError(f"{len(raw)} bytes are not a frame")
         if sum(raw[2:-1]) & 0xFF != raw[-1]:
             raise Rh56FrameError("the checksum does not match")
         return cls(raw[2], raw[4], int.from_bytes(raw[5:7], "little"), raw[7:-1])
@@ -184,7 +184,7 @@ def words(data: bytes) -> tuple[int, ...]:
         Rh56FrameError: if it has not twelve bytes.
     """
     if len(data) != WORDS:
-        raise Rh56FrameError(f"{len(data)} bytes are no table of six values")
+        raise Rh56FrameError(f"{len(data)} bytes are not a table of six values")
     return _TABLE.unpack(data)
 
 
@@ -221,7 +221,7 @@ class Report:
             Rh56FrameError: if no RH56 can report that.
         """
         if len(report) != REPORT:
-            raise Rh56FrameError(f"{len(report)} bytes are no report")
+            raise Rh56FrameError(f"{len(report)} bytes are not a report")
         where = words(angles)
         errors, states, temperatures = report[24:30], report[30:36], report[36:42]
         # A checksum of one byte lets some damage pass; what cannot be is refused here.

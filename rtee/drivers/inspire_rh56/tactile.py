@@ -120,7 +120,7 @@ class TactileReader:
     async def read(self, link: Rh56Link) -> TouchReading | None:
         """Read the next part; return all taxels once each has been read; raises `BusError`.
 
-        What is no value of a taxel is ``NaN``.
+        What is not a value of a taxel is ``NaN``.
         """
         turn = self._turn
         address, count = self.blocks[turn]

@@ -173,7 +173,7 @@ class Version:
             LinkerFrameError: if it has not six registers, or names no side.
         """
         if len(registers) != VERSION_COUNT:
-            raise LinkerFrameError(f"{len(registers)} registers are no version block")
+            raise LinkerFrameError(f"{len(registers)} registers are not a version block")
         motors, hand, serial, side, software, hardware = registers
         if side not in cls.SIDES:
             raise LinkerFrameError(f"no side of a hand: {side}")

@@ -176,7 +176,7 @@ class LinkerHandDriver(Driver):
         now = time.monotonic()
         before = self._counts or counts
         for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
-            # A count of noise is no motion.
+            # A count of noise is not a motion.
             if abs(new - old) > 1:
                 self._moved[motor] = now
         self._counts = counts

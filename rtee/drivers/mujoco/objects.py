@@ -117,11 +117,11 @@ def parse_object(text: str) -> ObjectShape:
         if len(size) != _NUMBERS[kind] or not all(
             math.isfinite(value) and 0.0 < value <= _LARGEST for value in size
         ):
-            raise ConfigError(f"'{text}' is no object; write {_FORMS}, each number up to 2")
+            raise ConfigError(f"'{text}' is not an object; write {_FORMS}, each number up to 2")
         return ObjectShape(kind, size)
     path = Path(text)
     if path.suffix.lower() not in _MESHES:
-        raise ConfigError(f"'{text}' is no object; write {_FORMS} (.stl, .obj)")
+        raise ConfigError(f"'{text}' is not an object; write {_FORMS} (.stl, .obj)")
     if not path.is_file():
         raise ConfigError("no such mesh", path=path)
     return ObjectShape("mesh", path=path)

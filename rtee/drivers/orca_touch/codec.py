@@ -43,7 +43,7 @@ _TURN = 2.0 * math.pi / (_ANGLE + 1)  # of one count of an encoder [rad]
 
 
 class OrcaFrameError(ValueError):
-    """Bytes that are no frame of the board, or no content of one."""
+    """Bytes that are not a frame of the board, or not the content of one."""
 
 
 class Function(IntEnum):
@@ -281,7 +281,7 @@ def connected_bytes(fingers: Sequence[str]) -> bytes:
 def tip_counts(data: bytes) -> dict[str, int]:
     """Return the number of taxels of each fingertip; raises `OrcaFrameError`."""
     if len(data) != COUNTS_SIZE:
-        raise OrcaFrameError(f"{len(data)} bytes are no table of taxels")
+        raise OrcaFrameError(f"{len(data)} bytes are not a table of taxels")
     counts = struct.unpack(f"<{COUNTS_SIZE // 2}H", data)
     return {name: counts[_PER_SLOT * i + _TIP] for i, name in enumerate(FINGERS)}
 
@@ -331,7 +331,7 @@ class Forces:
             OrcaFrameError: if it has another length.
         """
         if len(data) != data_size(content, counts):
-            raise OrcaFrameError(f"{len(data)} bytes are no data of {len(counts)} fingertips")
+            raise OrcaFrameError(f"{len(data)} bytes are not the data of {len(counts)} fingertips")
         resultants = np.full((len(counts), 3), math.nan)
         taxels, at = [np.zeros((0, 3))], 0
         for finger, count in enumerate(counts):

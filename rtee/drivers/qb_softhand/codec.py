@@ -28,7 +28,7 @@ _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
 
 
 class QbFrameError(ValueError):
-    """Bytes that are no frame, or a frame whose data does not fit its command."""
+    """Bytes that are not a frame, or a frame whose data does not fit its command."""
 
 
 class Command(IntEnum):

@@ -77,7 +77,7 @@ class ListParser:
     What follows the slots (menus, padding, checksum) differs between generations and is left alone.
 
     Attributes:
-        errors: Packets that were no parameter list.
+        errors: Packets that were not a parameter list.
     """
 
     LIMIT: ClassVar[int] = 6 + MOST * SLOT

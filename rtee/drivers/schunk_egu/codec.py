@@ -228,11 +228,11 @@ class Input:
         """Read it from eight registers.
 
         Raises:
-            FrameError: if they are no image of such a gripper.
+            FrameError: if they are not an image of such a gripper.
         """
         data = data_of(words)
         if len(data) != _INPUT.size:
-            raise FrameError(bus, f"{len(data)} bytes are no image of an EGU or EGK", data)
+            raise FrameError(bus, f"{len(data)} bytes are not an image of an EGU or EGK", data)
         status, position, _, error, warning, additional = _INPUT.unpack(data)
         # Only the low byte of the error is used.
         return cls(Status(status), position, error & 0xFF, warning, additional)

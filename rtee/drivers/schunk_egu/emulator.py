@@ -40,7 +40,7 @@ _COMMANDS = (
     | Control.REPEAT
 )
 _MOVE_FORCE = 0.3
-"""Force of a motion that is no grip, as a share of the largest; no document states it."""
+"""Force of a motion that is not a grip, as a share of the largest; no document states it."""
 _NEAR = 0.02
 """Position within which a target counts as reached [mm]."""
 _ERRORS: Mapping[str, int] = {

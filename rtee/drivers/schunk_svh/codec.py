@@ -25,7 +25,7 @@ _HEADER = struct.Struct("<2sBBH")
 
 
 class SvhFrameError(ValueError):
-    """Bytes that are no packet, or a packet whose data does not fit its command."""
+    """Bytes that are not a packet, or a packet whose data does not fit its command."""
 
 
 class Command(IntEnum):

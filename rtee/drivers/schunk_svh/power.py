@@ -64,7 +64,7 @@ class Health:
 
     Attributes:
         enabled: Mask of the channels that must be on.
-        warnings: Conditions that are no faults.
+        warnings: Conditions that are not faults.
     """
 
     def __init__(self, device: str) -> None:

@@ -30,7 +30,7 @@ _RELATIVE, _STOP_ON_BLOCK = 0x01, 0x02  # flags of a pre-position
 
 
 class WsgFrameError(ValueError):
-    """Bytes that are no frame of a WSG, or no answer to its command."""
+    """Bytes that are not a frame of a WSG, or not an answer to its command."""
 
 
 class Command(IntEnum):
@@ -190,7 +190,7 @@ class Frame:
             WsgFrameError: if it is none.
         """
         if len(raw) < _OVERHEAD:
-            raise WsgFrameError(f"{len(raw)} bytes are no frame")
+            raise WsgFrameError(f"{len(raw)} bytes are not a frame")
         preamble, command, length = _HEAD.unpack_from(raw)
         if preamble != PREAMBLE or len(raw) != _OVERHEAD + length:
             raise WsgFrameError("wrong beginning or length")
@@ -320,7 +320,7 @@ class Info:
     def from_bytes(cls, data: bytes) -> Self:
         """Read it; raises `WsgFrameError`."""
         if len(data) != cls._LAYOUT.size:
-            raise WsgFrameError(f"{len(data)} bytes are no information of a WSG")
+            raise WsgFrameError(f"{len(data)} bytes is not the information of a WSG")
         return cls(*cls._LAYOUT.unpack(data))
 
 

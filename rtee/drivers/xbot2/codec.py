@@ -161,7 +161,7 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
     try:
         found = yaml_reader().load(raw.decode("utf-8"))
     except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise XBot2FrameError("this is no YAML") from error
+        raise XBot2FrameError("this is not YAML") from error
     if not isinstance(found, dict):
         raise XBot2FrameError("this is not a mapping")
     return found

@@ -23,7 +23,7 @@ _JOINT_COMMAND: tuple[tuple[str, int], ...] = (
 
 
 class XBot2FrameError(ValueError):
-    """Bytes that are no message of xbot2_zmq."""
+    """Bytes that are not a message of xbot2_zmq."""
 
 
 def _file() -> descriptor_pb2.FileDescriptorProto:

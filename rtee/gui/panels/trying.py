@@ -69,7 +69,7 @@ def folder_of(remote: str, hand: Hand) -> Path:
     Raises:
         ConfigError: if it is not configured here.
     """
-    folder = find_hand(remote)  # refuses names that are no names
+    folder = find_hand(remote)  # refuses names that are not names
     if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(
             f"the hand '{remote}' that runs is another one than that of {folder}, so it cannot be "

@@ -89,8 +89,8 @@ def test_the_second_reply_tells_velocities_and_touch() -> None:
         (lambda f: b"", "no header of a reply"),
         (lambda f: b"\x13" + f[1:], "no header of a reply: 13"),
         (lambda f: b"\x50" + f[1:], "no header of a reply: 50"),
-        (lambda f: f[:-1], "70 bytes are no reply of variant 1"),
-        (lambda f: b"\x12" + f[1:], "71 bytes are no reply of variant 3"),
+        (lambda f: f[:-1], "70 bytes are not a reply of variant 1"),
+        (lambda f: b"\x12" + f[1:], "71 bytes are not a reply of variant 3"),
         (lambda f: f[:-1] + b"\x40", "no status of six motors: 0x40"),
     ],
 )
@@ -101,7 +101,7 @@ def test_what_no_hand_can_reply_is_refused(change: object, text: str) -> None:
 
 
 def test_incomplete_commands_and_escapes_are_refused() -> None:
-    with pytest.raises(AbilityFrameError, match="1 bytes are no command"):
+    with pytest.raises(AbilityFrameError, match="1 bytes are not a command"):
         Command.from_frame(b"\x50")
     with pytest.raises(AbilityFrameError, match="no set-points"):
         Command.from_frame(b"\x50\x10\x00")

@@ -109,7 +109,7 @@ def test_an_l10_answers_the_requests_of_the_sheet() -> None:
 @pytest.mark.parametrize(
     ("request_", "code"),
     [
-        ("27 10 00 00 00 01 02 01 00", 3),  # 256 is no value of a byte
+        ("27 10 00 00 00 01 02 01 00", 3),  # 256 is not a value of a byte
         ("27 10 00 12 00 01 02 00 01", 2),  # temperatures cannot be set
         ("27 03 00 00 00 06", 1),  # function 3 is not known
     ],

@@ -148,7 +148,7 @@ async def test_without_gripping_it_falls_when_released() -> None:
 
 
 async def test_what_is_no_object_is_refused() -> None:
-    with pytest.raises(ConfigError, match="'banana' is no object"):
+    with pytest.raises(ConfigError, match="'banana' is not an object"):
         await make(object="banana").configure()
 
 

@@ -1,4 +1,4 @@
-"""The EGU's images by the frames of its sheet, its parameters, and what is no image."""
+"""The EGU's images by the frames of its sheet, its parameters, and what is not an image."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_only_the_low_byte_of_the_error_counts() -> None:
 
 
 def test_an_image_of_another_length_is_refused() -> None:
-    with pytest.raises(FrameError, match="6 bytes are no image"):
+    with pytest.raises(FrameError, match="6 bytes are not an image"):
         Input.from_registers((0, 0, 0))
 
 

@@ -54,7 +54,7 @@ class TestSvh(DriverContract):
             assert session.near(again, idle)
 
     async def test_connecting_identifies_and_moves_nothing(self) -> None:
-        """Positions are not known before homing, and homing is no part of connecting."""
+        """Positions are not known before homing, and homing is not a part of connecting."""
         async with self.session() as session:
             await session.connect()
             assert session.driver.capabilities.identity

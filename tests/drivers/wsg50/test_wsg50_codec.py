@@ -1,4 +1,4 @@
-"""The WSG 50's frames by the bytes of its sheet, and what is no frame."""
+"""The WSG 50's frames by the bytes of its sheet, and what is not a frame."""
 
 from __future__ import annotations
 
