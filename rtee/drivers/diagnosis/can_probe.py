@@ -7,7 +7,8 @@ import asyncio
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.pool import BusPool
-from rtee.drivers.diagnosis.probes import OWNER, Found, Probe, ended
+from rtee.drivers.diagnosis.probes import OWNER, Probe, ended
+from rtee.drivers.diagnosis.slaves import Found
 
 _HAND_INFO = 7
 """Length of the information that an Allegro Hand reports about itself [byte]."""

@@ -2,42 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 
 from rtee.buses.bus import Bus
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
+from rtee.drivers.diagnosis.slaves import ANSWER, Found, slave
 from rtee.errors import BusError, BusTimeout, FrameError
 
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
 OWNER = "scan"
 """Who asks, for the buses."""
-_HANDS = (1, 2)
-"""Modbus numbers of an RH56 from the factory, and of the second of a pair."""
-_ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
 _SERVO = 0.02
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
 _LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A device that answered.
-
-    Attributes:
-        driver: Name of the driver for it; empty when there is none.
-        what: What it said about itself.
-        options: Options for hand.yaml with which it is reached.
-    """
-
-    driver: str
-    what: str
-    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,17 +46,6 @@ async def ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
 # --- Modbus ----------------------------------------------------------------------------------
 
 
-async def _registers(
-    bus: ModbusBus, unit: int, address: int, count: int
-) -> tuple[int, ...] | ModbusRefusal | None:
-    try:
-        return await bus.read(unit, address, count, deadline=_ANSWER, retries=0)
-    except ModbusRefusal as refusal:
-        return refusal
-    except (BusTimeout, FrameError):
-        return None
-
-
 def modbus(baudrate: int, parity: str, units: Sequence[int], *, name: str = "Modbus") -> Probe:
     """Return a probe for Modbus slaves, known ones by name."""
 
@@ -90,14 +61,14 @@ async def _slaves(
 ) -> list[Found]:
     found = []
     for unit in units:
-        one = await _slave(bus, address, unit)
+        one = await slave(bus, address, unit)
         if one is not None and bus.rtu:
             line = f"{baudrate} baud 8{parity}1"
             options = {**one.options, "baudrate": baudrate}
             found.append(Found(one.driver, f"{one.what}, {line}", options))
         elif one is not None:
             found.append(one)
-    if bus.rtu or len(found) < 2 or await _slave(bus, address, _NOBODYS_UNIT) is None:
+    if bus.rtu or len(found) < 2 or await slave(bus, address, _NOBODYS_UNIT) is None:
         return found
     return [_any_unit(found)]
 
@@ -112,84 +83,6 @@ def _any_unit(found: Sequence[Found]) -> Found:
     one = next((f for f in found if f.options["unit"] == usual), first)
     what = one.what.partition(", unit ")[0]
     return Found(one.driver, f"{what}, any unit", one.options)
-
-
-async def _slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
-    options: dict[str, Any] = {"port": address, "unit": unit}
-    robotiq = await _registers(bus, unit, 0x07D0, 8)
-    # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
-    doubtful = robotiq is None and unit in _HANDS
-    if doubtful or isinstance(robotiq, ModbusRefusal) or (robotiq and not any(robotiq)):
-        rh56 = await _rh56(bus, unit, options)
-        if rh56 is not None:
-            return rh56
-    if isinstance(robotiq, tuple):
-        return _robotiq(robotiq, unit, options)
-    # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
-    if robotiq is not None:
-        known = await _onrobot(bus, unit, options) or await _egu(bus, unit, options)
-        return known or Found("", f"a Modbus slave, unit {unit}", options)
-    return None
-
-
-async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return a SCHUNK EGU or EGK if one tells its module type."""
-    from rtee.drivers.schunk_egu.codec import MODULES, Parameter
-
-    module = await _registers(bus, unit, Parameter.MODULE.register, 1)
-    # The low byte comes first.
-    name = MODULES.get(module[0] >> 8) if isinstance(module, tuple) else None
-    return None if name is None else Found("schunk_egu", f"SCHUNK {name}, unit {unit}", options)
-
-
-async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return an OnRobot gripper if one tells its diameters or its product code."""
-    from rtee.drivers.onrobot_3fg.codec import LIMITS
-    from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
-    from rtee.drivers.onrobot_rg.codec import MODELS
-
-    limits = await _registers(bus, unit, LIMITS, 2)
-    if isinstance(limits, tuple) and 0 < limits[0] < limits[1]:
-        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
-    code = await _registers(bus, unit, PRODUCT, 1)
-    name = PRODUCTS.get(code[0]) if isinstance(code, tuple) else None
-    if name is None:
-        return None
-    if name.lower() not in MODELS:
-        return Found("", f"OnRobot {name}, unit {unit}", options)
-    return Found("onrobot_rg", f"OnRobot {name}, unit {unit}", {**options, "model": name.lower()})
-
-
-async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return an RH56 if one tells its angles, states and temperatures."""
-    from rtee.drivers.inspire_rh56.codec import REPORT, WORDS, Register, Report, Rh56FrameError
-    from rtee.drivers.inspire_rh56.link import ModbusLink
-
-    link = ModbusLink(bus, unit, _ANSWER, 0)
-    try:
-        angles = await link.read(Register.ANGLE, WORDS)
-        report = Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
-    except (BusTimeout, FrameError, ModbusRefusal, Rh56FrameError):
-        return None
-    if not all(report.temperatures):
-        return None
-    protocol = {"protocol": "modbus"} if bus.rtu else {}
-    return Found("inspire_rh56", f"Inspire RH56, unit {unit}", {**options, **protocol})
-
-
-def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Found:
-    from rtee.drivers.robotiq_2f.codec import Status as Status2
-    from rtee.drivers.robotiq_3f.codec import Status as Status3
-
-    try:
-        Status3.from_registers(registers)
-        three = bool(registers[6] >> 8 or registers[4] or registers[5])
-        if three:
-            return Found("robotiq_3f", f"Robotiq 3-Finger, unit {unit}", options)
-        Status2.from_registers(registers)
-    except FrameError:
-        return Found("", f"a Modbus slave with registers at 2000, unit {unit}", options)
-    return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
 
 
 def linkerhand() -> Probe:
@@ -292,7 +185,7 @@ def rh56(units: Sequence[int]) -> Probe:
         found = []
         for unit in units:
             try:
-                number = await FrameLink(bus, unit, _ANSWER, 0).read(Register.HAND_ID, 1)
+                number = await FrameLink(bus, unit, ANSWER, 0).read(Register.HAND_ID, 1)
             except (BusTimeout, FrameError):
                 continue
             if number[0] == unit:
@@ -391,7 +284,7 @@ def feetech(baudrate: int) -> Probe:
     async def anybody(bus: SerialBus) -> bool:
         ping = Frame(BROADCAST, Instruction.PING).to_bytes()
         try:
-            await bus.transact(ping, ReplyParser(), _ANSWER, 0)
+            await bus.transact(ping, ReplyParser(), ANSWER, 0)
         except FrameError:
             return True  # several at once make no valid frame of it
         except BusTimeout:

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.diagnosis import probes
-from rtee.drivers.diagnosis.probes import Found, Probe
+from rtee.drivers.diagnosis.probes import Probe
+from rtee.drivers.diagnosis.slaves import Found
 from rtee.errors import BusBusy, BusError
 
 DYNAMIXEL_RATES = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)

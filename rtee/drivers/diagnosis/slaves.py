@@ -1,0 +1,119 @@
+"""Modbus slaves, told from each other by registers that only they have; nothing is written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.errors import BusTimeout, FrameError
+
+_HANDS = (1, 2)
+"""Modbus numbers of an RH56 from the factory, and of the second of a pair."""
+ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A device that answered.
+
+    Attributes:
+        driver: Name of the driver for it; empty when there is none.
+        what: What it said about itself.
+        options: Options for hand.yaml with which it is reached.
+    """
+
+    driver: str
+    what: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+async def slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
+    """Return the Modbus slave with a number, by its driver's name if it is known."""
+    options: dict[str, Any] = {"port": address, "unit": unit}
+    robotiq = await _registers(bus, unit, 0x07D0, 8)
+    # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
+    doubtful = robotiq is None and unit in _HANDS
+    if doubtful or isinstance(robotiq, ModbusRefusal) or (robotiq and not any(robotiq)):
+        rh56 = await _rh56(bus, unit, options)
+        if rh56 is not None:
+            return rh56
+    if isinstance(robotiq, tuple):
+        return _robotiq(robotiq, unit, options)
+    # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
+    if robotiq is not None:
+        known = await _onrobot(bus, unit, options) or await _egu(bus, unit, options)
+        return known or Found("", f"a Modbus slave, unit {unit}", options)
+    return None
+
+
+async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return a SCHUNK EGU or EGK if one tells its module type."""
+    from rtee.drivers.schunk_egu.codec import MODULES, Parameter
+
+    module = await _registers(bus, unit, Parameter.MODULE.register, 1)
+    # The low byte comes first.
+    name = MODULES.get(module[0] >> 8) if isinstance(module, tuple) else None
+    return None if name is None else Found("schunk_egu", f"SCHUNK {name}, unit {unit}", options)
+
+
+async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an OnRobot gripper if one tells its diameters or its product code."""
+    from rtee.drivers.onrobot_3fg.codec import LIMITS
+    from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
+    from rtee.drivers.onrobot_rg.codec import MODELS
+
+    limits = await _registers(bus, unit, LIMITS, 2)
+    if isinstance(limits, tuple) and 0 < limits[0] < limits[1]:
+        return Found("onrobot_3fg", f"OnRobot 3FG, unit {unit}", options)
+    code = await _registers(bus, unit, PRODUCT, 1)
+    name = PRODUCTS.get(code[0]) if isinstance(code, tuple) else None
+    if name is None:
+        return None
+    if name.lower() not in MODELS:
+        return Found("", f"OnRobot {name}, unit {unit}", options)
+    return Found("onrobot_rg", f"OnRobot {name}, unit {unit}", {**options, "model": name.lower()})
+
+
+async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
+    """Return an RH56 if one tells its angles, states and temperatures."""
+    from rtee.drivers.inspire_rh56.codec import REPORT, WORDS, Register, Report, Rh56FrameError
+    from rtee.drivers.inspire_rh56.link import ModbusLink
+
+    link = ModbusLink(bus, unit, ANSWER, 0)
+    try:
+        angles = await link.read(Register.ANGLE, WORDS)
+        report = Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
+    except (BusTimeout, FrameError, ModbusRefusal, Rh56FrameError):
+        return None
+    if not all(report.temperatures):
+        return None
+    protocol = {"protocol": "modbus"} if bus.rtu else {}
+    return Found("inspire_rh56", f"Inspire RH56, unit {unit}", {**options, **protocol})
+
+
+def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Found:
+    from rtee.drivers.robotiq_2f.codec import Status as Status2
+    from rtee.drivers.robotiq_3f.codec import Status as Status3
+
+    try:
+        Status3.from_registers(registers)
+        three = bool(registers[6] >> 8 or registers[4] or registers[5])
+        if three:
+            return Found("robotiq_3f", f"Robotiq 3-Finger, unit {unit}", options)
+        Status2.from_registers(registers)
+    except FrameError:
+        return Found("", f"a Modbus slave with registers at 2000, unit {unit}", options)
+    return Found("robotiq_2f", f"Robotiq 2-finger gripper, unit {unit}", options)
+
+
+async def _registers(
+    bus: ModbusBus, unit: int, address: int, count: int
+) -> tuple[int, ...] | ModbusRefusal | None:
+    try:
+        return await bus.read(unit, address, count, deadline=ANSWER, retries=0)
+    except ModbusRefusal as refusal:
+        return refusal
+    except (BusTimeout, FrameError):
+        return None
