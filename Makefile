@@ -37,7 +37,7 @@ heavy: .venv/.ready
 	@touch $@
 
 device-peers: .device-peers/.ready
-	$(BIN)/python -m pytest -v tests/drivers/feetech/test_feetech_clients.py tests/drivers/ability_hand/test_ability_hand_client.py tests/drivers/feetech/test_feetech_clients.py
+	$(BIN)/python -m pytest -v tests/drivers/feetech/test_feetech_clients.py tests/drivers/ability_hand/test_ability_hand_client.py
 
 ros2-peers: .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py
