@@ -118,7 +118,10 @@ def _of_devices(found: list[PreparedHand]) -> list[str]:
                 _named(one),
                 f"[`{device.driver}`](../devices/{device.driver}.md)",
                 device.bus,
-                ", ".join(name for name in _QUANTITIES if name in can.measures),
+                ", ".join(
+                    [name for name in _QUANTITIES if name in can.measures]
+                    + (["touch"] if can.touch else [])
+                ),
                 ", ".join(name for name in _LIMITS if name in can.accepts),
                 best,
                 f"{one.config.loop.rate:g}",
