@@ -47,7 +47,7 @@ def set_id(
                 found = await feetech(baudrate).ask(pool, port)
                 ids = [int(one.options["id"]) for one in found]
                 if len(ids) != 1:
-                    listed = f"are servos {', '.join(map(str, ids))}" if ids else "is not a servo"
+                    listed = f"are servos {', '.join(map(str, ids))}" if ids else "is no servo"
                     raise ConfigError(
                         f"there {listed} at {port}: plug in one alone, or say which by --from"
                     )

@@ -25,7 +25,7 @@ def completed(*words: str) -> list[str]:
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        (["extract", "schu"], ["schunk_svh"]),
+        (["extract", "schunk_s"], ["schunk_svh"]),
         (["do", "PinchTight", "index", ""], ["pinky", "ring", "thumb"]),
         (["compose", "fist", "trig:ri"], ["trig:ring"]),
         (["generic", "point", "left_hand_Pi"], ["left_hand_Pinky="]),

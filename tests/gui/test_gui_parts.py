@@ -254,5 +254,5 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     assert tried_in(earlier + "present: '0'\n").outdated, "made before methods were numbered"
     assert line(found["fist", ()], outdated=True) == "held 1 of 1 object, outdated"
     assert tried_in("") == Tried()
-    with pytest.raises(ConfigError, match="no results of trials"):
+    with pytest.raises(ConfigError, match="not results of trials"):
         tried_in("trials: [1]")

@@ -272,7 +272,7 @@ def test_weight_axes_that_make_no_sense_are_refused(
     ("name", "data", "said"),
     [
         ("a.stl", b"", "the file is empty"),
-        ("a.stl", b"nothing", "no STL file"),
+        ("a.stl", b"nothing", "not an STL file"),
         ("a.stl", bytes(80) + (9).to_bytes(4, "little") + bytes(50), "truncated"),
         ("a.off", b"nothing", "cannot be read"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "cannot be read"),

@@ -269,7 +269,7 @@ def test_the_environment_is_read_as_by_rmw(tmp_path: Any) -> None:
     for wrong, what in (
         ({"ZENOH_SESSION_CONFIG_URI": str(tmp_path / "none")}, "No such file"),
         ({"ZENOH_CONFIG_OVERRIDE": "mode"}, "PATH/KEY=VALUE"),
-        ({"ZENOH_CONFIG_OVERRIDE": "mode=7"}, "no setting of Zenoh"),
+        ({"ZENOH_CONFIG_OVERRIDE": "mode=7"}, "not a setting of Zenoh"),
     ):
         with pytest.raises(ConfigError, match=what):
             configuration(settings, wrong)

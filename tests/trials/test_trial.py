@@ -203,7 +203,7 @@ def test_results_are_kept_as_they_are(tmp_path: Path, held: TrialResult) -> None
 def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "trials.yaml"
     path.write_text("trials: 3\n")
-    with pytest.raises(ConfigError, match="no results of trials"):
+    with pytest.raises(ConfigError, match="not results of trials"):
         read_results(path)
 
 

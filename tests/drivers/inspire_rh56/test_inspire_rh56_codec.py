@@ -154,7 +154,7 @@ def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
     data[at : at + len(value)] = value
     with pytest.raises(Rh56FrameError, match="of an RH56"):
         Report.from_bytes(bytes(data[:12]), bytes(data[-codec.REPORT :]))
-    with pytest.raises(Rh56FrameError, match="no table"):
+    with pytest.raises(Rh56FrameError, match="not a table"):
         Report.from_bytes(bytes(11), bytes(data[-codec.REPORT :]))
 
 
