@@ -17,10 +17,10 @@ BIN := .venv/bin
 demo: .venv/.ready
 	$(BIN)/python examples/demo.py
 
-# Two processes: half of the tests wait for simulated wires and for a browser. These are real, so
+# Three processes: half of the tests wait for simulated wires and for a browser. These are real, so
 # that a test may fail when the computer is busy: it is run once more, and named in the summary.
 test: lint types layers .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -n 2 --reruns 1 --rerun-show-tracebacks -r fEsR --durations 25
+	$(BIN)/python -m pytest -n 3 --reruns 1 --rerun-show-tracebacks -r fEsR --durations 25
 
 # Whole experiments in dynamics, too long for every commit.
 heavy: .venv/.ready
