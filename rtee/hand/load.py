@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from rtee.hand.config import HandConfig
     from rtee.hand.yamlfile import YamlDocument
 
+_MODELS = {".urdf": "--urdf", ".xacro": "--urdf", ".xml": "--mjcf"}
+"""Files that people give where a hand is meant, and the option that makes a hand of them."""
+
 
 def load_model(
     urdf: Path | str,
@@ -145,6 +148,10 @@ def hand_folder(
         folder = find_hand(str(name_or_path), config_dirs)
         return folder, folder / FILE_NAME
     path = Path(name_or_path)
+    option = _MODELS.get(path.suffix)
+    if option is not None and not path.is_dir():
+        text = f"is a model, not a hand; `rtee new NAME {option} {path}` makes a hand of it"
+        raise ConfigError(text, path=path)
     file = path / FILE_NAME if path.is_dir() else path
     if not file.is_file():
         raise ConfigError(f"is not a hand's folder: it has no {FILE_NAME}", path=path)
@@ -154,7 +161,7 @@ def hand_folder(
 def _is_path(name_or_path: str | Path) -> bool:
     if isinstance(name_or_path, Path):
         return True
-    return "/" in name_or_path or name_or_path.endswith((".", ".yaml", ".yml"))
+    return "/" in name_or_path or name_or_path.endswith((".", ".yaml", ".yml", *_MODELS))
 
 
 def _beside(folder: Path, name: str, key: str, document: YamlDocument) -> Path:

@@ -36,6 +36,16 @@ def test_by_path(configured: Path, path: str) -> None:
     assert load_hand(f"{configured}/{path}").name == "gripper"
 
 
+@pytest.mark.parametrize(
+    ("model", "option"), [("h.urdf", "--urdf"), ("h.urdf.xacro", "--urdf"), ("h.xml", "--mjcf")]
+)
+def test_a_model_is_not_a_hand(tmp_path: Path, model: str, option: str) -> None:
+    for path in (model, str(tmp_path / model)):
+        with pytest.raises(ConfigError, match="is a model, not a hand") as told:
+            load_hand(path)
+        assert f"`rtee new NAME {option} {path}`" in str(told.value)
+
+
 def test_defaults_of_the_configuration(configured: Path) -> None:
     rewrite(configured, YAML, "name: gripper\nurdf: gripper.urdf\n")
     hand, config = load_configured("gripper", config_dirs=[configured])
