@@ -22,6 +22,7 @@ from pathlib import Path
 import anyio
 import numpy as np
 from common import Table, command_line
+from devices import as_the_loop
 from lateness import Beside, Lateness, verdict
 
 import rtee
@@ -130,6 +131,7 @@ async def measure(hand: Hand, rounds: int, seconds: float) -> None:
 def main() -> None:
     """Measure and print."""
     options = command_line(__doc__, hand="schunk_svh", rounds=20, seconds=2.0).parse_args()
+    as_the_loop()
     anyio.run(measure, load_hand(options.hand), options.rounds, options.seconds)
 
 
