@@ -47,6 +47,10 @@ from rtee.types import Reference
 OWN_PACE = frozenset({"allegro"})
 """Drivers of devices that send by themselves, at the rate that the driver names."""
 
+STREAMS = frozenset({"orca_touch"})
+"""Drivers of devices that send without being asked and take no references: the wire limits no
+exchange."""
+
 
 async def throughput(case: DeviceCase, seconds: float) -> list[object]:
     """Return the cells of a row of the table, without the device's name."""
@@ -143,6 +147,8 @@ def main() -> None:
         head = ("rate", "limit", "of it", "median", "end", "but for it", "driver", "failed")
         table = Table("device", *head, widths=(44, 5, 5, 6, 6, 4, 10, 6))
         for name, case in whole_hands(devices, arguments.only).items():
+            if case.driver in STREAMS:
+                continue
             table.row(name, *asyncio.run(_row(case, arguments.seconds)))
     if not arguments.no_matrix:
         wanted = [name for name in devices if not arguments.only or arguments.only in name]

@@ -23,6 +23,7 @@ import signal
 import struct
 import tempfile
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,6 +34,7 @@ from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_ends import Pty
+from rtee.drivers.ability_hand.emulator import AbilityHandEmulator
 
 _NOTES = struct.Struct("@dddd")
 """Ready, time the wire was taken [s], requests answered, lateness of their last answers [s]."""
@@ -44,6 +46,10 @@ _WRITES = 256
 """Newest writes that are kept: far more than are ever on their way at once."""
 _AT_ONCE = 2e-5
 """What is due within this time is awaited without checking whether bytes have come [s]."""
+
+PASSIVE = (AbilityHandEmulator,)
+"""Devices that act by themselves without traffic but send nothing unasked: while requests come they
+need no steps of their own."""
 
 
 class FarEnd:
@@ -59,10 +65,18 @@ class FarEnd:
         if not self._process:
             try:
                 self._play(factory, line)
+            except Exception:
+                traceback.print_exc()
             finally:
                 # Not sys.exit: the child must not run the parent's clean-up.
                 os._exit(1)
         while not self._read()[0]:
+            ended, status = os.waitpid(self._process, os.WNOHANG)
+            if ended:
+                self._folder.cleanup()
+                raise RuntimeError(
+                    f"the far end ended with status {os.waitstatus_to_exitcode(status)}"
+                )
             time.sleep(0.001)
 
     @property
@@ -113,9 +127,11 @@ class FarEnd:
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, processors[-1:])
         device = factory()
+        if isinstance(device, PASSIVE):
+            device.period = 0.0
         # Its answers depend on the time at which they are computed, not on requests alone.
         if device.period:
-            raise ValueError("a device that acts by itself cannot think ahead")
+            raise ValueError("a device that sends by itself cannot think ahead")
         wire = Wire([device], baudrate=float(line.baudrate), bits=float(line.bits))
         end = Pty(self.address)
         end.plug()
