@@ -228,6 +228,38 @@ def wsg50() -> Probe:
     return Probe("WSG 50", ask)
 
 
+def orca_touch() -> Probe:
+    """Return a probe for the ORCA hand's touch board, at the rate of either of its lines."""
+    from rtee.drivers.orca_touch import codec
+
+    asked = codec.Request(codec.Function.READ, codec.Register.CONNECTED, codec.CONNECTED_SIZE)
+
+    def answers(answer: codec.Answer) -> bool:
+        # A board that was started before may send its frames all the time.
+        return isinstance(answer, codec.Reply) and answer.address == asked.address
+
+    async def listen(bus: SerialBus, address: str, baudrate: int) -> list[Found]:
+        try:
+            reply = await bus.transact(
+                asked.to_bytes(), codec.AnswerParser(), ANSWER, 1, accept=answers
+            )
+            tips = codec.connected(reply.data) if isinstance(reply, codec.Reply) else ()
+        except (BusTimeout, FrameError, codec.OrcaFrameError):
+            return []
+        what = f"ORCA touch board, fingertips {', '.join(tips) or 'none'}, {baudrate} baud"
+        return [Found("orca_touch", what, {"port": address, "baudrate": baudrate})]
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        for baudrate in codec.BAUDRATES:
+            bus = await pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=True)
+            found = await ended(bus, listen(bus, address, baudrate))
+            if found:
+                return found
+        return []
+
+    return Probe("ORCA touch board", ask)
+
+
 def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 

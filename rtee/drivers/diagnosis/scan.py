@@ -72,6 +72,7 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
         probes.wsg50(),
         probes.svh(),
         probes.ability_hand(),
+        probes.orca_touch(),
         probes.softhand(range(1, 10)),
         probes.rh56(range(1, 5)),
         probes.linkerhand(),

@@ -15,6 +15,7 @@ from rtee.drivers.diagnosis import probes
 from rtee.drivers.diagnosis.can_probe import can as can_probe
 from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
+from rtee.drivers.orca_touch import codec
 
 pytestmark = pytest.mark.anyio
 
@@ -46,6 +47,11 @@ def device(name: str, **properties: object) -> Emulator:
         ("linkerhand", {}, "LinkerHand O6, unit 39"),
         ("linkerhand", {"model": "l10", "unit": 40}, "LinkerHand L10, unit 40"),
         ("ability_hand", {}, "PSYONIC Ability Hand, address 80"),
+        (
+            "orca_touch",
+            {},
+            "ORCA touch board, fingertips thumb, index, middle",
+        ),
     ],
 )
 async def test_a_device_on_a_line_is_found_with_its_options(
@@ -56,6 +62,20 @@ async def test_a_device_on_a_line_is_found_with_its_options(
     assert [one.driver for one in found.found] == [name]
     assert found.found[0].what.startswith(what)
     assert found.found[0].options["port"]
+
+
+async def test_a_touch_board_that_sends_is_found_at_its_rate() -> None:
+    board = make_emulator("orca_touch", {"port": "/dev/emulated", "baudrate": 2_000_000})
+    with SimulatedLine([board], wire_time=False, strict=True) as line:
+        async with BusPool() as pool:
+            bus = await pool.serial(line.address, owner="earlier", baudrate=2_000_000)
+            for register, value in ((codec.Register.CONTENT, 3), (codec.Register.STREAM, 1)):
+                start = codec.Request(codec.Function.WRITE, register, 1, bytes([value]))
+                await bus.transact(start.to_bytes(), codec.AnswerParser(), 0.5, 1)
+            await bus.detach("earlier")
+            [found] = await scan([Plan(line.address, probes=serial_probes([9])[:4])], pool)
+        options = {"port": line.address, "baudrate": 2_000_000}
+        assert [one.options for one in found.found] == [options]
 
 
 async def test_two_slaves_on_a_line_are_both_found() -> None:
