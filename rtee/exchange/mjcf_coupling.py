@@ -68,7 +68,7 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     found = constraints_of(model, path)
-    motion = Motion(fixed=dict(found.fixed))
+    motion = Motion(fixed=dict(found.fixed), notes=list(found.notes))
     held = [m for m in found.motors if m.joint in found.fixed]
     motion.notes += [
         f"actuator '{m.name}' moves a joint that is held, so it is left out" for m in held

@@ -79,12 +79,14 @@ class Source:
         path: Its main file.
         spec: It, without what only serves pictures and measurements.
         alone: Whether it includes no other file, so that lines are those of the main file.
+        says_angle: Whether it says in which unit its angles are.
         notes: What was left out, one sentence each.
     """
 
     path: Path
     spec: mujoco.MjSpec
     alone: bool
+    says_angle: bool
     notes: tuple[str, ...]
 
 
@@ -114,7 +116,8 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     with mujoco_says(file, lines=len(parts) == 1) as notes:
         spec = mujoco.MjSpec.from_file(str(file))
     notes += _reduce(spec, missing, file)
-    return Source(file, spec, len(parts) == 1, tuple(notes))
+    says_angle = any(e.tag == "compiler" and "angle" in e.attributes for e in elements)
+    return Source(file, spec, len(parts) == 1, says_angle, tuple(notes))
 
 
 def _check_numbers(element: Element) -> None:
@@ -236,8 +239,7 @@ def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -
     if not any(real.is_relative_to(folder) for folder in allowed):
         raise element.error(
             f"'{name[:200]}' leads out of the model's folder; put the file there, or give its "
-            "folder by "
-            "--package-dir"
+            f"folder by --package-dir {real.parent}"
         )
     return real
 
@@ -246,20 +248,15 @@ def _check_meshes(
     elements: Sequence[Element], file: Path, allowed: Sequence[Path]
 ) -> dict[str, str]:
     """Check every file that a model names; return why each missing mesh cannot be used."""
-    folders = [""]
-    for element in elements:
-        if element.tag == "compiler":
-            folders += [
-                element.attributes[name]
-                for name in ("meshdir", "assetdir", "texturedir")
-                if name in element.attributes
-            ]
+    said = [element.attributes for element in elements if element.tag == "compiler"]
     missing: dict[str, str] = {}
     for element in elements:
         for attribute, name in element.attributes.items():
             if not attribute.startswith("file") or element.tag == "include":
                 continue
-            places = [file.parent / folder / name for folder in folders]
+            own = "texturedir" if element.tag == "texture" else "meshdir"
+            folders = [c[key] for c in said for key in (own, "assetdir") if key in c]
+            places = [file.parent / folder / name for folder in ("", *folders)]
             there = [p for p in places if _inside(p, allowed, element, name).is_file()]
             if element.tag != "mesh":  # textures and the like are never opened
                 continue

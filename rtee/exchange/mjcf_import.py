@@ -93,7 +93,7 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
         raise ModelError(
             "the numbers of its couplings are too far apart to solve them", path=source.path
         ) from None
-    motion.notes += notes
+    motion.notes += [*notes, *_degrees(model, source)]
     writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
@@ -117,6 +117,26 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
             "needs three hinges",
             path=source.path,
         )
+
+
+def _degrees(model: mujoco.MjModel, source: Source) -> list[str]:
+    """Return a note where angles count as degrees only because the file does not say otherwise.
+
+    Models that are made to be included leave that to the file that includes them; by themselves
+    their hinges hardly turn.
+    """
+    hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited != 0)
+    if source.says_angle or not hinges.any():
+        return []
+    most = float(np.abs(model.jnt_range[hinges]).max())
+    # No hinge turns by more than a full turn: with larger numbers they are degrees.
+    if most > math.radians(2.0 * math.pi):
+        return []
+    return [
+        "the file does not say in which unit its angles are, so they count as degrees, and no "
+        f"hinge turns beyond {math.degrees(most):.2g}°; if they are radians, add "
+        '<compiler angle="radian"/>'
+    ]
 
 
 class _Writer:

@@ -20,6 +20,15 @@ TINY = 1e-9
 """Slopes and remainders below this are rounding [rad, m and their quotients]."""
 
 
+_NARROW = 0.1
+"""A tendon's limits couple its joints if they leave it less than this share of its way: hands of
+which two tendons cross at the last joint leave 0.08, and limits that only end a motion 1."""
+
+_RIGID = 1e9
+"""Stiffness of such a coupling, of which the largest factor is 1 [N·m/rad | N/m]: a billion times
+that of the springs of fingers."""
+
+
 @dataclass(frozen=True, slots=True)
 class Motor:
     """An actuator of the model.
@@ -159,6 +168,7 @@ class Constraints:
         springs: Sums that springs pull to a value.
         curves: Joints that follow others.
         loops: What is solved numerically.
+        notes: What was chosen, one sentence each.
     """
 
     motors: list[Motor]
@@ -167,6 +177,7 @@ class Constraints:
     springs: list[Line] = field(default_factory=list)
     curves: list[Curve] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
@@ -207,6 +218,7 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
             lower, upper = model.tendon_lengthspring[tendon]
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
             found.springs.append(Line(factors, value, stiffness))
+        _add_limited_tendon(model, tendon, found)
     for motor in found.motors:
         if motor.tendon is not None and tendon_factors(model, motor.tendon) is None:
             joints = tendon_joints(model, motor.tendon)
@@ -217,6 +229,36 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
             away = float(model.qpos_spring[joint] - model.qpos0[joint])
             found.springs.append(Line({joint: 1.0}, away, stiffness))
     return found
+
+
+def _add_limited_tendon(model: mujoco.MjModel, tendon: int, found: Constraints) -> None:
+    """Add a fixed tendon whose limits hardly let it move as a coupling of its joints.
+
+    It counts as a stiff spring: a joint without a motor follows by it, and what motors and
+    equalities decide stays so.
+    """
+    factors = tendon_factors(model, tendon)
+    moved = {motor.joint for motor in found.motors} | {
+        joint
+        for motor in found.motors
+        if motor.tendon is not None
+        for joint in tendon_joints(model, motor.tendon)
+    }
+    if not model.tendon_limited[tendon] or factors is None or not factors.keys() - moved:
+        return
+    spans = {joint: np.subtract(*joint_range(model, joint)[::-1]) for joint in factors}
+    way = sum(abs(factor) * float(spans[joint]) for joint, factor in factors.items())
+    lower, upper = (float(end) for end in model.tendon_range[tendon])
+    if len(factors) < 2 or not math.isfinite(way) or upper - lower > _NARROW * way:
+        return
+    largest = max(map(abs, factors.values()))
+    value = (0.5 * (lower + upper) - resting_length(model, factors)) / largest
+    line = {joint: factor / largest for joint, factor in factors.items()}
+    found.springs.append(Line(line, value, _RIGID))
+    found.notes.append(
+        f"tendon '{model.tendon(tendon).name}' may move by {upper - lower:g} alone, so that joints "
+        f"{names_of(model, factors)} are taken as coupled"
+    )
 
 
 def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:

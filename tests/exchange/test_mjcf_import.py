@@ -86,6 +86,8 @@ def hand_of(extra: str, *, fingers: str = "", head: str = "") -> str:
 </mujoco>"""
 
 
+PAD = "v 0 0 0\nv 0.01 0 0\nv 0 0.02 0\nv 0 0 0.03\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
 MOTORS = """<actuator>
   <position name="A" joint="a_1" ctrlrange="0 1.2" forcerange="-2 2" kp="5"/>
   <position joint="a_2" kp="5"/>
@@ -171,6 +173,72 @@ def test_an_underactuated_finger_shares_its_tendon_by_springs_or_factors(tmp_pat
     sprung = made(tmp_path, text.replace('"a_2" axis', '"a_2" stiffness="4" axis'))
     assert coupling(sprung, "a_2")[1] == pytest.approx(0.5)
     assert "share a tendon" not in notes_of(tmp_path / "hand.xml")
+
+
+LIMITED = """<tendon>
+  <fixed name="crossed" limited="true" range="{range}">
+    <joint joint="a_1" coef="-0.008"/><joint joint="a_2" coef="0.01"/>
+  </fixed>
+</tendon>
+<actuator>
+  <position name="A" joint="a_1" ctrlrange="0 1.2" kp="5"/>
+  <position joint="b_1" kp="5"/><position joint="b_2" kp="5"/>{more}
+</actuator>"""
+
+
+def test_a_tendon_that_may_hardly_move_couples_its_joints(tmp_path: Path) -> None:
+    """Hands with a last joint that crossing tendons turn are written like this."""
+    stiff = """<default><joint stiffness="0.05" springref="30"/></default>"""
+    text = hand_of(LIMITED.format(range="-0.001 0.0014", more=""), head=stiff)
+    hand = made(tmp_path, text)
+    assert hand.actuator_names == ("a_1", "b_1", "b_2")
+    by, slope, offset = coupling(hand, "a_2")
+    assert by == "a_1"
+    assert slope == pytest.approx(0.8, abs=1e-6)
+    assert offset == pytest.approx(0.02, abs=1e-6)
+    assert "tendon 'crossed' may move by 0.0024 alone" in notes_of(tmp_path / "hand.xml")
+    # One that only ends the motion couples nothing, and a motor of its own decides.
+    made(tmp_path, hand_of(LIMITED.format(range="-0.02 0.02", more="")))
+    assert import_mjcf(tmp_path / "hand.xml", tmp_path / "made").passive == ("a_2",)
+    assert "crossed" not in notes_of(tmp_path / "hand.xml")
+    own = '<position joint="a_2" kp="5"/>'
+    hand = made(tmp_path, hand_of(LIMITED.format(range="-0.001 0.001", more=own)))
+    assert hand.actuator_names == ("a_1", "a_2", "b_1", "b_2")
+
+
+def test_angles_that_count_as_degrees_by_default_are_told(tmp_path: Path) -> None:
+    radians = hand_of(MOTORS).replace("0 90", "0 1.5")
+    note = "count as degrees, and no hinge turns beyond 1.5°"
+    hand = made(tmp_path, radians)
+    assert hand.upper[1] == pytest.approx(np.radians(1.5))
+    assert note in notes_of(tmp_path / "hand.xml")
+    hand = made(tmp_path, radians.replace("<worldbody>", '<compiler angle="radian"/><worldbody>'))
+    assert hand.upper[1] == pytest.approx(1.5)
+    assert "degrees" not in notes_of(tmp_path / "hand.xml")
+    made(tmp_path, hand_of(MOTORS))
+    assert "degrees" not in notes_of(tmp_path / "hand.xml")
+
+
+def test_meshes_and_textures_are_looked_for_in_their_own_folders(tmp_path: Path) -> None:
+    for name in ("model", "meshes", "pictures"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "meshes" / "m.obj").write_text(PAD)
+    file = tmp_path / "model" / "hand.xml"
+    file.write_text(
+        hand_of(
+            '<asset><mesh name="m" file="m.obj"/></asset>',
+            head='<compiler meshdir="../meshes" texturedir="../pictures"/>',
+            fingers='<body name="m"><joint range="0 90"/><geom type="mesh" mesh="m"/></body>',
+        )
+    )
+    out = tmp_path / "made"
+    out.mkdir()
+    with pytest.raises(ModelError, match="leads out of") as told:
+        import_mjcf(file, out)
+    # In the pictures' folder, which is outside as well, no mesh is looked for.
+    assert str(told.value).endswith(f"--package-dir {(tmp_path / 'meshes').resolve()}")
+    found = import_mjcf(file, out, [tmp_path / "meshes"])
+    assert "m" in load_model(found.urdf).urdf.links
 
 
 def test_a_differential_is_refused_with_the_reason(tmp_path: Path) -> None:
@@ -673,9 +741,7 @@ def test_what_mujoco_warns_of_is_noted_and_written_nowhere(
 
 def test_frames_and_meshes_as_obj(tmp_path: Path) -> None:
     (tmp_path / "assets").mkdir()
-    (tmp_path / "assets" / "pad.obj").write_text(
-        "v 0 0 0\nv 0.01 0 0\nv 0 0.02 0\nv 0 0 0.03\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    )
+    (tmp_path / "assets" / "pad.obj").write_text(PAD)
     head = '<compiler meshdir="assets"/><asset><mesh file="pad.obj"/></asset>'
     fingers = """<frame pos="0 0.03 0" euler="0 0 90"><body name="c" pos="0.01 0 0">
       <joint name="c_1" axis="1 0 0" range="0 30"/><geom type="mesh" mesh="pad"/></body></frame>"""
