@@ -17,7 +17,7 @@ from rtee.drivers.feetech.table import DELAY_UNIT, FAMILIES, FULL, MODELS, State
 from rtee.drivers.feetech.units import Measured, Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.servo_lines import Calibrated
-from rtee.errors import CalibrationError, ConfigError, FrameError
+from rtee.errors import BusTimeout, CalibrationError, ConfigError, FrameError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -81,6 +81,7 @@ class ServoCycle:
         self.attached = Attached(spec.actuators)
         self.active = False
         self._count = 0
+        self._silent = False
         n = len(spec.actuators)
         self._angles: FloatArray = np.full(n, math.nan)
         self._goal: FloatArray = np.full(n, math.nan)
@@ -199,17 +200,18 @@ class ServoCycle:
         """Return what the servos measure.
 
         Raises:
-            DeviceFault: if one that must have torque has none, or reports a fault.
+            DeviceFault: if one that must have torque has none or has restarted, or reports a fault.
             FrameError: if one tells a position that it cannot have come to.
             BusError: if the line fails.
         """
         self._count += 1
-        if self.active and self._count % self._options.check_every == 0:
-            # One servo each time: all at once would take as long as a whole cycle.
-            await self._check_torque(
-                self.ids[self._count // self._options.check_every % len(self.ids)]
-            )
-        states = await self.states()
+        if self.active:
+            await self._check_servos()
+        try:
+            states = await self.states()
+        except BusTimeout:
+            self._silent = True
+            raise
         stamp = time.monotonic()
         self._believe(states, stamp)
         if self.active and any(state.status for state in states):
@@ -237,19 +239,45 @@ class ServoCycle:
             warnings=self._warnings,
         )
 
-    async def _check_torque(self, number: int) -> None:
-        """Raise the `DeviceFault` of a servo that has no torque, asked twice; or `BusError`."""
-        told = POWERED
+    async def _check_servos(self) -> None:
+        """Check the servo whose turn it is, or all after a silence; raises as `_check_servo`."""
+        turn, rest = divmod(self._count, self._options.check_every)
+        # One servo each time: all at once would take as long as a whole cycle.
+        due = [self.ids[turn % len(self.ids)]] if rest == 0 else []
+        # A supply that was cut silences them first.
+        for number in self.ids if self._silent else due:
+            await self._check_servo(number)
+        self._silent = False
+
+    async def _check_servo(self, number: int) -> None:
+        """Check that a servo has torque and its settings, asking twice.
+
+        Raises:
+            DeviceFault: if it has not.
+            BusError: if the line fails.
+        """
+        told, marked = POWERED, True
         for _ in range(2):
-            told = await self.link.value(number, table.TORQUE)
-            if told == POWERED:
+            told, marked = await setup.condition(self.link, self.family, number)
+            marked = marked or not self.found[number].marked
+            if told == POWERED and marked:
                 return
-        if told:
-            # Neither on nor off: only a frame that was damaged on its way has set that.
-            await self.link.set_all(table.TORQUE, {number: POWERED})
-            return
-        self.refuse(await self.states())
-        raise setup.lost(self._device, self.names, [number])
+        if not told:
+            self.refuse(await self.states())
+            raise setup.lost(self._device, self.names, [number])
+        if not marked:
+            raise setup.restarted(self._device, self.names, number)
+        # Neither on nor off: only a frame that was damaged on its way has set that.
+        await self.link.set_all(table.TORQUE, {number: POWERED})
+
+    async def restarted(self) -> list[int]:
+        """Return the servos that have lost their settings by a power cycle; raises `BusError`."""
+        expected = [number for number, servo in self.found.items() if servo.marked]
+        return [
+            number
+            for number in expected
+            if not (await setup.condition(self.link, self.family, number))[1]
+        ]
 
     def _believe(self, states: Sequence[State], stamp: float) -> None:
         """Refuse positions that servos cannot have come to, unless they are told twice.

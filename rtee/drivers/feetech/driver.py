@@ -191,13 +191,15 @@ class FeetechDriver(CalibratesServos):
     async def recover(self) -> None:
         """Take the torque of the servos with a fault away, which ends an overload.
 
-        They are powered again by `activate`.
+        So with those that have restarted, since only servos without torque are set up. They are
+        powered again by `activate`.
         """
         cycle = self.connection.link
         cycle.active = False
         with cycle.link.unhurried():
             states = await cycle.states()
-            hurt = [n for n, state in zip(cycle.ids, states, strict=True) if state.status]
+            hurt = {n for n, state in zip(cycle.ids, states, strict=True) if state.status}
+            hurt.update(await cycle.restarted())
             if hurt:
                 await cycle.link.set_all(table.TORQUE, dict.fromkeys(hurt, 0))
             cycle.refuse(await cycle.states())

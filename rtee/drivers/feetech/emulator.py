@@ -125,8 +125,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         self.ordered[0].cause = Status(sum(causes))
         for servo, model in zip(self.ordered, self._models, strict=True):
             servo.axis.stuck = "stuck" in self.faults
-            servo.set(table.MODEL, _WRONG if "wrong_device" in self.faults else model)
-            servo.memory.store()
+            servo.memory.keep(table.MODEL, _WRONG if "wrong_device" in self.faults else model)
 
     # --- objects -----------------------------------------------------------------------------
 
@@ -165,8 +164,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         if self.baudrate != self._shown_rate and self.baudrate in table.BAUD_RATES:
             self._shown_rate = self.baudrate
             for servo in self.ordered:
-                servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
-                servo.memory.store()
+                servo.memory.keep(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
     def _answers(self, request: Frame, now: float) -> list[bytes]:
         params = request.params

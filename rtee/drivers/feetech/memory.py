@@ -18,7 +18,7 @@ _SCS = {
     table.MIN_VOLTAGE: 45,
     table.MAX_TORQUE: FULL,
     table.UNLOAD: 36,
-    Register(20, 1): 37,  # which errors the LED tells
+    table.ALARM: 37,  # which errors the LED tells
     table.P: 15,
     table.D: 15,
     Register(24, 2): 30,  # least force to start
@@ -36,7 +36,7 @@ _STS = {
     table.MAX_TORQUE: FULL,
     table.PHASE: 12,
     table.UNLOAD: 44,
-    Register(20, 1): 47,  # which errors the LED tells
+    table.ALARM: 47,  # which errors the LED tells
     table.P: 32,
     table.D: 32,
     Register(24, 1): 16,  # least force to start
@@ -77,6 +77,12 @@ class Memory:
     def store(self) -> None:
         """Store all settings."""
         self._stored[:] = self._bytes[:RAM]
+
+    def keep(self, register: Register, value: int) -> None:
+        """Set a register and store it; other settings that are not stored stay so."""
+        self.set(register, value)
+        at = slice(register.address, register.address + register.size)
+        self._stored[at] = self._bytes[at]
 
     def power_cycle(self) -> None:
         """Return to what is stored, locked and with the rest at 0."""

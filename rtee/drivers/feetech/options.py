@@ -132,7 +132,8 @@ class FeetechOptions(DeviceOptions):
         0, description="written, not stored, to servos that have another one [2 µs]; null: leave"
     )
     check_every: Annotated[int, Field(ge=1)] = Field(
-        10, description="after so many exchanges one servo is asked whether it still has torque"
+        10,
+        description="after so many exchanges one servo is asked whether it has torque and settings",
     )
     outside: Positive = Field(
         0.35, description="how far a joint may be outside its limits before its zero is doubted"

@@ -179,8 +179,7 @@ class Servo:
     def make_present(self, position: int) -> None:
         """Choose the offset with which the present position is this one, and switch off."""
         if self._family.offset is not None:
-            self.set(self._family.offset, round(self.axis.position) - position)
-            self.memory.store()
+            self.memory.keep(self._family.offset, round(self.axis.position) - position)
         self.set(table.TORQUE, 0)
         self._act()
 

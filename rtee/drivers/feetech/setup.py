@@ -17,7 +17,11 @@ from rtee.errors import DeviceFault, DriverError, HandshakeError
 POWERED = 1
 """Value of the torque register that lets a servo drive; 2 damps, 0 leaves it limp."""
 TORQUE_LOST = 0x100
-"""Code of the driver's own fault, above the bits of the status."""
+RESTARTED = 0x200
+"""Codes of the driver's own faults, above the bits of the status."""
+_MARK = 0x80
+"""Bit of the errors that the LED tells which stands for none in any family: written, not stored, it
+is gone after a power cycle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +39,7 @@ class Found:
         limits: Its least and greatest position [counts]; both 0: it counts turns.
         most: Its largest torque [0.1 %], or current [6.5 mA] (HLS).
         gains: Its P, I and D.
+        alarm: The errors that its LED tells, and the mark.
         powered: Whether it drives.
     """
 
@@ -48,7 +53,13 @@ class Found:
     limits: tuple[int, int]
     most: int
     gains: tuple[int, int, int]
+    alarm: int
     powered: bool
+
+    @property
+    def marked(self) -> bool:
+        """Whether it would lose the mark by a power cycle."""
+        return bool(self.alarm & _MARK)
 
     @classmethod
     def from_table(cls, family: Family, number: int, data: bytes, powered: bool) -> Found:
@@ -70,6 +81,7 @@ class Found:
             (get(table.MIN_ANGLE), get(table.MAX_ANGLE)),
             get(table.PROTECTION_CURRENT if limited else table.MAX_TORQUE),
             (get(table.P), get(table.I), get(table.D)),
+            get(table.ALARM),
             powered,
         )
 
@@ -162,6 +174,20 @@ async def prepare(
         slow = [n for n, servo in found.items() if servo.return_delay != options.return_delay]
         # One that keeps its delay is slower, and no worse.
         await link.set_all(table.RETURN_DELAY, dict.fromkeys(slow, options.return_delay))
+    # One that does not take the mark is driven all the same; its power cycles stay unnoticed.
+    new = {n: servo.alarm | _MARK for n, servo in found.items() if not servo.marked}
+    await link.set_all(table.ALARM, new)
+
+
+async def condition(link: FeetechLink, family: Family, number: int) -> tuple[int, bool]:
+    """Return a servo's torque register and whether it is marked, by one read; or `BusError`."""
+    first = table.ALARM.address
+    answer = await link.read(number, first, table.TORQUE.address + 1 - first)
+
+    def get(register: Register) -> int:
+        return family.unpack(register, answer.params, first)
+
+    return get(table.TORQUE), bool(get(table.ALARM) & _MARK)
 
 
 def _settings(
@@ -217,4 +243,14 @@ def lost(device: str, names: Mapping[int, str], numbers: Sequence[int]) -> Devic
         TORQUE_LOST,
         f"torque lost: servo {named}",
         hint="the supply was cut, or the servo has switched off; `rtee recover` powers it again",
+    )
+
+
+def restarted(device: str, names: Mapping[int, str], number: int) -> DeviceFault:
+    """Return the fault of a servo that has lost its settings, and that a goal has powered again."""
+    return DeviceFault(
+        device,
+        RESTARTED,
+        f"restarted: servo {number} ({names[number]})",
+        hint="its supply was cut; `rtee recover` sets it up again where it stands",
     )

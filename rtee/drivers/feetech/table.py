@@ -61,6 +61,7 @@ MIN_VOLTAGE = Register(15, 1)
 MAX_TORQUE = Register(16, 2)
 PHASE = Register(18, 1)
 UNLOAD = Register(19, 1)
+ALARM = Register(20, 1)
 P = Register(21, 1)
 D = Register(22, 1)
 I = Register(23, 1)  # noqa: E741 - the gain's usual letter

@@ -79,6 +79,7 @@ CASE = DeviceCase(
     efforts=limits,
     max_efforts=[0.5, 1.0, 1.6],
     fault="overload",
+    homes=False,
     cycles=cycles(100),
 )
 

@@ -16,6 +16,7 @@ import pytest
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Frame, Instruction, RequestParser
 from rtee.errors import (
+    BusTimeout,
     CalibrationError,
     ConfigError,
     DeviceFault,
@@ -211,8 +212,8 @@ async def test_powering_sets_up_what_differs_and_stores_nothing() -> None:
         session.pool.trace = wire.trace
         await session.start()
         registers = [frame.params[0] for frame in wire if frame.code == Instruction.SYNC_WRITE]
-        # Lock, P, the acceleration, the return delay, the goal, torque: D and mode were right.
-        assert registers == [55, 21, 41, 7, 42, 40]
+        # Lock, P, acceleration, return delay, mark, goal, torque: D and mode were right.
+        assert registers == [55, 21, 41, 7, 20, 42, 40]
         assert wire.written(7) == [bytes([7, 1, 1, 0])]
         for servo in session.emulator.ordered:
             assert servo.get(table.GOAL_POSITION) == servo.position
@@ -220,6 +221,7 @@ async def test_powering_sets_up_what_differs_and_stores_nothing() -> None:
         session.wire.power_cycle()
         first = session.emulator.ordered[0]
         assert (first.get(table.P), first.get(table.RETURN_DELAY)) == (32, 250)
+        assert first.get(table.ALARM) == 47
 
 
 async def test_powering_again_after_the_supply_was_cut_sets_up_again() -> None:
@@ -231,6 +233,72 @@ async def test_powering_again_after_the_supply_was_cut_sets_up_again() -> None:
         await session.driver.recover()
         await session.driver.activate()
         assert [servo.get(table.P) for servo in session.emulator.ordered] == [20] * 3
+
+
+async def _sensed(session: Session, times: int) -> None:
+    for _ in range(times):
+        await session.sense()
+
+
+@pytest.mark.parametrize("family", ["scs", "sts", "sms", "hls"])
+async def test_a_restart_is_noticed_while_set_points_power_the_servo_again(family: str) -> None:
+    async with Session(case(family=family, p=20, check_every=1)) as session:
+        await session.start()
+        await session.reach([0.5] * 3)
+        second = session.emulator.ordered[1]
+
+        def restart() -> None:
+            second.memory.power_cycle()
+            second._start()
+
+        session.wire.call(restart)
+        goal = Reference.at([0.5] * 3)
+        await session.driver.move(goal)
+        # The set-point has powered it, without its settings: only the mark is missing.
+        while second.get(table.TORQUE) != 1:
+            await session.driver.move(goal)
+        with pytest.raises(DeviceFault, match=r"restarted: servo 2 \(j1\)") as found:
+            await _sensed(session, 3)
+        assert found.value.code == 512
+        kept = session.emulator.ordered[0]
+        await session.driver.recover()
+        assert (kept.get(table.TORQUE), second.get(table.TORQUE)) == (1, 0)
+        # Bent meanwhile, it stays where it stands until a reference asks for more.
+        bent = second.axis.position + 40.0
+        session.wire.call(lambda: setattr(second.axis, "position", bent))
+        await session.driver.activate()
+        assert second.get(table.GOAL_POSITION) == round(bent)
+        assert [servo.get(table.P) for servo in session.emulator.ordered] == [20] * 3
+        assert session.near(await session.reach([0.5] * 3), [0.5] * 3)
+
+
+async def test_after_a_silence_every_servo_is_checked() -> None:
+    servo = {"reboot_time": 0.0}
+    async with Session(case(check_every=10_000, emulator={"servo": servo})) as session:
+        await session.start()
+        await session.reach([0.5] * 3)
+        session.emulator.inject("silent")
+        with pytest.raises(BusTimeout):
+            await session.driver.sense()
+        session.wire.power_cycle()
+        session.emulator.clear("silent")
+        await session.driver.move(Reference.at([0.5] * 3))
+        with pytest.raises(DeviceFault, match="restarted: servo 1"):
+            await session.sense()
+
+
+async def test_a_servo_that_takes_no_mark_is_driven_all_the_same() -> None:
+    async with Session(case(check_every=1)) as session:
+        await session.connect()
+        third = session.emulator.ordered[2]
+        act = third._act
+        session.wire.call(
+            lambda: setattr(third, "_act", lambda: (third.set(table.ALARM, 47), act()))
+        )
+        await session.driver.activate()
+        for _ in range(6):
+            await session.driver.sense()
+        assert session.near(await session.reach([0.5] * 3), [0.5] * 3)
 
 
 async def test_a_largest_torque_keeps_scs_servos_from_switching_off() -> None:
@@ -392,7 +460,7 @@ async def test_servos_that_are_read_one_by_one_are_checked_one_by_one() -> None:
         wire.clear()
         for _ in range(6):
             await session.sense()
-        asked = [frame.device for frame in wire if frame.params == b"\x28\x01"]
+        asked = [frame.device for frame in wire if frame.params == b"\x14\x15"]
         assert sorted(asked) == [1, 2, 3]
         assert len(wire) == 6 * 3 + 3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,18 @@ from rtee.drivers.connection import owner_of
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
 from rtee.drivers.inspire_rh56.tactile import AREAS, LAST, blocks
 from rtee.errors import ConfigError
+from rtee.hand.frames import origin
+from rtee.hand.load import load_hand
+from rtee.hand.touch import on_hand
+from rtee.hand.urdf import UrdfLink
+from rtee.sample import FloatArray
 from rtee.testing import actuator
 from rtee.touch import TouchReading
 from rtee.types import DeviceSpec
 
 pytestmark = pytest.mark.anyio
 
+CONFIG = Path(__file__).resolve().parents[3] / "config"
 TCP = {"port": "tcp://192.0.2.1:6000", "model": "dftp", "touch": "all"}
 
 
@@ -97,3 +104,49 @@ async def test_the_tips_alone_take_fewer_turns() -> None:
 def test_other_hands_have_no_taxels(wrong: dict[str, str]) -> None:
     with pytest.raises(ConfigError, match="touch needs model dftp and Modbus TCP"):
         InspireRh56Driver(spec(**{**TCP, **wrong}), BusPool())
+
+
+def beyond(link: UrdfLink, points: FloatArray) -> FloatArray:
+    """Return how far points in a link's frame are outside its boxes, balls and cylinders [m]."""
+    found = np.full(len(points), np.inf)
+    for shape in link.collisions:
+        frame = origin(shape.xyz, shape.rpy)
+        local = (points - frame[:3, 3]) @ frame[:3, :3]
+        if shape.kind == "sphere":
+            away = np.linalg.norm(local, axis=1) - shape.radius
+        else:
+            if shape.kind == "cylinder":
+                around = np.hypot(local[:, 0], local[:, 1]) - shape.radius
+                over = np.stack([around, np.abs(local[:, 2]) - shape.length / 2], axis=1)
+            else:
+                over = np.abs(local) - np.array(shape.size) / 2
+            away = np.linalg.norm(np.maximum(over, 0.0), axis=1) + np.minimum(over.max(axis=1), 0.0)
+        found = np.minimum(found, away)
+    return found
+
+
+@pytest.mark.parametrize("which", ["tips", "fingers", "all"])
+def test_the_shipped_hand_places_the_taxels_that_the_driver_reads(which: str) -> None:
+    hand = load_hand(CONFIG / "inspire_rh56")
+    driver = InspireRh56Driver(spec(touch=which, port=TCP["port"], model="dftp"), BusPool())
+    names = {"little": "pinky", "palm": ""}
+    declared = driver.capabilities.touch
+    assert declared
+    for sensor in declared:
+        placed = on_hand(sensor, hand)
+        finger = sensor.name.split("_")[0]
+        assert placed.placed
+        assert placed.finger == names.get(finger, finger)
+        # The unit is not published, so no finger may take its counts for a force.
+        assert placed.unit == "counts"
+        # Sections are planes; the links' shapes have steps.
+        outside = beyond(hand.urdf.links[placed.link], placed.position)
+        assert np.abs(outside).max() < 0.004, sensor.name
+        # Their normals lead out of the link.
+        link = hand.urdf.links[placed.link]
+        assert (beyond(link, placed.position + 0.01 * placed.normal) > outside).all()
+
+
+def test_all_places_of_the_shipped_hand_are_read() -> None:
+    hand = load_hand(CONFIG / "inspire_rh56")
+    assert set(hand.touch) == {area.name for area in AREAS}
