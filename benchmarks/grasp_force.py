@@ -2,13 +2,14 @@
 
 Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
 does. The force that counts is that of the contacts half a second later; the peak is the strongest
-at any tick before the result. Run: python benchmarks/grasp_force.py
+at any tick before the result. With --vary, widths and shapes vary and what counts is how many of
+the forces were within 15 %. Run: python benchmarks/grasp_force.py
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -33,6 +34,9 @@ from rtee.types import Goal
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 RATE = 500.0  # of the loop [Hz], as hands are simulated
 SETTLE = 0.5  # time in which the force comes to rest [s]
+NEAR = 0.15  # share by which a force may be off
+WIDTHS = (0.02, 0.03, 0.04)  # with --vary [m]
+SHAPES = ("box:{w}x{w}x0.05", "cylinder:{r}x0.05", "sphere:{r}")  # with --vary
 SPEED = 0.05  # of the fingertips [m/s]: slow enough that the impact does not count
 
 
@@ -92,8 +96,24 @@ class Numb(HeadlessHand[Simulation]):
         return super()._measured(position, effort, np.full_like(forces, np.nan))
 
 
-def measure(case: Case, force: float, numb: bool) -> str:
-    """Return a row of the table: what one grasp came to."""
+@dataclass(frozen=True)
+class Came:
+    """What one grasp came to: forces [N], the opening [m], and whether it was as asked."""
+
+    held: float
+    peak: float
+    opening: float
+    within: bool
+    grasped: bool
+
+
+def grasp(case: Case, force: float, numb: bool) -> Came:
+    """Grasp an object with a force [N].
+
+    Raises:
+        GoalRejected: if the hand cannot.
+        LookupError: if the object fits nowhere between the fingers.
+    """
     folder = CONFIG / case.hand
     hand, config = load_configured(folder)
     library, settings = (
@@ -103,9 +123,11 @@ def measure(case: Case, force: float, numb: bool) -> str:
     # Without gravity, so that nothing but the grasp presses on the fingertips.
     options = SimOptions(object=case.object, object_mass=0.05, support="floating", gravity=0.0)
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
-    place = Places(simulation, hand, library.find(case.action, case.elements)).find(1)[0]
+    places = Places(simulation, hand, library.find(case.action, case.elements)).find(1)
+    if not places:
+        raise LookupError(f"{case.object} fits nowhere")
     simulation.reset()
-    simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
+    simulation.surroundings.place(simulation.surroundings.base_pose @ places[0].pose)
     kind = Numb if numb else HeadlessHand[Simulation]
     headless = kind(hand, library, settings, simulation)
     goal = Goal(
@@ -118,16 +140,46 @@ def measure(case: Case, force: float, numb: bool) -> str:
     )
     forces: list[float] = []
     headless.before_tick(lambda _: forces.append(squeeze(simulation, hand)))
+    result = headless.do(goal)
+    headless.wait(SETTLE)
+    width = float("nan") if result.opening is None else result.opening
+    held = squeeze(simulation, hand)
+    return Came(held, max(forces), width, bool(result.within), result.grasped)
+
+
+def measure(case: Case, force: float, numb: bool) -> str:
+    """Return a row of the table: what one grasp came to."""
     try:
-        result = headless.do(goal)
+        came = grasp(case, force, numb)
     except GoalRejected as error:
         return f"| {case.hand} | {force:g} | refused: {error} | | | | |"
-    headless.wait(SETTLE)
-    held = squeeze(simulation, hand)
-    width = float("nan") if result.opening is None else 1e3 * result.opening
     return (
-        f"| {case.hand} | {force:g} | {held:.2f} | {held / force - 1.0:+.1%} | {max(forces):.2f} | "
-        f"{width:.1f} of {1e3 * case.width:g} | {'yes' if result.within else 'no'} |"
+        f"| {case.hand} | {force:g} | {came.held:.2f} | {came.held / force - 1.0:+.1%} | "
+        f"{came.peak:.2f} | {1e3 * came.opening:.1f} of {1e3 * case.width:g} | "
+        f"{'yes' if came.within else 'no'} |"
+    )
+
+
+def vary(case: Case, width: float, numb: bool) -> str:
+    """Return a row of the table of rates: all shapes and forces at a width [m]."""
+    offs: list[float] = []
+    grasped = refused = 0
+    for shape in SHAPES:
+        varied = replace(case, object=shape.format(w=width, r=width / 2.0), width=width)
+        for force in case.forces:
+            try:
+                came = grasp(varied, force, numb)
+            except (GoalRejected, LookupError):
+                refused += 1
+                continue
+            grasped += came.grasped
+            offs.append(came.held / force - 1.0)
+    near = sum(abs(off) <= NEAR for off in offs)
+    shown = f"{min(offs):+.0%} to {max(offs):+.0%}" if offs else ""
+    sensors = "no" if numb else "yes"
+    return (
+        f"| {case.hand} | {sensors} | {1e3 * width:g} | {near} of {len(offs)} | {shown} | "
+        f"{grasped} of {len(offs)} | {refused} |"
     )
 
 
@@ -137,7 +189,17 @@ def main() -> None:
     parser.add_argument("--hand", help="this hand only")
     parser.add_argument("--quick", action="store_true", help="one force per hand")
     parser.add_argument("--numb", action="store_true", help="without sensors at the fingertips")
+    parser.add_argument("--vary", action="store_true", help="rates over widths and shapes")
     arguments = parser.parse_args()
+    if arguments.vary:
+        print("| hand | sensors | width mm | within 15 % | off | grasped | refused |")
+        print("| --- | --- | ---: | ---: | ---: | ---: | ---: |")
+        for case in CASES:
+            if arguments.hand in (None, case.hand):
+                for numb in (False, True):
+                    for width in WIDTHS:
+                        print(vary(case, width, numb), flush=True)
+        return
     print("| hand | asked N | held N | off | peak N | width mm | within |")
     print("| --- | ---: | ---: | ---: | ---: | ---: | --- |")
     for case in CASES:

@@ -88,6 +88,38 @@ def try_(
         Path | None,
         typer.Option(metavar="FILE", help="Where --all writes its results, if not with the hand."),
     ] = None,
+    task: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TASK",
+            help="egg (breaks above 8 N), cup (filled with 500 g while held) or tug (of 5 N), "
+            "instead of lifting and shaking; may be repeated.",
+        ),
+    ] = None,
+    reflexes: Annotated[
+        bool | None,
+        typer.Option(
+            "--reflexes/--no-reflexes",
+            help="With --task: with reflexes only, or without only; each unless given.",
+        ),
+    ] = None,
+    force: Annotated[
+        str | None,
+        typer.Option(metavar="FORCE", help="With --task: force to hold with; 3N unless given."),
+    ] = None,
+    max_force: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORCE",
+            help="With --task: force up to which a slip raises it; 7N unless given.",
+        ),
+    ] = None,
+    width: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH", help="With --task: width of the object, if not its least extent."
+        ),
+    ] = None,
     pictures: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write a strip of pictures of each trial.")
     ] = None,
@@ -98,9 +130,29 @@ def try_(
 ) -> None:
     """Try an action on an object: approach, grasp, lift, shake; was it held?
 
+    With --task, the success rates of tasks, with reflexes and without.
+
     Exit status 1 when a single trial loses its object.
     """
     from rtee.errors import ConfigError, needing_extra
+
+    if task:
+        from rtee.cli.try_task import Asked, try_tasks
+
+        if all_ or again or cluster or out or pictures or log or friction is not None:
+            raise ConfigError(
+                "--task goes without --all, --again, --cluster, --out, --pictures, --log and "
+                "--friction"
+            )
+        if action is None:
+            raise ConfigError("which action? give its name, such as Grasp")
+        if intensity != 1.0:
+            raise ConfigError("--task closes until contact; leave --intensity out")
+        asked = Asked(task, reflexes, force, max_force, width, mass, variations, seed)
+        try_tasks(_resolved(hand), action, elements or [], object_ or [], asked, json_)
+        return
+    if reflexes is not None or force or max_force or width:
+        raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
 
     with needing_extra("a trial", "sim"):
         from rtee.trials.sweep import OBJECTS, all_trials, bench, mass_of

@@ -125,6 +125,8 @@ class Following(Word):
     """Each on a spring of its own."""
     TENDON = "tendon"
     """On springs, with a tendon that shares the actuator's effort among them."""
+    LINKAGE = "linkage"
+    """On springs, with a linkage in each finger that shares its effort among the finger's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +151,8 @@ class ActuatorDynamics(Section):
     coupling: Following | None = None
     """How joints follow it: ``rigid``: as geared, unless given; ``spring``: each on a spring of its
     own; ``tendon``: on springs, and one tendon shares the effort among them, so that those that are
-    free go on, ahead of the actuator, when others are stopped."""
+    free go on, ahead of the actuator, when others are stopped; ``linkage``: the same within each
+    finger, while no finger gives way to another."""
     joints: Names | None = None
     """The joints that follow by springs or the tendon: names, or patterns such as
     ``*_distal_joint``; unless given, all that follow, with the actuator's own if it carries a

@@ -307,7 +307,7 @@ class Executor:
         run.shares = self._shares(run)
         # After `go`: what a stalled actuator did before belongs to another motion.
         self._contact.begin(leg.targets, run.shares, stamp)
-        self._reflexes.begin(run.plan, run.leg, run.shares, measured)
+        self._reflexes.begin(run.plan, run.leg, run.shares, measured, stamp)
         # Progress is measured from here.
         run.first_error = self._norms(leg.targets, measured.position)
         self._report(run, stamp)

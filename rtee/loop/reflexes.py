@@ -18,14 +18,15 @@ from rtee.loop.limiter import Limiter
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
 from rtee.loop.squeeze import Held, Squeeze, finger_forces
+from rtee.loop.tip_levers import TipLevers
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
 """An effort shows a contact in this many measurements in succession: a single one may be noise."""
 
 _UNKNOWN_SHARE = 0.05
-"""Where no lever is known, an actuator touches at this share of its effort limit more than it needs
-to move freely."""
+"""An actuator that moves no fingertip touches at this share of its effort limit more than it needs
+to move freely: no force is known there."""
 
 _SET_OUT = 0.1
 """Efforts are not judged for this long after an actuator has set out, while it breaks loose [s]."""
@@ -65,6 +66,7 @@ class _Watched:
     touched: bool = False
     in_effort: bool = False
     limit: float = math.inf
+    by_tip: bool = False
     looked: float = math.nan
     was: float = math.nan
     reference: float = math.nan
@@ -140,6 +142,7 @@ class Reflexes:
             FreeMotion(actuator.effort, actuator.velocity, actuator.acceleration)
             for actuator in hand.actuators
         ]
+        self._levers = TipLevers(hand)
         self._approach: _Approach | None = None
         self._squeeze: Squeeze | None = None
         self.active = self.changed = False
@@ -177,6 +180,7 @@ class Reflexes:
         leg: int,
         tolerance: Mapping[int, float],
         measured: Measured,
+        stamp: float,
     ) -> None:
         """Begin a leg of a plan.
 
@@ -185,6 +189,7 @@ class Reflexes:
             leg: The leg's number.
             tolerance: Error that counts as none, by actuator [rad | m].
             measured: What was measured last.
+            stamp: Now [s].
         """
         goal, targets = plan.goal, plan.legs[leg].targets
         self.touched = ()
@@ -204,8 +209,7 @@ class Reflexes:
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
-                threshold = _UNKNOWN_SHARE * spec.effort
-                watched[i] = _Watched(mode, target, ahead, tolerance[i], threshold)
+                watched[i] = _Watched(mode, target, ahead, tolerance[i], math.nan)
         if not watched:
             return
         sides: tuple[frozenset[str], ...] = ()
@@ -217,14 +221,16 @@ class Reflexes:
                 at = plan.grip.intensity_at(goal.opening)
             for i, slope in plan.grip.effort_slopes(at).items():
                 if i in watched:
-                    least = _RESOLUTION * self._hand.actuators[i].effort
-                    least = least if math.isfinite(least) else 0.0
-                    watched[i].threshold = max(slope * self._grasp.contact_force, least)
+                    watched[i].threshold = self._threshold(i, slope)
             sides = tuple(
                 frozenset(names[f] for f in side) for side in (plan.grip.fingers, plan.grip.others)
             )
             if goal.max_force is not None:
                 most = plan.grip.efforts(goal.max_force, at)
+        for i, each in watched.items():
+            each.by_tip = each.threshold != each.threshold
+            if each.by_tip:
+                each.threshold = self._tip_threshold(i, stamp, measured)
         slips = bool(goal.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
         self._approach = _Approach(
@@ -234,6 +240,21 @@ class Reflexes:
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or goal.touch:
                 self._begin_lightly(i, each, plan.grip, measured.position[i])
+
+    def _threshold(self, i: int, slope: float) -> float:
+        """Return the effort of a contact [N·m | N], by the effort that a newton takes."""
+        least = _RESOLUTION * self._hand.actuators[i].effort
+        return max(slope * self._grasp.contact_force, least if math.isfinite(least) else 0.0)
+
+    def _tip_threshold(self, i: int, stamp: float, measured: Measured) -> float:
+        """Return the effort of a contact where no opening tells it, at the present posture."""
+        spec = self._hand.actuators[i]
+        lever = self._levers.of(i, stamp, measured.position)
+        if lever != lever:
+            return _UNKNOWN_SHARE * spec.effort
+        known = self._hand.dynamics.get(spec.name)
+        efficiency = (known.efficiency if known is not None else None) or 1.0
+        return self._threshold(i, lever / efficiency)
 
     def _begin_lightly(self, i: int, each: _Watched, grip: Grip | None, here: float) -> None:
         """Have an actuator approach with little effort, unless it presses on something already."""
@@ -340,6 +361,8 @@ class Reflexes:
             # Breaking loose is dry friction: the model has to know it.
             free.learn(signal, velocity, gain)
             return False
+        if watched.by_tip and threshold > 0.0:
+            threshold = watched.threshold = self._tip_threshold(i, stamp, measured)
         pushes = free.exceeds(signal, velocity, gain, threshold)
         watched.over = watched.over + 1 if pushes else 0
         return watched.over >= _CONFIRMED

@@ -49,8 +49,12 @@ class Bench:
 
 
 @lru_cache(maxsize=4)
-def bench(name: str) -> Bench:
+def bench(name: str, rate: float = RATE) -> Bench:
     """Load a hand for trials.
+
+    Args:
+        name: The hand, by name or folder.
+        rate: Ticks per second of its trials [Hz].
 
     Raises:
         UserError: for every mistake in its files.
@@ -58,12 +62,12 @@ def bench(name: str) -> Bench:
     hand, config = load_configured(name)
     folder = hand_folder(name)[0]
     library = ActionLibrary.load(hand, folder / "actions")
-    return Bench(hand, library, settings_of(config), folder)
+    return Bench(hand, library, settings_of(config, rate), folder)
 
 
-def settings_of(config: HandConfig) -> LoopSettings:
-    """Return the loop's settings for a trial."""
-    return loop_settings(config, rate=RATE)
+def settings_of(config: HandConfig, rate: float = RATE) -> LoopSettings:
+    """Return the loop's settings for a trial with so many ticks per second [Hz]."""
+    return loop_settings(config, rate=rate)
 
 
 def all_trials(

@@ -33,10 +33,13 @@ from rtee.types import DeviceSpec, Event, Feedback, Goal, Result
 _JOINT = """
   <joint name="{name}" type="{kind}">
     <parent link="{parent}"/><child link="{child}"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 {length}"/>
     <limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{effort}"/>
   </joint>
   <link name="{child}">
-    <collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision>
+    <collision>
+      <origin xyz="0 0 {length}"/><geometry><box size="0.01 0.01 0.03"/></geometry>
+    </collision>
   </link>
 """
 JOINTS = (
@@ -48,9 +51,12 @@ JOINTS = (
 NAMES = tuple(joint[0] for joint in JOINTS)
 
 
-def make_hand(folder: Path, name: str = "small") -> Hand:
+def make_hand(folder: Path, name: str = "small", length: float = 0.0) -> Hand:
+    """Make the hand; its links, and fingertips on them, are so long [m]."""
     keys = ("name", "kind", "parent", "child", "lower", "upper", "velocity", "effort")
-    joints = "".join(_JOINT.format(**dict(zip(keys, joint, strict=True))) for joint in JOINTS)
+    joints = "".join(
+        _JOINT.format(length=length, **dict(zip(keys, joint, strict=True))) for joint in JOINTS
+    )
     urdf = folder / f"{name}.urdf"
     urdf.write_text(f'<robot name="{name}"><link name="palm"/>{joints}</robot>')
     srdf = folder / f"{name}.srdf"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -18,6 +19,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.free_motion import FreeMotion
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
+from rtee.loop.tip_levers import TipLevers
 from rtee.messages import decode_goal, decode_result, encode_goal, encode_result
 from rtee.types import Event, Goal, OnContact, Result
 
@@ -295,6 +297,44 @@ def test_goals_and_results_cross_the_network() -> None:
     assert decode_goal(encode_goal(Goal("a", touch=True))).touch
     result = Result("1", "a", touched=("thumb", "index"))
     assert decode_result(encode_result(result)).touched == ("thumb", "index")
+
+
+@pytest.mark.parametrize("bent", [0.0, 0.5, 1.2])
+def test_a_lever_is_that_of_the_present_posture(tmp_path: Path, bent: float) -> None:
+    levers = TipLevers(make_hand(tmp_path, length=0.04))
+    position = [0.7, bent, 0.0, 0.01]
+    # Two links of 40 mm with the bend between them: the law of cosines.
+    assert levers.of(0, 0.0, position) == pytest.approx(0.08 * math.cos(0.5 * bent))
+    assert levers.of(1, 1.0, position) == pytest.approx(0.04)
+    assert levers.of(3, 2.0, position) == pytest.approx(1.0), "a slider moves its tip as far"
+
+
+def test_levers_are_renewed_one_in_a_tick_and_not_at_once(tmp_path: Path) -> None:
+    levers = TipLevers(make_hand(tmp_path, length=0.04))
+    straight, bent = [0.0, 0.0, 0.0, 0.0], [0.0, 1.2, 0.0, 0.0]
+    long = levers.of(0, 1.0, straight)
+    assert levers.of(0, 1.05, bent) == long, "too early"
+    levers.of(1, 1.2, bent)
+    assert levers.of(0, 1.2, bent) == long, "another one was renewed in this tick"
+    assert levers.of(0, 1.21, bent) == pytest.approx(0.08 * math.cos(0.6))
+
+
+@pytest.mark.parametrize("force", [1.0, 2.0, 4.0])
+def test_without_an_opening_a_contact_is_a_force_at_the_fingertip(
+    tmp_path: Path, force: float
+) -> None:
+    world = World(make_hand(tmp_path, length=0.04), {INDEX: 0.6}, contact_force=force)
+    world.accept(on_contact=every(OnContact.STOP), speed=0.2)
+    lever, pushes = 0.08, [0.0]
+    while "contact" not in world.kinds():
+        reference = world.controller.reference_position[INDEX]
+        pushes.append(STIFFNESS * (reference - world.position[INDEX]))
+        world.tick()
+    # The push grows by this much in a tick, and two measurements are wanted.
+    growth = STIFFNESS * max(world.controller.reference_velocity) * world.settings.period
+    growth = max(growth, pushes[-1] - pushes[-2])
+    assert force * lever <= pushes[-1] + growth
+    assert pushes[-1] <= 1.1 * force * lever + 3.0 * growth
 
 
 positive = st.floats(0.01, 1.0)

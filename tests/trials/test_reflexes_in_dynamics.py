@@ -13,6 +13,8 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.load import hand_folder, load_configured
 from rtee.loop.configure import loop_settings
+from rtee.loop.contact import Measured
+from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal, OnContact
@@ -79,3 +81,38 @@ def test_a_gripper_does_on_contact_what_it_is_to_do(word: OnContact) -> None:
         assert held == pytest.approx(5.0, rel=0.15)
     else:
         assert held < 4.0
+
+
+class Numb(HeadlessHand[Simulation]):
+    """A hand without sensors at its fingertips."""
+
+    def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
+        return super()._measured(position, effort, np.full_like(forces, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("name", "action", "elements", "thing", "width", "force"),
+    [
+        ("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, 5.0),
+        ("robotiq_3f", "Grasp", (), "box:0.05x0.05x0.05", 0.05, 10.0),
+        ("schunk_svh", "PinchTight", ("index", "thumb"), "sphere:0.015", 0.03, 4.0),
+    ],
+)
+def test_the_levers_alone_give_the_force(
+    name: str, action: str, elements: tuple[str, ...], thing: str, width: float, force: float
+) -> None:
+    hand, config = load_configured(name)
+    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
+    settings = loop_settings(config, rate=RATE)
+    options = SimOptions(object=thing, object_mass=0.05, support="floating", gravity=0.0)
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    place = Places(simulation, hand, library.find(action, elements)).find(1)[0]
+    simulation.reset()
+    simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
+    headless = Numb(hand, library, settings, simulation)
+    goal = Goal(action, elements, opening=width, force=force, grasp=True, tip_speed=0.05)
+    assert headless.do(goal).grasped
+    headless.wait(0.5)
+    # Each side presses as much as the other: half of the sum is the force.
+    held = simulation.contact_forces.sum() / 2.0
+    assert held == pytest.approx(force, rel=0.15)

@@ -3,7 +3,9 @@
 A rigid joint is an equality. A joint on a spring is a tendon with stiffness and damping that pulls
 it to where it would follow. With a tendon of the transmission, one more equality keeps the actuator
 at the weighted mean of its joints, so that they share its effort: a joint that is stopped lets the
-others go on, ahead of the actuator, against the springs, which keep the shape of the fingers.
+others go on, ahead of the actuator, against the springs, which keep the shape of the fingers. With
+linkages, there is such an equality for each finger: joints of one finger give way to one another,
+but no finger gives way to another.
 """
 
 from __future__ import annotations
@@ -110,9 +112,14 @@ def coupling_name(joint: str) -> str:
     return f"coupling/{joint}"
 
 
-def tendon_name(actuator: str) -> str:
-    """Return the name of the tendon, and the equality, that shares an actuator's effort."""
-    return f"tendon/{actuator}"
+def tendon_name(actuator: str, finger: str = "") -> str:
+    """Return the name of the tendon, and the equality, that shares an actuator's effort.
+
+    Args:
+        actuator: The actuator.
+        finger: The finger among whose joints it is shared; empty: among all.
+    """
+    return f"tendon/{actuator}/{finger}" if finger else f"tendon/{actuator}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +234,9 @@ def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
             _add_equality(spec, joint.name, None, (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0))
 
 
-def _shares(slopes: FloatArray, known: ActuatorDynamics) -> FloatArray | None:
+def _shares(
+    slopes: FloatArray, known: ActuatorDynamics, of: Sequence[int] = ()
+) -> FloatArray | None:
     """Return the torque at each joint for a unit of the actuator's; no work is lost.
 
     Unless hand.yaml gives their relation, a joint gets the more torque the further it turns, as
@@ -236,15 +245,36 @@ def _shares(slopes: FloatArray, known: ActuatorDynamics) -> FloatArray | None:
     Args:
         slopes: How far each joint follows ``(k,)``.
         known: The actuator's dynamics.
+        of: The joints, by their numbers among those that ``known`` lists; all unless given.
 
     Returns:
         The shares ``(k,)``; ``None`` where the joints do not move with the actuator.
     """
-    weights = slopes if known.shares is None else np.array(list(known.shares.values()))
+    weights = slopes
+    if known.shares is not None:
+        weights = np.array(list(known.shares.values()))
+        weights = weights[list(of)] if of else weights
     total = float(weights @ slopes)
     if abs(total) < _LEAST_SLOPE * float(np.linalg.norm(weights)):
         return None
     return np.asarray(weights / total)
+
+
+def _tendons(
+    hand: Hand, actuator: str, joints: Sequence[str], known: ActuatorDynamics
+) -> list[tuple[str, list[int]]]:
+    """Return the tendons of an actuator, each with its joints by their numbers in ``joints``."""
+    if known.coupling is Following.TENDON:
+        return [(tendon_name(actuator), list(range(len(joints))))]
+    if known.coupling is not Following.LINKAGE:
+        return []
+    found: dict[str, list[int]] = {}
+    for number, joint in enumerate(joints):
+        child = hand.urdf.joints[joint].child
+        # A joint of no finger has a linkage of its own.
+        finger = next((f.name for f in hand.fingers if child in f.links), joint)
+        found.setdefault(finger, []).append(number)
+    return [(tendon_name(actuator, finger), numbers) for finger, numbers in found.items()]
 
 
 def _mean_slope(follower: Follower) -> float:
@@ -262,17 +292,13 @@ def _add_springs(
     slopes = np.array([_mean_slope(follower) for follower in group])
     shares = _shares(slopes, known)
     if shares is None:
-        raise ModelError(
-            f"actuator '{servo.actuator}' moves no joint with its shares in hand.yaml; the sum of "
-            "each share times how far its joint follows must not be zero",
-            path=hand.urdf.path,
-        )
+        raise _moves_nothing(hand, servo.actuator)
     for follower, slope, share in zip(group, slopes, shares, strict=True):
         slide = hand.joints[hand.joint_index(follower.joint)].kind is JointKind.PRISMATIC
         give = known.give or GIVE * (_LINEAR_GIVE if slide else 1.0)
         # With a tendon a joint gets its share of the effort; without one it alone gets all of it,
         # by the leverage of its slope.
-        alone = share if known.coupling is Following.TENDON else 1.0 / (slope or math.inf)
+        alone = 1.0 / (slope or math.inf) if known.coupling is Following.SPRING else share
         stiffness = max(abs(alone) * servo.limit / give, _least_stiffness(options, slide))
         inertia = options.armature * (PRISMATIC if slide else 1.0)
         tendon = spec.add_tendon(name=coupling_name(follower.joint))
@@ -283,26 +309,36 @@ def _add_springs(
         tendon.damping = [2.0 * math.sqrt(stiffness * inertia), 0.0, 0.0]
         rest = follower.coupling.value(follower.actuator.rest) - slope * follower.actuator.rest
         tendon.springlength = [rest, rest]
-    if known.coupling is Following.TENDON:
-        tendon = spec.add_tendon(name=tendon_name(servo.actuator))
-        for follower, share in zip(group, shares, strict=True):
-            tendon.wrap_joint(follower.joint, share)
+    shared = _tendons(hand, servo.actuator, [f.joint for f in group], known)
+    for name, numbers in shared:
+        own = _shares(slopes[numbers], known, numbers)
+        if own is None:
+            raise _moves_nothing(hand, servo.actuator)
+        tendon = spec.add_tendon(name=name)
+        for number, share in zip(numbers, own, strict=True):
+            tendon.wrap_joint(group[number].joint, share)
         tendon.wrap_joint(motor, -1.0)
         equality = spec.add_equality(
-            name=tendon_name(servo.actuator),
-            name1=tendon_name(servo.actuator),
+            name=name,
+            name1=name,
             type=mujoco.mjtEq.mjEQ_TENDON,
             objtype=mujoco.mjtObj.mjOBJ_TENDON,
         )
         equality.solref, equality.solimp = _SOLREF, _SOLIMP
-    return (
-        f"{len(group)} joints follow '{servo.actuator}' by springs"
-        + (
-            ", and a tendon shares its effort among them"
-            if known.coupling is Following.TENDON
-            else ""
-        )
-        + ("" if known.give else f"; they yield by {GIVE:g} rad to their part of the full effort")
+    how = {
+        Following.TENDON: ", and a tendon shares its effort among them",
+        Following.LINKAGE: ", and each finger shares its effort among its own",
+    }.get(known.coupling or Following.SPRING, "")
+    return f"{len(group)} joints follow '{servo.actuator}' by springs{how}" + (
+        "" if known.give else f"; they yield by {GIVE:g} rad to their part of the full effort"
+    )
+
+
+def _moves_nothing(hand: Hand, actuator: str) -> ModelError:
+    return ModelError(
+        f"actuator '{actuator}' moves no joint with its shares in hand.yaml; the sum of "
+        "each share times how far its joint follows must not be zero",
+        path=hand.urdf.path,
     )
 
 
@@ -370,9 +406,10 @@ class Couplings:
         for actuator in hand.actuators:
             known = hand.dynamics.get(actuator.name, ActuatorDynamics())
             own = [i for i, f in enumerate(springs) if f.actuator.name == actuator.name]
-            if own and known.coupling is Following.TENDON:
-                name = tendon_name(actuator.name)
-                self._tendons.append((model.tendon(name).id, model.eq(name).id, own, known))
+            for name, numbers in _tendons(hand, actuator.name, known.joints or (), known):
+                rows = [own[number] for number in numbers]
+                ids = model.tendon(name).id, model.eq(name).id
+                self._tendons.append((*ids, rows, numbers, known))
         self._steady = all(f.coupling.linear for f in springs)
         self._renewed = False
 
@@ -395,8 +432,8 @@ class Couplings:
         offsets, slopes = self._spring_curves.tangents(position[self._spring_motors])
         model.wrap_prm[self._follows] = -slopes
         model.tendon_lengthspring[self._springs] = offsets[:, None]
-        for tendon, equality, own, known in self._tendons:
-            shares = _shares(slopes[own], known)
+        for tendon, equality, own, numbers, known in self._tendons:
+            shares = _shares(slopes[own], known, numbers)
             if shares is None:  # no joint follows here: the last shares hold on
                 continue
             first = model.tendon_adr[tendon]

@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import build_hand, grasp_centre, make_simulation
@@ -20,6 +21,7 @@ from rtee.hand.catalog import hand_names
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.load import hand_folder, load_hand, load_model
 from rtee.hand.model import Hand
+from rtee.trials.grasp_placement import Places
 from rtee.trials.sweep import attempt
 from rtee.trials.trial import Trial
 
@@ -257,6 +259,42 @@ def test_shares_that_move_nothing_are_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ModelError, match="moves no joint"):
         build_hand(configured(tmp_path, text), SimOptions())
+
+
+def test_each_finger_of_a_linkage_shares_among_its_own_joints(tmp_path: Path) -> None:
+    text = "dynamics:\n  finger_1_joint_1: {coupling: linkage}\n"
+    model = simulate(configured(tmp_path, text)).model
+    names = {model.tendon(number).name for number in range(model.ntendon)}
+    fingers = {"finger_1", "finger_2", "finger_middle"}
+    assert {name for name in names if name.startswith("tendon/")} == {
+        f"tendon/finger_1_joint_1/{finger}" for finger in fingers
+    }
+    for finger in fingers:
+        tendon = model.tendon(f"tendon/finger_1_joint_1/{finger}").id
+        first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+        joints = [model.joint(i).name for i in model.wrap_objid[first : first + count]]
+        assert joints[:-1] == [f"{finger}_joint_{number}" for number in (1, 2, 3)]
+
+
+@pytest.mark.parametrize(("coupling", "back"), [("tendon", True), ("linkage", False)])
+def test_fingers_of_linkages_do_not_push_one_another_back(
+    tmp_path: Path, coupling: str, back: bool
+) -> None:
+    text = f"dynamics:\n  finger_1_joint_1: {{coupling: {coupling}}}\n"
+    hand = configured(tmp_path, text)
+    simulation = simulate(hand, object="box:0.05x0.05x0.05", support="floating", gravity=0.0)
+    library = ActionLibrary.load(load_hand("robotiq_3f"), hand_folder("robotiq_3f")[0] / "actions")
+    place = Places(simulation, hand, library.find("Grasp")).find(1)[0]
+    simulation.reset()
+    around = simulation.surroundings
+    around.place(around.base_pose @ place.pose)
+    before = around.position_in_hand[0]
+    simulation.command(np.array([0.0, 0.6]), np.array([8.0, 4.9]), np.ones(2, dtype=bool))
+    for _ in range(round(2.0 / 0.004)):
+        simulation.advance()
+    # Two fingers against one: along x they close.
+    assert bool(abs(around.position_in_hand[0] - before) > 0.02) == back
+    assert min(simulation.contact_forces) > 1.0
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.025, 0.035])

@@ -1,0 +1,88 @@
+"""How far an actuator moves its fingertips: the effort that a force at a fingertip takes.
+
+For actions without an opening, whose fingertips meet no other ones, so that no table has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from rtee.hand.frames import tip_pose_and_jacobian
+from rtee.hand.model import Finger, Hand
+from rtee.sample import FloatArray
+
+_HOLDS: Final = 0.1
+"""A lever is that of the present posture for so long [s]: at the 0.1 rad/s of a touch a finger
+turns by half a degree meanwhile."""
+
+
+class TipLevers:
+    r"""The levers of fingertips at a hand's present posture.
+
+    A force :math:`F` against the motion of a fingertip takes the effort :math:`\tau = F\,r` with
+    :math:`r = |J\,\partial q/\partial u|`, by virtual work (Murray, Li, Sastry: *A Mathematical
+    Introduction to Robotic Manipulation*, 1994, chapter 5). :math:`J` is the Jacobian of the point
+    where the fingertip is likely to touch: the middle of that collision shape of its which is
+    farthest from the last joint.
+
+    Args:
+        hand: The hand.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self._hand = hand
+        self._points = {
+            finger.name: (finger.tip, _point(hand, finger))
+            for finger in hand.fingers
+            if finger.tip is not None
+        }
+        # Those at rest are worked out before the loop runs: all at once would take some ticks.
+        self._known = {
+            i: (self._lever(i, hand.rest), -math.inf) for i in range(len(hand.actuators))
+        }
+        self._renewed = -math.inf
+
+    def of(self, i: int, stamp: float, position: Sequence[float]) -> float:
+        """Return the lever of an actuator [m/rad | 1]; ``NaN``: it moves no fingertip.
+
+        Of several fingers, that which moves farthest counts: its force is the least. One lever is
+        renewed in a tick at most, since that takes some of its time.
+
+        Args:
+            i: The actuator's index.
+            stamp: Now [s].
+            position: Positions of all actuators [rad | m].
+        """
+        lever, at = self._known[i]
+        if stamp - at < _HOLDS or stamp == self._renewed:
+            return lever
+        self._renewed = stamp
+        # What is not measured is taken to be at rest: a finger's other joints change little of it.
+        u = np.where(np.isfinite(position), position, self._hand.rest)
+        self._known[i] = self._lever(i, u), stamp
+        return self._known[i][0]
+
+    def _lever(self, i: int, u: FloatArray) -> float:
+        """Return the lever of an actuator at positions ``(n,)``; ``NaN``: it moves no fingertip."""
+        fingers = self._hand.actuators[i].fingers
+        levers = [self._at(finger, i, u) for finger in fingers if finger in self._points]
+        most = max(levers, default=math.nan)
+        return most if most > 0.0 else math.nan
+
+    def _at(self, finger: str, i: int, u: FloatArray) -> float:
+        link, point = self._points[finger]
+        pose, jacobian = tip_pose_and_jacobian(self._hand, link, u)
+        # From the link's origin to the point, at the velocity v + ω × r.
+        arm = pose[:3, :3] @ point
+        return float(np.linalg.norm(jacobian[:3, i] + np.cross(jacobian[3:, i], arm)))
+
+
+def _point(hand: Hand, finger: Finger) -> FloatArray:
+    """Return the point of a fingertip that is likely to touch, in its link's frame ``(3,)`` [m]."""
+    middles = [np.array(shape.xyz) for shape in hand.urdf.links[str(finger.tip)].collisions]
+    found: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
+    return found

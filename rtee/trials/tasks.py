@@ -1,0 +1,269 @@
+"""Tasks that ask for more than to hold: an egg, a cup that is filled, a part that is tugged at.
+
+Each is tried in several ways to grasp, with reflexes and without, and with variations of place,
+mass and friction. `rtee try --task` and ``benchmarks/reflexes.py`` run the same trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+
+from rtee.drivers.mujoco.objects import OBJECT
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.errors import ConfigError
+from rtee.trials.grasp_placement import Places
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.robust_places import graspable
+from rtee.trials.sweep import Bench
+from rtee.types import Goal, OnContact
+
+RATE: Final = 500.0
+"""Ticks per second [Hz], as hands are simulated: a contact is answered within two."""
+
+BREAKS: Final = 8.0
+"""Force of a finger that breaks the egg [N]."""
+
+FORCE: Final = 3.0
+"""Force with which an object is held unless another is asked for [N]."""
+
+MOST: Final = 7.0
+"""Force up to which a slip raises it unless another is asked for [N]: an egg bears it."""
+
+_SPEED: Final = 0.02
+"""Speed of the fingertips [m/s]: slow enough that the impact breaks no egg."""
+
+_SETTLE: Final = 1.0
+"""Time in which a grip, or what disturbed it, settles [s]."""
+
+_LOST: Final = 0.02
+"""What has moved farther than this in the hand is lost [m]: a finger's breadth."""
+
+_BESIDE: Final = 0.003
+"""How far off the middle the object is along each axis at most [m], as a camera or a person puts
+it."""
+
+_MASS: Final = (0.8, 1.2)
+"""Range of the factor of the mass."""
+
+_FRICTION: Final = (0.6, 1.0)
+"""Range of the friction."""
+
+_WATER: Final = 0.5
+"""Mass that the cup is filled with [kg]: half a litre."""
+
+_FILLING: Final = 5.0
+"""Time within which it is filled [s]."""
+
+_TUG: Final = 5.0
+"""Force of the tug [N]."""
+
+_TUGGED: Final = 0.5
+"""How long it is tugged at [s]."""
+
+_RISING: Final = 0.1
+"""Time within which the tug rises [s]: a tug, not a blow."""
+
+
+class Task(StrEnum):
+    """What has to be done with what is grasped."""
+
+    EGG = "egg"
+    CUP = "cup"
+    TUG = "tug"
+
+    @property
+    def mass(self) -> float:
+        """Usual mass of the object [kg]: an egg's, an empty cup's and a light part's."""
+        return 0.06 if self is Task.EGG else 0.05
+
+
+class Way(StrEnum):
+    """How the object is grasped; the value is what people read."""
+
+    EFFORT = "hand's effort"
+    FORCE = "force"
+    REFLEXES = "force and reflexes"
+
+
+class End(StrEnum):
+    """How a task ended; the value is what people read."""
+
+    HELD = "held"
+    MISSED = "not grasped"
+    BROKEN = "broken"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class TaskTrial:
+    """A task for an action and an object.
+
+    Attributes:
+        task: What is done with the object.
+        action: Name of the action.
+        elements: Its elements.
+        object: The object, as on the command line.
+        way: How it is grasped.
+        width: Width of the object [m]; ``None``: its least extent.
+        mass: Its mass [kg]; ``None``: the usual one of the task.
+        force: Force to begin with [N]; not used with the hand's own effort.
+        most: Force up to which a slip raises it [N]; used with reflexes.
+        seed: Seed of the variations.
+    """
+
+    task: Task
+    action: str
+    elements: tuple[str, ...] = ()
+    object: str = "sphere:0.03"
+    way: Way = Way.REFLEXES
+    width: float | None = None
+    mass: float | None = None
+    force: float = FORCE
+    most: float = MOST
+    seed: int = 0
+
+    def goal(self) -> Goal:
+        """Return the goal that grasps the object."""
+        width = self.width
+        if width is None:
+            width = graspable(self.object, self.mass or self.task.mass).extents[0]
+        reflexes = self.way is Way.REFLEXES
+        return Goal(
+            self.action,
+            self.elements,
+            opening=width,
+            force=None if self.way is Way.EFFORT else self.force,
+            max_force=self.most if reflexes else None,
+            grasp=True,
+            tip_speed=_SPEED,
+            on_contact={"": OnContact.SQUEEZE} if reflexes else {},
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TaskResult:
+    """How one variation of a task ended.
+
+    Attributes:
+        end: How it ended.
+        peak: The largest force of a finger on the object [N].
+    """
+
+    end: End
+    peak: float
+
+
+def run_task(ready: Bench, trial: TaskTrial, number: int) -> TaskResult:
+    """Do one variation of a task.
+
+    Args:
+        ready: The hand; its settings must be for `RATE`.
+        trial: The task.
+        number: Number of the variation, from 0; all hands and ways meet the same ones.
+
+    Raises:
+        UnknownAction: if there is no such action.
+        GoalRejected: if the hand cannot grasp the object like this.
+        ConfigError: if the object is none, or fits nowhere.
+    """
+    return _Run(ready, trial, number).result()
+
+
+class _Run:
+    """One variation of a task."""
+
+    def __init__(self, ready: Bench, trial: TaskTrial, number: int) -> None:
+        hand, library, settings = ready.hand, ready.library, ready.settings
+        varied = np.random.default_rng([number, trial.seed])
+        mass = trial.task.mass if trial.mass is None else trial.mass
+        options = SimOptions(
+            object=trial.object,
+            object_mass=mass * varied.uniform(*_MASS),
+            friction=varied.uniform(*_FRICTION),
+        )
+        simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+        action = library.find(trial.action, trial.elements)
+        places = Places(simulation, hand, action).find(1)
+        if not places:
+            raise ConfigError(f"{trial.object} fits nowhere between the fingers")
+        pose = places[0].pose.copy()
+        pose[:3, 3] += varied.uniform(-_BESIDE, _BESIDE, 3)
+        simulation.reset()
+        around = simulation.surroundings
+        around.place(around.base_pose @ pose)
+        self._trial, self._simulation, self._around = trial, simulation, around
+        self._body = simulation.model.body(OBJECT).id
+        self._start = around.position_in_hand
+        self._peak = 0.0
+        self._headless: HeadlessHand[Simulation] = HeadlessHand(hand, library, settings, simulation)
+        self._headless.before_tick(self._watch)
+
+    def result(self) -> TaskResult:
+        """Grasp the object, do what the task says, and return how it ended."""
+        end = End.HELD if self._grasp() else End.MISSED
+        if end is End.HELD:
+            match self._trial.task:
+                case Task.CUP:
+                    self._fill()
+                case Task.TUG:
+                    self._tug()
+            end = End.HELD if self._held else End.LOST
+        if self._trial.task is Task.EGG and self._peak > BREAKS:
+            end = End.BROKEN
+        return TaskResult(end, round(self._peak, 3))
+
+    def _watch(self, _: float) -> None:
+        self._peak = max(self._peak, float(self._simulation.contact_forces.max()))
+
+    def _grasp(self) -> bool:
+        """Grasp the object, let go of it, and return whether the hand has it."""
+        result = self._headless.do(self._trial.goal())
+        self._headless.wait(_SETTLE)
+        self._around.remove_support()
+        # What closing moved it is no slip.
+        self._start = self._around.position_in_hand
+        self._headless.wait(_SETTLE)
+        return result.grasped and self._held
+
+    @property
+    def _held(self) -> bool:
+        """Whether the object is where it was grasped."""
+        moved = self._around.position_in_hand - self._start
+        return float(np.linalg.norm(moved)) < _LOST
+
+    def _fill(self) -> None:
+        model, body = self._simulation.model, self._body
+        empty, inertia = float(model.body_mass[body]), model.body_inertia[body].copy()
+
+        def fill(share: float) -> None:
+            model.body_mass[body] = empty + _WATER * share
+            # The water is where the cup is: its inertia grows with the mass.
+            model.body_inertia[body] = inertia * model.body_mass[body] / empty
+
+        self._during(_FILLING, fill)
+
+    def _tug(self) -> None:
+        applied = self._simulation.data.xfrc_applied
+
+        def pull(share: float) -> None:
+            # Along the world's z axis, as the weight, whichever way the hand points.
+            applied[self._body, 2] = -_TUG * min(share * _TUGGED / _RISING, 1.0)
+
+        self._during(_TUGGED, pull)
+        applied[self._body] = 0.0
+
+    def _during(self, seconds: float, act: Callable[[float], None]) -> None:
+        """Let time pass [s], doing something at every tick with the share that is over; settle."""
+        headless = self._headless
+        begin = headless.time
+        while headless.time < begin + seconds:
+            act((headless.time - begin) / seconds)
+            headless.tick()
+        headless.wait(_SETTLE)
