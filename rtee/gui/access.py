@@ -197,6 +197,11 @@ class Access:
         if observers:
             self._tokens[secrets.token_urlsafe(_TOKEN_BYTES)] = Role.OBSERVER
 
+    @property
+    def behind_proxy(self) -> bool:
+        """Whether browsers reach it through a proxy."""
+        return self._public is not None
+
     # --- what is printed
 
     def links(self, port: int) -> dict[Role, str]:

@@ -11,7 +11,7 @@ from typing import Final
 import anyio
 import viser
 
-from rtee.errors import NoHand, RteeError
+from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.gui.access import Access, Role
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
@@ -189,14 +189,24 @@ async def serve(
     Args:
         hand: The hand to show; ``None`` for any that runs.
         access: Who may open it, and the address to listen on.
-        port: Port to listen on; the next free one if it is in use.
+        port: Port to listen on; if it is in use, the next free one, unless a proxy leads there.
         endpoint: Address of the hand, if it is not on this computer.
 
     Raises:
+        ConfigError: if the port to which a proxy leads is in use.
         LoopError: if the installed viser cannot be guarded.
     """
     visitors = Visitors(access)
     server = visitors.open_server(port)
+    if access.behind_proxy and server.get_port() != port:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+        raise ConfigError(
+            f"port {port} is not free, and the proxy leads there; give another one with --port, and"
+            " to the proxy, too"
+            if port
+            else "--behind-proxy needs a --port, to which the proxy leads"
+        )
     links = access.links(server.get_port())
     print(f"rtee: GUI at {links[Role.OPERATOR]}", flush=True)  # noqa: T201
     if Role.OBSERVER in links:

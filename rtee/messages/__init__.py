@@ -15,13 +15,34 @@ from rtee.messages.layout import JointStateEncoder
 from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import log_topic, network_key
 
-encode_goal, decode_goal = GOAL.encode, GOAL.decode
-encode_feedback, decode_feedback = FEEDBACK.encode, FEEDBACK.decode
-encode_result, decode_result = RESULT.encode, RESULT.decode
-encode_event, decode_event = EVENT.encode, EVENT.decode
-encode_command, decode_command = COMMAND.encode, COMMAND.decode
-encode_device_status, decode_device_status = DEVICE_STATUS.encode, DEVICE_STATUS.decode
-encode_loop_statistics, decode_loop_statistics = LOOP_STATISTICS.encode, LOOP_STATISTICS.decode
+encode_goal = GOAL.encode
+"""Encode a goal in CDR."""
+decode_goal = GOAL.decode
+"""Return a goal from CDR; raises `MessageError` if the message holds none."""
+encode_feedback = FEEDBACK.encode
+"""Encode feedback in CDR."""
+decode_feedback = FEEDBACK.decode
+"""Return feedback from CDR; raises `MessageError` if the message holds none."""
+encode_result = RESULT.encode
+"""Encode a result in CDR."""
+decode_result = RESULT.decode
+"""Return a result from CDR; raises `MessageError` if the message holds none."""
+encode_event = EVENT.encode
+"""Encode an event in CDR."""
+decode_event = EVENT.decode
+"""Return an event from CDR; raises `MessageError` if the message holds none."""
+encode_command = COMMAND.encode
+"""Encode a command in CDR."""
+decode_command = COMMAND.decode
+"""Return a command from CDR; raises `MessageError` if the message holds none."""
+encode_device_status = DEVICE_STATUS.encode
+"""Encode a device's status in CDR."""
+decode_device_status = DEVICE_STATUS.decode
+"""Return a device's status from CDR; raises `MessageError` if the message holds none."""
+encode_loop_statistics = LOOP_STATISTICS.encode
+"""Encode the loop's statistics in CDR."""
+decode_loop_statistics = LOOP_STATISTICS.decode
+"""Return the loop's statistics from CDR; raises `MessageError` if the message holds none."""
 
 __all__ = [
     "JointStateEncoder",

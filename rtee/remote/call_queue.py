@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import queue
 import threading
+import time
 from collections.abc import Callable
+from functools import partial
 
 log = logging.getLogger(__name__)
 
@@ -56,3 +58,31 @@ class CallQueue:
         """Make the waiting calls, then end; blocks for two seconds at most."""
         self._waiting.put(None)
         self._thread.join(_CLOSE_WITHIN)
+
+
+class DelayQueue(CallQueue):
+    """Makes calls a while after they were put, so that who waits for them asks less often.
+
+    Args:
+        name: The thread's name.
+        delay: How long a call waits [s].
+        most: Limit of waiting calls; further ones are dropped.
+    """
+
+    def __init__(self, name: str, delay: float, most: int) -> None:
+        self._delay = delay
+        self._closing = threading.Event()
+        super().__init__(name, most)
+
+    def put(self, call: Callable[[], object]) -> bool:
+        """Have a function called; return whether there was room. Any thread may call this."""
+        return super().put(partial(self._call_at, time.monotonic() + self._delay, call))
+
+    def _call_at(self, due: float, call: Callable[[], object]) -> None:
+        self._closing.wait(max(0.0, due - time.monotonic()))
+        call()
+
+    def close(self) -> None:
+        """Make the waiting calls at once, then end; blocks for two seconds at most."""
+        self._closing.set()
+        super().close()

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
-from rtee.messages.requests import HERE, PLAIN, Request, Role
+from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import Ignored, Rates
 
@@ -193,7 +193,14 @@ class Identities:
             )
         if not rates.allow(request.name):
             rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
+        if request.group == ASK and not rates.has_bytes():
+            rates.refuse("too many long answers in a short time", TooManyRequests)
         return client.name
+
+    def charge(self, name: str, size: int) -> None:
+        """Count the bytes of an answer to a client's question."""
+        if (client := self._there.get(name)) is not None:
+            client.rates.charge(size)
 
     def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the empty name of somebody who says hello; raises `Ignored` if too many do."""

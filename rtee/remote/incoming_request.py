@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from rtee.errors import LeaseHeld, MessageError, RteeError
+from rtee.errors import LeaseHeld, MessageError, RteeError, TooManyRequests
 from rtee.messages import network_key
 from rtee.messages.identity import LONGEST_CLAIM
 from rtee.messages.requests import HELLO, REQUESTS, Request
@@ -91,26 +91,61 @@ Handler = Callable[[IncomingRequest], bytes | None]
 """Handles a request; returns the encoded answer, or ``None`` if it will be sent later."""
 
 
+Later = Callable[[bytes | None], object]
+"""Sends an encoded refusal after a while; ``None``: ends the request without an answer."""
+
+
 Check = Callable[[Request, bytes | None, bytes], str]
 """Returns the name of the client that has sent a request, given the request's attachment and
 question; raises `RteeError` if the request is refused."""
 
 
 def handle_request(
-    message: zenoh.Query | zenoh.Sample, group: str, check: Check, handle: Handler, send: Send
+    message: zenoh.Query | zenoh.Sample,
+    group: str,
+    check: Check,
+    handle: Handler,
+    send: Send,
+    later: Later | None = None,
 ) -> None:
-    """Check a request of a group, have it handled, and send the answer or the reason against it."""
+    """Check a request of a group, have it handled, and send the answer or the reason against it.
+
+    Args:
+        message: The request.
+        group: The group.
+        check: Tells who has sent it.
+        handle: Handles it.
+        send: Sends the answer.
+        later: Tells those who send too much, after a while; without it they are told at once.
+    """
     try:
         request, question = read(message, group)
         client = check(request, attachment_of(message), question)
-        answer = handle(IncomingRequest(request, question, send, client))
     except Ignored:
-        pass
+        if later is not None:
+            later(None)
+    except TooManyRequests as error:
+        if later is None:
+            send(refusal(error), False)
+        else:
+            later(refusal(error))
     except Exception as error:
         send(refusal(error), False)
     else:
+        answer_to(IncomingRequest(request, question, send, client), handle)
+
+
+def answer_to(asked: IncomingRequest, handle: Handler) -> None:
+    """Have a checked request handled, and send the answer or the reason against it."""
+    try:
+        answer = handle(asked)
+    except Ignored:
+        pass
+    except Exception as error:
+        asked.refuse(error)
+    else:
         if answer is not None:
-            send(answer, True)
+            asked.send(answer, True)
 
 
 def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
@@ -150,10 +185,17 @@ def attachment_of(message: zenoh.Query | zenoh.Sample) -> bytes | None:
 
 def reply(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
     """Answer a query with a message, or with a refusal; may wait for the network."""
+    if not ok:
+        refuse(query, data)
+        return
     with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
-        if ok:
-            # A query may address all hands at once; each answers under its own name.
-            asked = str(query.key_expr).split("/", 2)[2]
-            query.reply(network_key(hand, asked), data, express=True)
-        else:
+        # A query may address all hands at once; each answers under its own name.
+        asked = str(query.key_expr).split("/", 2)[2]
+        query.reply(network_key(hand, asked), data, express=True)
+
+
+def refuse(query: zenoh.Query, data: bytes | None) -> None:
+    """End a query with a refusal or, with ``None``, without an answer; may wait for the network."""
+    with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
+        if data is not None:
             query.reply_err(data)

@@ -1,4 +1,4 @@
-"""How many requests of a kind a client may send in a second, and how many are refused aloud."""
+"""How many requests of a kind, and bytes of answers, a client has in a second; and refusals."""
 
 from __future__ import annotations
 
@@ -35,6 +35,17 @@ _RATES = {
 """Requests of some kinds [1/s]."""
 
 
+_BYTES = "bytes"
+"""Name under which the bytes of answers to questions are counted."""
+
+_MOST_BYTES = 1e6
+"""Bytes of answers to questions [B/s]: those of twenty lists of a large hand's actions. Answers are
+copied while Python's lock is held, which the loop also needs."""
+
+_BURST_BYTES = 2e6
+"""Bytes of answers that may come at once [B]: what user interfaces ask for when they begin."""
+
+
 class Ignored(Exception):
     """A request that is not even answered."""
 
@@ -61,6 +72,19 @@ class Rates:
             return False
         self._left[name] = left - 1.0, now
         return True
+
+    def charge(self, size: int) -> None:
+        """Count the bytes of an answer."""
+        self._left[_BYTES] = self._bytes_left() - size, self._now()
+
+    def has_bytes(self) -> bool:
+        """Return whether one more answer may be sent, however long it is."""
+        return self._bytes_left() > 0.0
+
+    def _bytes_left(self) -> float:
+        now = self._now()
+        left, then = self._left.get(_BYTES, (_BURST_BYTES, now))
+        return min(left + (now - then) * _MOST_BYTES, _BURST_BYTES)
 
     def refuse(self, reason: str, kind: type[RequestRejected] = RequestRejected) -> NoReturn:
         """Raise an error with a reason, or `Ignored` if too many are refused already."""

@@ -35,16 +35,19 @@ from rtee.messages.requests import (
     Request,
     topic_for,
 )
-from rtee.remote.call_queue import CallQueue
+from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import claimed
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import (
     IncomingRequest,
+    Later,
+    Send,
+    answer_to,
     attachment_of,
     handle_request,
     last_part,
-    refusal,
+    refuse,
     reply,
 )
 from rtee.remote.lease import Lease
@@ -54,6 +57,16 @@ from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
+
+_REFUSED_AFTER = 0.25
+"""Time after which those who ask too often are told so [s]: a script that waits for each answer
+before it asks again costs the loop little then, and a person hardly notices it."""
+
+_MOST_REFUSED = 128
+"""Refused queries that wait; each may keep the 64 KiB that were received with it."""
+
+_LARGEST_REFUSED = 4096
+"""Longest question of a query that waits [bytes]; those that are asked often have some hundred."""
 
 
 class RemoteSettings(Endpoints, Protocol):
@@ -67,8 +80,9 @@ class RemoteSettings(Endpoints, Protocol):
 class Server:
     """Receives the requests of clients; made by `open`.
 
-    Its methods are called in Zenoh's threads. Commands are handled there at once. Only queries wait
-    for a thread of their own, since they may take milliseconds.
+    Its methods are called in Zenoh's threads. All requests are checked there, and commands handled
+    at once. Only questions wait for a thread of their own, since they may take milliseconds; what
+    is refused does not wake it.
 
     Args:
         hand: The hand's name.
@@ -83,6 +97,7 @@ class Server:
         outbox: Publishes what must not be lost, in order.
         stops: Answers stops, which must not wait for a client that is slow to read.
         questions: Handles and answers queries.
+        refused: Ends the queries of those who ask too often.
     """
 
     def __init__(
@@ -98,6 +113,7 @@ class Server:
         self.outbox = CallQueue(f"publish {hand}")
         self.stops = CallQueue(f"stop {hand}")
         self.questions = CallQueue(f"answer {hand}")
+        self.refused = DelayQueue(f"refuse {hand}", _REFUSED_AFTER, _MOST_REFUSED)
         self._hand, self._session = hand, session
         self._identities, self._commands, self._queries = identities, commands, queries
 
@@ -183,7 +199,7 @@ class Server:
     def close(self) -> None:
         """Send the waiting answers; blocks for a moment."""
         self._queries.close()
-        for queue in (self.questions, self.stops, self.outbox):
+        for queue in (self.refused, self.questions, self.stops, self.outbox):
             queue.close()
 
     def _on_hello(self, query: zenoh.Query) -> None:
@@ -191,7 +207,8 @@ class Server:
             self._identities.hello(request, last_part(query))
 
         replier = self._replier(query, self.outbox)
-        handle_request(query, HELLO, self._identities.welcome, handle, replier)
+        later = self._later(query, replier)
+        handle_request(query, HELLO, self._identities.welcome, handle, replier, later)
 
     def _on_stop(self, query: zenoh.Query) -> None:
         send = self._replier(query, self.stops)
@@ -204,12 +221,24 @@ class Server:
         handle_request(query, STOP, self._identities.name, handle, send)
 
     def _on_control(self, query: zenoh.Query) -> None:
-        replier = self._replier(query, self.outbox)
-        handle_request(query, CONTROL, self._identities.check, self._commands.handle, replier)
+        replier, check = self._replier(query, self.outbox), self._identities.check
+        later = self._later(query, replier)
+        handle_request(query, CONTROL, check, self._commands.handle, replier, later)
 
     def _replier(self, query: zenoh.Query, queue: CallQueue) -> Callable[[bytes, bool], object]:
         """Return a function that has a query answered by a queue."""
         return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
+
+    def _later(self, query: zenoh.Query, send: Send) -> Later | None:
+        """Return a function that has a query refused after a while, if there is room for it."""
+        if query.payload is not None and len(query.payload) > _LARGEST_REFUSED:
+            return None
+
+        def later(data: bytes | None) -> None:
+            if not self.refused.put(partial(refuse, query, data)) and data is not None:
+                send(data, False)
+
+        return later
 
     def _on_put(self, sample: zenoh.Sample) -> None:
         attachment, name = attachment_of(sample), ""
@@ -234,13 +263,18 @@ class Server:
         self.outbox.put(partial(self._session.put, key, data, attachment=attachment, **DELIVER))
 
     def _on_question(self, query: zenoh.Query) -> None:
-        send = partial(reply, self._hand, query)
-        handle = partial(
-            handle_request, query, ASK, self._identities.check, self._queries.handle, send
-        )
-        if not self.questions.put(handle):
-            error = RequestRejected("too many requests are waiting")
-            self._replier(query, self.outbox)(refusal(error), False)
+        def handle(request: IncomingRequest) -> None:
+            def send(data: bytes, ok: bool) -> None:
+                self._identities.charge(request.client, len(data))
+                reply(self._hand, query, data, ok)
+
+            at_once, request.send = request.send, send
+            if not self.questions.put(partial(answer_to, request, self._queries.handle)):
+                request.send = at_once
+                raise RequestRejected("too many requests are waiting")
+
+        replier, check = self._replier(query, self.outbox), self._identities.check
+        handle_request(query, ASK, check, handle, replier, self._later(query, replier))
 
     def _on_client(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr).rpartition("/")[2]

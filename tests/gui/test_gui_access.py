@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket as stdlib_socket
 import ssl
 import subprocess
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from websockets.typing import Origin, Subprotocol
 
 from rtee.errors import ConfigError, LoopError
 from rtee.gui.access import Access, Role, tls_context
+from rtee.gui.app import serve
 from rtee.gui.visitors import Visitors
 
 PORT = 8080
@@ -237,3 +239,16 @@ def test_a_key_of_another_certificate_is_refused(pem: tuple[Path, Path], tmp_pat
     subprocess.run(command, check=True, capture_output=True)
     with pytest.raises(ConfigError, match="is not the certificate of"):
         tls_context(pem[0], other)
+
+
+@pytest.mark.anyio
+async def test_behind_a_proxy_it_takes_no_other_port() -> None:
+    """The proxy would lead people to whatever has the port."""
+    access = Access(behind="https://hand.example.org")
+    with stdlib_socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        with pytest.raises(ConfigError, match="is not free, and the proxy leads there"):
+            await serve(None, access=access, port=other.getsockname()[1])
+    with pytest.raises(ConfigError, match="needs a --port"):
+        await serve(None, access=access, port=0)

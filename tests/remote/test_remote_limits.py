@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 
 import anyio
@@ -18,12 +19,13 @@ from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.messages.identity import Signer, claim_of
 from rtee.messages.requests import REQUESTS
-from rtee.remote import command_handlers, query_handlers, rates
+from rtee.remote import command_handlers, query_handlers, rates, server
+from rtee.remote.call_queue import DelayQueue
 from rtee.remote.identities import _MOST_WAITING, Identities
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.publishing import MOST_STREAMS
 from rtee.remote.rates import REFUSALS, Ignored, Rates
-from rtee.remote.session import LARGEST, open_client
+from rtee.remote.session import LARGEST, direct, open_client
 
 from .serving import serving, until
 from .test_remote_lost import READER, printed_line, started
@@ -119,6 +121,73 @@ def test_rates() -> None:
     with pytest.raises(Ignored):
         one.refuse("why")
     assert not one.allow(REFUSALS)
+
+
+def test_rates_of_bytes() -> None:
+    now = 100.0
+    one = Rates(lambda: now)
+    one.charge(1_999_999)
+    assert one.has_bytes(), "an answer may be of any length as long as something is left"
+    one.charge(1_000_001)
+    assert not one.has_bytes()
+    now += 0.5
+    assert not one.has_bytes()
+    now += 0.6
+    assert one.has_bytes()
+
+
+async def test_who_has_had_long_answers_waits_for_more_and_others_do_not(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with (
+        serving(hand, library),
+        rtee.connect("small", client="flood") as flood,
+        rtee.connect("small") as other,
+    ):
+        monkeypatch.setattr(rates, "_BURST_BYTES", 10.0)
+        monkeypatch.setattr(rates, "_MOST_BYTES", 1e-6)
+        question = REQUESTS["actions"].question.encode({"kind": "", "name": "", "elements": ()})
+        assert await flood._link.send("actions", question)
+        with pytest.raises(TooManyRequests, match="too many long answers"):
+            await flood._link.send("actions", question)
+        assert (await flood.do("Trig", "index", intensity=0.1)).reached
+        assert await other._link.send("actions", question)
+
+
+def test_delayed_calls() -> None:
+    calls = DelayQueue("test", 1e6, most=2)
+    made: list[int] = []
+    while calls.put(lambda: made.append(1)):
+        pass  # the thread takes one, two more wait
+    assert (made, calls.dropped) == ([], 1)
+    calls.close()
+    assert len(made) in (2, 3)
+
+
+async def test_who_is_not_answered_any_more_waits_for_that(
+    hand: Hand,
+    library: ActionLibrary,
+    sessions: list[zenoh.Session],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(server, "_REFUSED_AFTER", 1e6)
+    monkeypatch.setitem(rates._RATES, REFUSALS, 1e-6)
+    async with serving(hand, library) as served:
+        rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
+        sessions.append(rude)
+
+        def ask(group: str, payload: bytes) -> threading.Event:
+            ended = threading.Event()
+            key, done = f"rtee/small/{group}", direct(lambda _: None, ended.set)
+            rude.get(key, done, payload=payload, timeout=100.0)
+            return ended
+
+        early = [ask("ask/info", b"x"), ask("control/acquire", b"x")]
+        long = ask("ask/info", bytes(5000))  # would keep memory
+        assert await anyio.to_thread.run_sync(long.wait, 30)
+        assert not any(each.is_set() for each in early)
+    for each in early:
+        assert await anyio.to_thread.run_sync(each.wait, 30)
 
 
 async def test_stops_are_carried_out_together_and_always_take_effect(

@@ -15,7 +15,7 @@ from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
 
 from .many import make_many
-from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of
+from .running import GRIPPER, MANY, SQUEEZER, Program, copy_of, free_port
 from .window import Window
 
 if TYPE_CHECKING:
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 REBOUND = "rebound.test"
 """A foreign name that the browser takes for this computer."""
+
+PROXIED = "hand.example.org"
+"""The name of the docs' proxies; the browser finds them at `proxy_port`."""
 
 BALL = ("--object", "sphere:0.03", "--option", "support=floating", "--option", "touch=4x4")
 """It stays between the fingers when they open, so that each test finds it as the others did."""
@@ -92,9 +95,17 @@ def gui(place: Path, hands: Hands) -> Iterator[Program]:
 
 
 @pytest.fixture(scope="package")
-def context() -> Iterator[BrowserContext]:
-    rebound = f"--host-resolver-rules=MAP {REBOUND} 127.0.0.1"
-    with browser(900, 700, scale=0.5, arguments=(rebound,)) as opened:
+def proxy_port() -> int:
+    """Where proxies listen, one after the other; the browser takes it for the port of HTTPS."""
+    return free_port()
+
+
+@pytest.fixture(scope="package")
+def context(proxy_port: int) -> Iterator[BrowserContext]:
+    rules = f"MAP {REBOUND} 127.0.0.1,MAP {PROXIED}:443 127.0.0.1:{proxy_port}"
+    # Proxies have certificates of no authority that a browser knows.
+    arguments = (f"--host-resolver-rules={rules}", "--ignore-certificate-errors")
+    with browser(900, 700, scale=0.5, arguments=arguments) as opened:
         yield opened
 
 
