@@ -19,10 +19,12 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
+from rtee.trials.grasp_placement import Places
 from rtee.trials.result import CHOOSING
+from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
-from rtee.trials.sweep import attempt
-from rtee.trials.trial import Trial, TrialResult
+from rtee.trials.sweep import attempt, bench
+from rtee.trials.trial import Trial, TrialResult, _carefully, _simulation, _Tried, _Varied
 from rtee.trials.variation import (
     FRICTION,
     MASS,
@@ -174,6 +176,26 @@ def test_a_place_is_chosen_by_more_tries() -> None:
     assert document["variations"]["held"] == 3
     result = from_document(document)
     assert result.trial == Trial("Grasp", object=shape, variations=3, choosing=20)
+
+
+@pytest.mark.timeout(300)
+def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
+    ready = bench(GRIPPER)
+    trial = Trial("Grasp", object="sphere:0.02", variations=2, choosing=20)
+    varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
+    simulation = _simulation(ready.hand, ready.settings, trial)
+    action = ready.library.find("Grasp", ())
+    thing = graspable(trial.object, trial.mass)
+    middle = robust_places(simulation, ready.library, action, thing, 1)[0]
+    pose = np.array(middle.pose)
+    pose[2, 3] += 0.014  # towards the ends of the fingertips
+    edge = replace(middle, pose=pose)
+    start = _Tried(edge, varied.run(edge).result())
+    assert start.result.held
+    found = _carefully([start], varied, Places(simulation, ready.hand, action))
+    assert found.place.pose[2, 3] < pose[2, 3] - 0.002
+    assert found.around > start.around > 0.0
+    assert len(found.held) == 2
 
 
 def test_a_sweep_takes_no_friction_of_its_own() -> None:
