@@ -69,6 +69,16 @@ def try_(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the variations.")] = 0,
+    choose_by: Annotated[
+        int | None,
+        typer.Option(
+            min=10,
+            max=1000,
+            metavar="N",
+            help="Choose the object's place by N tries with other variations; 20 or more find "
+            "better places, and take longer; 10 unless given.",
+        ),
+    ] = None,
     all_: Annotated[
         bool, typer.Option("--all", help="All actions with all standard objects; resumable.")
     ] = False,
@@ -155,17 +165,18 @@ def try_(
         raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
 
     with needing_extra("a trial", "sim"):
-        from rtee.trials.sweep import OBJECTS, all_trials, bench, mass_of
+        from rtee.trials.sweep import CHOOSING, OBJECTS, all_trials, bench, mass_of
         from rtee.trials.trial import Trial
 
     name = _resolved(hand)
+    choosing = CHOOSING if choose_by is None else choose_by
     if all_:
         if action is not None or pictures is not None or log is not None:
             raise ConfigError("--all tries all actions, without pictures and recordings")
         if friction is not None:
             raise ConfigError("--all takes the friction that is usual, and varies it")
         varied = _VARIATIONS if variations is None else variations
-        trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed)
+        trials = all_trials(bench(name).library, object_ or OBJECTS, varied, seed, choosing)
         results = _all(name, trials, jobs, again, cluster, out)
         _show(results, json_)
         return
@@ -184,6 +195,7 @@ def try_(
             friction=friction,
             variations=variations or 0,
             seed=seed,
+            choosing=choosing,
         )
         for shape in shapes
     ]

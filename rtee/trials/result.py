@@ -25,6 +25,11 @@ _MASS: Final = 0.1  # mass of a standard object [kg]: a full yoghurt pot
 _DRILL_MASS: Final = 0.4  # mass of the drill-like body [kg]: half of a small cordless one
 
 
+CHOOSING: Final = 10
+"""Tries by which a place is chosen unless a trial says otherwise: their share is exact to about
+10 %."""
+
+
 def mass_of(shape: str) -> float:
     """Return the mass of a standard object [kg]."""
     return _DRILL_MASS if shape == "drill" else _MASS
@@ -44,6 +49,7 @@ class Trial:
         friction: Friction between hand and object; ``None``: that of the simulation.
         variations: How often it is tried with variations of object, place and friction.
         seed: Seed of the variations.
+        choosing: By how many tries with variation a place is chosen.
     """
 
     action: str
@@ -55,6 +61,7 @@ class Trial:
     friction: float | None = None
     variations: int = 0
     seed: int = 0
+    choosing: int = CHOOSING
 
     @property
     def key(self) -> str:

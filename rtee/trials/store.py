@@ -12,7 +12,7 @@ from rtee.hand.files import write_atomically
 from rtee.hand.own_copy import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
 from rtee.hand.yamlwrite import emit
-from rtee.trials.result import Trial, TrialResult
+from rtee.trials.result import CHOOSING, Trial, TrialResult
 from rtee.trials.variation import interval
 
 FILE_NAME = TRIALS
@@ -61,6 +61,7 @@ def _varied(result: TrialResult) -> dict[str, Any]:
             "held": result.survived,
             "interval": [round(low, 3), round(high, 3)],
             "seed": result.trial.seed,
+            **({} if result.trial.choosing == CHOOSING else {"choosing": result.trial.choosing}),
         }
     }
 
@@ -81,6 +82,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         friction=None if "friction" not in entry else float(entry["friction"]),
         variations=int(varied["tried"]) if varied else 0,
         seed=int(varied["seed"]) if varied else 0,
+        choosing=int(varied.get("choosing", CHOOSING)) if varied else CHOOSING,
     )
     x, y, z = (float(value) for value in entry["position"])
     return TrialResult(

@@ -23,6 +23,7 @@ from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
 from rtee.loop.settings import LoopSettings
+from rtee.trials.result import CHOOSING as CHOOSING
 from rtee.trials.result import OBJECTS as OBJECTS
 from rtee.trials.result import mass_of as mass_of
 from rtee.trials.trial import Trial, TrialResult, run_trial
@@ -71,7 +72,11 @@ def settings_of(config: HandConfig, rate: float = RATE) -> LoopSettings:
 
 
 def all_trials(
-    library: ActionLibrary, objects: Sequence[str] = OBJECTS, variations: int = 0, seed: int = 0
+    library: ActionLibrary,
+    objects: Sequence[str] = OBJECTS,
+    variations: int = 0,
+    seed: int = 0,
+    choosing: int = CHOOSING,
 ) -> list[Trial]:
     """Return the trials of all actions with all objects, in order."""
     return [
@@ -82,6 +87,7 @@ def all_trials(
             mass=mass_of(shape),
             variations=variations,
             seed=seed,
+            choosing=choosing,
         )
         for action in library
         for shape in objects

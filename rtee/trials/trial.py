@@ -20,10 +20,11 @@ from rtee.loop.settings import LoopSettings
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
+from rtee.trials.result import CHOOSING
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.trials.robust_places import graspable, misfit, robust_places
-from rtee.trials.variation import CHOOSING_FROM, EXPLORING_FROM, Variation, draw
+from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, draw
 from rtee.types import Goal
 
 Watch = Callable[[str, HeadlessHand[Simulation]], None]
@@ -35,11 +36,20 @@ Progress = Callable[[int, int], None]
 _FIRST = 5
 """Tries with variation at each place, before places are compared."""
 
-_CHOOSING = 10
-"""Tries by which a place is chosen: their share is exact to about 10 %."""
-
 _SPARE = 1
-"""A place that loses no more of these is taken at once: nine of ten are wanted."""
+"""A place that loses no more of ten tries is taken at once: nine of ten are wanted."""
+
+_CONTENDERS = 2
+"""Places that are moved and compared when places are chosen by more tries than usual: the five
+tries that all places get may mistake the second best for the best."""
+
+_CAREFUL_ROUNDS = 3
+_STAYS = 0.002
+"""Then, a place is moved so often, until it stays within this [m], a fifth of the variation."""
+
+_AMIDST = 0.85
+"""A place is amid those where the object is held if it is held at this share of those around it,
+12 of 14; no other one is looked for then."""
 
 _AROUND = np.array(
     [
@@ -102,7 +112,8 @@ def run_trial(
     Returns:
         The result at the first place where it was held. With variations, the place is chosen by
         other draws than those that count: the first that survives nine of ten, or else the best
-        one, moved to the middle of where the object is held around it.
+        one, moved to the middle of where the object is held around it. With more draws than usual
+        (``trial.choosing``), the two best are always moved, and compared.
 
     Raises:
         UnknownAction: if there is no such action.
@@ -133,32 +144,69 @@ def run_trial(
         here = _Tried(place, TrialRun(headless, trial, place, number, watch).result())
         ticks = headless.ticks
         tried.append(here)
-        if varied.good(here):
+        if trial.choosing > CHOOSING:
+            varied.choose(here, _FIRST)
+        elif varied.good(here):
             return varied.measured(here)
+    ranked = sorted(tried, key=lambda here: here.rank, reverse=True)
+    if not ranked[0].result.held:
+        return ranked[0].result
+    free = Places(simulation, hand, action)
+    if trial.choosing > CHOOSING:
+        return varied.measured(_carefully(ranked[:_CONTENDERS], varied, free))
     # None is good enough: the best one is as far as the next tries go.
-    best = max(tried, key=lambda here: here.rank)
-    if not best.result.held:
-        return best.result
-    varied.choose(best, _CHOOSING)
+    best = ranked[0]
+    varied.choose(best, trial.choosing)
     for round_ in range(_ROUNDS):
-        shifted = varied.shifted(best.place, round_)
-        shifted = replace(shifted, pose=Places(simulation, hand, action).freed(shifted))
-        result = varied.run(shifted).result()
-        here = _Tried(shifted, replace(result, places=best.result.places))
-        varied.choose(here, _CHOOSING)
+        here = varied.at(varied.shifted(best.place, round_)[0], free, best)
+        varied.choose(here, trial.choosing)
         best = max(best, here, key=lambda here: here.rank)
         if best is not here or best.lost <= _SPARE:
             break
     return varied.measured(best)
 
 
+def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Tried:
+    """Return the best of some places, each moved to the middle of where the object is held.
+
+    A place on the edge of that may survive all tries that choose it, so all are moved.
+    """
+    found = []
+    for best in contenders:
+        if not best.result.held:
+            continue
+        here = best
+        for round_ in range(_CAREFUL_ROUNDS):
+            place, here.around = varied.shifted(here.place, round_)
+            best = max(best, here, key=lambda one: (one.result.held, one.around))
+            shift = np.linalg.norm(place.pose[:3, 3] - here.place.pose[:3, 3])
+            if best is not here or shift < _STAYS:
+                break
+            here = varied.at(place, free, here)
+            if not here.result.held:
+                break
+        varied.choose(best, varied.choosing)
+        found.append(best)
+        if best.lost == 0 and best.around >= _AMIDST:
+            break
+    return max(found, key=lambda one: (*one.rank[:2], one.around))
+
+
 @dataclass
 class _Tried:
-    """A place, how the trial ended there, and which of the tries to choose it were held."""
+    """A place, how the trial ended there, and which of the tries to choose it were held.
+
+    Attributes:
+        place: The place.
+        result: How the trial ended there, without variation.
+        held: Which of the tries to choose it were held.
+        around: The share of the places around it where the object is held, as far as that is known.
+    """
 
     place: Place
     result: TrialResult
     held: list[bool] = field(default_factory=list)
+    around: float = 0.0
 
     @property
     def lost(self) -> int:
@@ -195,7 +243,11 @@ def _simulation(
 
 
 class _Varied:
-    """Tries the variations of a trial."""
+    """Tries the variations of a trial.
+
+    Attributes:
+        choosing: Tries by which a place is chosen.
+    """
 
     def __init__(
         self,
@@ -207,6 +259,7 @@ class _Varied:
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._trial, self._progress = trial, progress
+        self.choosing = trial.choosing
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
@@ -223,7 +276,7 @@ class _Varied:
         self.choose(here, _FIRST)
         if not here.result.held or here.lost:
             return False
-        self.choose(here, _CHOOSING)
+        self.choose(here, self.choosing)
         return here.lost <= _SPARE
 
     def choose(self, here: _Tried, count: int) -> None:
@@ -231,7 +284,7 @@ class _Varied:
         # No more than are wanted afterwards: two variations are asked for to be quick.
         most = min(count, self._trial.variations) if here.result.held else 0
         for number in range(len(here.held), most):
-            variation = draw(self._trial.seed, CHOOSING_FROM + number)
+            variation = choosing_draw(self._trial.seed, number)
             here.held.append(self.run(here.place, variation).result().held)
 
     def measured(self, here: _Tried) -> TrialResult:
@@ -244,8 +297,20 @@ class _Varied:
                 self._progress(number + 1, count)
         return replace(here.result, survived=survived)
 
-    def shifted(self, place: Place, round_: int) -> Place:
-        """Return a place amid those around it where an object is held.
+    def at(self, place: Place, free: Places, origin: _Tried) -> _Tried:
+        """Return how the trial ends at a place that another one was moved to.
+
+        Args:
+            place: The place; it is moved back until the open hand is clear of the object.
+            free: Tells whether it is.
+            origin: The other place.
+        """
+        place = replace(place, pose=free.freed(place))
+        result = replace(self.run(place).result(), places=origin.result.places)
+        return _Tried(place, result)
+
+    def shifted(self, place: Place, round_: int) -> tuple[Place, float]:
+        """Return a place amid those around one where an object is held, and the share of those.
 
         Args:
             place: The place.
@@ -259,7 +324,7 @@ class _Varied:
                 held.append(point)
         pose = np.array(place.pose)
         pose[:3, 3] += np.mean(held, axis=0)
-        return replace(place, pose=pose)
+        return replace(place, pose=pose), (len(held) - 1) / len(_AROUND)
 
 
 class TrialRun:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from rtee.sample import FloatArray
+from rtee.trials.result import CHOOSING
 
 SIZE: Final = 0.1
 """Objects are up to this share larger or smaller."""
@@ -56,6 +57,18 @@ class Variation:
     turn: tuple[float, float, float]
     friction: float
 
+    def mirrored(self) -> Variation:
+        """Return the variation that differs from the middle of each range the other way."""
+        x, y, z = self.position
+        rx, ry, rz = self.turn
+        return Variation(
+            size=2.0 - self.size,
+            mass=2.0 + MASS - self.mass,
+            position=(-x, -y, -z),
+            turn=(-rx, -ry, -rz),
+            friction=sum(FRICTION) - self.friction,
+        )
+
     def moved(self, pose: FloatArray) -> FloatArray:
         """Return where an object is that would be at a pose ``(4, 4)`` in the base frame."""
         found = np.array(pose)
@@ -77,6 +90,18 @@ def draw(seed: int, number: int) -> Variation:
         turn=(float(rx), float(ry), float(rz)),
         friction=float(random.uniform(*FRICTION)),
     )
+
+
+def choosing_draw(seed: int, number: int) -> Variation:
+    """Return the variation of a number, counted from 0, by which the places of a seed are chosen.
+
+    Each ten draws are followed by their mirror images: ten may all lie to one side of the place,
+    twenty such draws are balanced.
+    """
+    back, place = divmod(number, 2 * CHOOSING)
+    if place < CHOOSING:
+        return draw(seed, CHOOSING_FROM + back * CHOOSING + place)
+    return draw(seed, CHOOSING_FROM + back * CHOOSING + place - CHOOSING).mirrored()
 
 
 def interval(successes: int, tries: int) -> tuple[float, float]:

@@ -19,10 +19,22 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
+from rtee.trials.grasp_placement import Places
+from rtee.trials.result import CHOOSING
+from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
-from rtee.trials.sweep import attempt
-from rtee.trials.trial import Trial, TrialResult
-from rtee.trials.variation import FRICTION, MASS, POSITION, SIZE, TURN, draw, interval
+from rtee.trials.sweep import attempt, bench
+from rtee.trials.trial import Trial, TrialResult, _carefully, _simulation, _Tried, _Varied
+from rtee.trials.variation import (
+    FRICTION,
+    MASS,
+    POSITION,
+    SIZE,
+    TURN,
+    choosing_draw,
+    draw,
+    interval,
+)
 
 GRIPPER = "robotiq_2f_85"
 
@@ -62,6 +74,20 @@ def test_draws_fill_their_ranges_and_stay_in_them() -> None:
         span = high - low
         assert low <= min(values) < low + 0.05 * span
         assert high - 0.05 * span < max(values) <= high
+
+
+def test_twenty_draws_that_choose_a_place_are_balanced() -> None:
+    drawn = [choosing_draw(3, number) for number in range(2 * CHOOSING)]
+    assert len(set(drawn)) == 2 * CHOOSING
+    assert not set(drawn) & {draw(3, number) for number in range(2 * CHOOSING)}
+    assert np.mean([v.position for v in drawn], axis=0) == pytest.approx(np.zeros(3))
+    assert np.mean([v.turn for v in drawn], axis=0) == pytest.approx(np.zeros(3))
+    for values, middle in (
+        ([v.size for v in drawn], 1.0),
+        ([v.mass for v in drawn], 1.0 + MASS / 2),
+        ([v.friction for v in drawn], sum(FRICTION) / 2),
+    ):
+        assert np.mean(values) == pytest.approx(middle)
 
 
 def test_an_object_is_moved_and_turned_about_itself() -> None:
@@ -137,6 +163,39 @@ def test_the_rate_is_reported_with_its_confidence() -> None:
     outcome = CliRunner().invoke(app_of(try_), [*words, "--friction", "0.9"])
     assert outcome.exit_code == 0, outcome.output
     assert "with variations 2 of 2 (95 % confidence: 34 to 100 %)" in outcome.stdout
+
+
+@pytest.mark.timeout(300)
+def test_a_place_is_chosen_by_more_tries() -> None:
+    shape = "box:0.04x0.04x0.1"
+    words = [GRIPPER, "Grasp", "--object", shape, "--variations", "3", "--choose-by", "20"]
+    outcome = CliRunner().invoke(app_of(try_), [*words, "--json"])
+    assert outcome.exit_code == 0, outcome.output
+    document = json.loads(outcome.stdout)
+    assert document["variations"]["choosing"] == 20
+    assert document["variations"]["held"] == 3
+    result = from_document(document)
+    assert result.trial == Trial("Grasp", object=shape, variations=3, choosing=20)
+
+
+@pytest.mark.timeout(300)
+def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
+    ready = bench(GRIPPER)
+    trial = Trial("Grasp", object="sphere:0.02", variations=2, choosing=20)
+    varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
+    simulation = _simulation(ready.hand, ready.settings, trial)
+    action = ready.library.find("Grasp", ())
+    thing = graspable(trial.object, trial.mass)
+    middle = robust_places(simulation, ready.library, action, thing, 1)[0]
+    pose = np.array(middle.pose)
+    pose[2, 3] += 0.014  # towards the ends of the fingertips
+    edge = replace(middle, pose=pose)
+    start = _Tried(edge, varied.run(edge).result())
+    assert start.result.held
+    found = _carefully([start], varied, Places(simulation, ready.hand, action))
+    assert found.place.pose[2, 3] < pose[2, 3] - 0.002
+    assert found.around > start.around > 0.0
+    assert len(found.held) == 2
 
 
 def test_a_sweep_takes_no_friction_of_its_own() -> None:
