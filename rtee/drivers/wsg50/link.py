@@ -90,6 +90,7 @@ class _Reports:
         if len(self._found) < len(_REPORT):
             return []
         found = [self._found[command] for command in _REPORT]
+        # Before anything fails below: the next report must not be completed by parts of this one.
         self._found.clear()
         try:
             if any(frame.status is not Status.OK for frame in found):
@@ -118,6 +119,7 @@ class WsgLink:
         self.deadline = deadline
         self._frames = FrameParser()
         self._reports = _Reports()
+        # In one packet: on a network each question of its own would cost a round trip.
         self._questions = b"".join(asking(command).to_bytes() for command in _REPORT)
 
     def unhurried(self) -> AbstractContextManager[None]:
