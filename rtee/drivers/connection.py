@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from typing import Generic, TypeVar
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Generic, Protocol, TypeVar
 
 from rtee.buses.bus import Bus
 from rtee.errors import NotConnected
@@ -16,6 +17,31 @@ L = TypeVar("L")
 def owner_of(spec: DeviceSpec) -> str:
     """Return the name under which a device owns its bus; unique among all hands of a process."""
     return f"{spec.hand}/{spec.name}"
+
+
+class HasDeadline(Protocol):
+    """A link whose exchanges have a deadline.
+
+    Attributes:
+        deadline: Longest time for one exchange, retries included [s].
+    """
+
+    deadline: float
+
+
+@contextmanager
+def longer_deadline(link: HasDeadline, patience: float) -> Iterator[None]:
+    """Allow a link's exchanges outside the cycle the time they may need on a busy computer.
+
+    Args:
+        link: The link.
+        patience: Its deadline meanwhile, unless its own is longer [s].
+    """
+    usual, link.deadline = link.deadline, max(link.deadline, patience)
+    try:
+        yield
+    finally:
+        link.deadline = usual
 
 
 class Connection(Generic[L]):

@@ -25,6 +25,9 @@ WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50
 
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_SOFTEST, _HARDEST = 0.1, 1e6
+"""Range of an object's stiffness: softer, fingers close as if nothing were there; harder, an
+encoder's count is more than full effort."""
 _SLACK = 0.02
 """How far fingers may be closed beyond an object that is placed [part of their way]: encoders and
 friction leave fingers that far from their target."""
@@ -90,7 +93,7 @@ class ObjectInHand:
             size, stiffness = (math.nan, 0.0) if found is None else _numbers(found)
         except ValueError:
             size, stiffness = math.nan, 0.0
-        if found is None or not math.isfinite(size) or not 0.1 <= stiffness <= 1e6:
+        if found is None or not math.isfinite(size) or not _SOFTEST <= stiffness <= _HARDEST:
             raise ConfigError(
                 f"the object '{value}' cannot be read; an object is {WRITTEN}, its stiffness 0.1 "
                 "to 1e6"

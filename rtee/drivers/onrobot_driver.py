@@ -23,10 +23,10 @@ from rtee.drivers.onrobot_common import (
     version,
 )
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
     BusError,
     BusTimeout,
-    ConfigError,
     FrameError,
     HandshakeError,
     NotConnected,
@@ -65,11 +65,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
     def __init__(self, spec: DeviceSpec, buses: BusPool, settings: OnRobotOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
-        if len(spec.actuators) != 1:
-            raise ConfigError(
-                f"device '{spec.name}': {self.MODEL} has one actuator, not {len(spec.actuators)}",
-                key=f"devices.{spec.name}.actuators",
-            )
+        only_actuator(spec, self.MODEL)
         self._status = self._decoded(())
 
     # --- what differs ------------------------------------------------------------------------

@@ -5,14 +5,15 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import Literal
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.connection import Connection
+from rtee.drivers.connection import Connection, longer_deadline
 from rtee.errors import BusError, BusTimeout
 from rtee.types import DeviceSpec
 
@@ -73,14 +74,9 @@ class Blocks:
         """Whether function 23 is used."""
         return self._kind != "separate"
 
-    @contextlib.contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def unhurried(self) -> AbstractContextManager[None]:
         """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        usual, self.deadline = self.deadline, PATIENT
-        try:
-            yield
-        finally:
-            self.deadline = usual
+        return longer_deadline(self, PATIENT)
 
     async def read(self) -> tuple[int, ...]:
         """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""

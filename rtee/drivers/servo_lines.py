@@ -77,6 +77,7 @@ def check_present(
         HandshakeError: if some are missing or of another model than expected.
     """
     missing = [number for number, model in found.items() if model is None]
+    # None at all means supply, port or rate; some missing means an id or a cable.
     if len(missing) == len(found):
         raise NotConnected(
             device,
@@ -182,6 +183,7 @@ def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[floa
 def _differences(then: Calibrated, now: Calibrated) -> list[str]:
     """Return what about a servo is not as it was calibrated, in words."""
     found = []
+    # These move the zero or say that it is another servo; gains and limits do neither.
     for name in ("id", "model", "drive_mode", "homing_offset"):
         before, after = getattr(then, name), getattr(now, name)
         if before != after:

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import time
 from enum import Enum
+from typing import Annotated
+
+from pydantic import Field
 
 _AGAIN = 0.5
 """Time after which a command that was without effect is given again [s]: longer than a motion takes
 to begin."""
+
+
+Settle = Annotated[
+    float,
+    Field(ge=0.0, description="a reference that rests this long is gone to, however near [s]"),
+]
+"""The option `StepFollower` takes as ``settle``."""
 
 
 class Order(Enum):

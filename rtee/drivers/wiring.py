@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from rtee.errors import ConfigError
-from rtee.types import DeviceSpec
+from rtee.types import ActuatorSpec, DeviceSpec
 
 
 def check_names(spec: DeviceSpec, option: str, named: Iterable[str]) -> None:
@@ -47,3 +47,47 @@ def numbers_of(spec: DeviceSpec, option: str, given: Mapping[str, int], what: st
             f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
         )
     return found
+
+
+def motors_of(
+    spec: DeviceSpec,
+    option: str,
+    given: Mapping[str, str],
+    known: Sequence[str],
+    guess: Callable[[str], str],
+) -> tuple[int, ...]:
+    """Return the motor of each actuator of a device, by its place among the known ones.
+
+    Args:
+        spec: The device.
+        option: The option that names motors, for the message.
+        given: The motors in it, by actuator; empty if the option is not set.
+        known: Names of the device's motors, in their order on the wire.
+        guess: Returns the motor that an actuator's name suggests; empty if it suggests none.
+
+    Raises:
+        ConfigError: if an actuator has none, or two have the same.
+    """
+    if given:
+        check_names(spec, option, given)
+    named = {a.name: given.get(a.name) or guess(a.name) for a in spec.actuators}
+    found = {name: known.index(motor) for name, motor in named.items() if motor in known}
+    return tuple(numbers_of(spec, option, found, "motor"))
+
+
+def only_actuator(spec: DeviceSpec, what: str) -> ActuatorSpec:
+    """Return the actuator of a device that has one.
+
+    Args:
+        spec: The device.
+        what: What the device is, with its article, for the message.
+
+    Raises:
+        ConfigError: if it is configured with none, or with several.
+    """
+    if len(spec.actuators) != 1:
+        raise ConfigError(
+            f"device '{spec.name}': {what} has one actuator, not {len(spec.actuators)}",
+            key=f"devices.{spec.name}.actuators",
+        )
+    return spec.actuators[0]

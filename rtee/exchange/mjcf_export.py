@@ -68,6 +68,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     _limit_targets(spec, hand)
     _add_touch(spec, hand)
     names = _own_names(spec, hand)
+    # The keyframe needs the compiled model, and is itself part of what is written.
     model = spec.compile()
     spec.add_key(
         name=REST,
@@ -115,6 +116,7 @@ def _add_visuals(spec: mujoco.MjSpec, hand: Hand) -> None:
             continue
         for index, shape in enumerate(link.visuals):
             geom = add_shape(spec, body, shape, f"{link.name}/visual/{index}", _no_triangles)
+            # For the eye only: it neither touches nor weighs anything.
             geom.contype = geom.conaffinity = 0
             geom.mass = 0.0
             geom.group = _VISIBLE

@@ -106,15 +106,13 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
     if kind == mujoco.mjtJoint.mjJNT_FREE:
         raise ModelError(
             f"joint {named}of body '{body}' is free; a hand's base is fixed, so take the joint "
-            "away (and bodies "
-            "that are not parts of the hand)",
+            "away (and bodies that are not parts of the hand)",
             path=source.path,
         )
     if kind == mujoco.mjtJoint.mjJNT_BALL:
         raise ModelError(
             f"joint {named}of body '{body}' is a ball joint, which has three degrees of freedom in "
-            "one; rtee "
-            "needs three hinges",
+            "one; rtee needs three hinges",
             path=source.path,
         )
 
@@ -199,6 +197,8 @@ class _Writer:
             self._link(link)
             self._fixed(f"{link.name}_fixed", parent.name, link.name, place, turn)
             return link
+        # A URDF's joint turns about the origin of its child; MuJoCo's about an anchor in the body.
+        # So each link's frame is put at the anchor of its joint.
         above, before = parent.name, np.zeros(3)
         link = parent
         for joint in joints:
@@ -234,6 +234,7 @@ class _Writer:
         driven = motion.driven.get(joint)
         lower, upper = joint_range(model, joint) if driven is None else (driven.lower, driven.upper)
         limited = math.isfinite(lower) and math.isfinite(upper)
+        # A URDF wants limits of a joint that follows, though its actuator's are those that count.
         if not limited and joint in motion.follows:
             lower, upper, limited = -_ANY, _ANY, True
         if slide and not limited:
@@ -292,8 +293,10 @@ class _Writer:
     def _inertial(self, body: int, origin: FloatArray) -> list[str]:
         model = self._model
         mass = float(model.body_mass[body])
+        # A massless body is drawn only; body 0 is the world, which no mass belongs to.
         if mass <= 0.0 or body == 0:
             return []
+        # Principal moments: MuJoCo turns the inertia's frame so that the products vanish.
         xx, yy, zz = (_number(moment) for moment in model.body_inertia[body])
         return [
             "    <inertial>",
@@ -416,6 +419,7 @@ def _matrix(turn: FloatArray) -> FloatArray:
 def _origin(place: FloatArray, turn: FloatArray) -> str:
     """Return the element ``origin`` of a position [m] and a unit quaternion (w, x, y, z)."""
     m = _matrix(turn)
+    # The cosine of the pitch; where it vanishes, the yaw is free and chosen to be 0.
     level = math.hypot(m[0, 0], m[1, 0])
     pitch = math.atan2(-m[2, 0], level)
     yaw = math.atan2(m[1, 0], m[0, 0]) if level > _GIMBAL else 0.0

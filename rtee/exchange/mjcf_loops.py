@@ -96,6 +96,7 @@ class Linkage:
             springs: Springs, which decide with the joints' limits what equalities leave open.
         """
         flags = mujoco.mjtDisableBit
+        # Contacts and limits would push the joints about; only the equalities are solved here.
         model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.model, self.joint, self.others = model, joint, list(others)
@@ -104,6 +105,7 @@ class Linkage:
         self._drawn = model.qpos0.copy()
         for held, position in fixed.items():
             self._drawn[held] += position
+        # Weighted by the root, so that least squares minimise the energy of the springs.
         root = np.sqrt([spring.weight for spring in springs])
         factors = [[spring.factors.get(o, 0.0) for o in (joint, *others)] for spring in springs]
         pull = root[:, None] * np.array(factors).reshape(-1, 1 + len(self.others))
@@ -162,6 +164,7 @@ class Linkage:
         for _ in range(_ROUNDS):
             residual, jacobian = self._held(x, q)
             size = float(np.abs(residual).max(initial=0.0))
+            # With springs the residual may grow on the way to where they are at rest.
             if size < least or self._by_springs:
                 best, least = q, size
             if size < _CLOSED and not self._by_springs:
@@ -275,8 +278,7 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
     if lower > limits[0] + step or upper < limits[1] - step:
         notes.append(
             f"{what} closes only while '{joint_name(model, joint)}' is between {lower:.4g} and "
-            f"{upper:.4g}, which "
-            "are its limits"
+            f"{upper:.4g}, which are its limits"
         )
     if upper - lower < step:
         raise ModelError(f"{what} cannot move", path=str(path))
@@ -298,6 +300,7 @@ def _fitted(
 ) -> Follow:
     """Return how a joint follows: a line where it is one, else a polynomial."""
     middle, half = float(0.5 * (x[0] + x[-1])), float(0.5 * (x[-1] - x[0]))
+    # To -1 … 1: powers of the plain positions would lose the digits of a high degree.
     t = (x - middle) / half
     error = math.inf
     for degree in (1, *range(2, _DEGREES + 1)):
@@ -308,8 +311,7 @@ def _fitted(
     if error > _FAR:
         raise ModelError(
             f"{what}: joint '{joint_name(model, other)}' follows '{joint_name(model, joint)}' "
-            "along a way that no "
-            f"polynomial meets within {_FAR:g}",
+            f"along a way that no polynomial meets within {_FAR:g}",
             path=str(path),
         )
     powers = fit.convert(kind=np.polynomial.Polynomial).coef

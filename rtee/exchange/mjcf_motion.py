@@ -277,6 +277,7 @@ def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
                 path=str(path),
             )
         gear = float(model.actuator_gear[i, 0])
+        # Without a gear the motor has no effect on the joint.
         if abs(gear) < TINY:
             continue
         motor = Motor(
@@ -349,6 +350,7 @@ def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
     if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         ends = [int(model.site_bodyid[end]) for end in ends]
     one, two = (_joints_to(model, body) for body in ends)
+    # Joints above both bodies move them together, and so do not change the loop.
     return frozenset(one ^ two)
 
 

@@ -80,6 +80,7 @@ def expand(
     root = str(Path(__file__).parents[2])
     search = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     # In a session of its own, so that whatever the file starts ends with it.
+    # Its output goes nowhere: the file's expressions may print what they like.
     process = subprocess.Popen(
         [sys.executable, "-m", __name__],
         stdin=subprocess.PIPE,
@@ -98,6 +99,7 @@ def expand(
             process.wait()
     if process.returncode == _FAILED:
         raise _refusal(target.with_suffix(_ANSWER), path)
+    # Any other status means that a limit of the system has ended it.
     if process.returncode != 0 or not target.is_file():
         raise ModelError(
             f"xacro breaks off: the file computes for more than {_TIME:g} s, or makes more than "
@@ -127,6 +129,7 @@ def _limit() -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         hard = resource.getrlimit(kind)[1]
+        # Raising a hard limit takes rights that this process should not have.
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
 

@@ -228,6 +228,7 @@ def without_linkages(
     Returns:
         The fingers that remain, with new names, and which were left out, one sentence each.
     """
+    # Neither the base, which fingers share, nor another tip, which a pinch touches, is a linkage.
     always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
     kept, notes = [], []
     for finger in hand.fingers:

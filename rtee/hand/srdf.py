@@ -134,6 +134,7 @@ def _named(element: Element, tag: str) -> Mapping[str, int]:
     found: dict[str, int] = {}
     for child in element.all(tag):
         name = child.required("name")
+        # Refused rather than taken twice: the second may be a slip of the pen for another name.
         if name in found:
             raise child.error(f"<{tag}> '{name}' occurs twice, first in line {found[name]}")
         found[name] = child.line

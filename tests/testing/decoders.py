@@ -38,6 +38,11 @@ from rtee.errors import FrameError
 from tests.testing.fuzz import Decoder
 
 
+def frames(*texts: str) -> list[bytes]:
+    """Return bytes from their hexadecimal digits."""
+    return [bytes.fromhex(text) for text in texts]
+
+
 def registers(count: int, decode: Callable[[tuple[int, ...]], object]) -> Callable[[bytes], object]:
     """Return a decoder of bytes from one of registers; what is missing is 0."""
 
@@ -74,21 +79,15 @@ def state_of(data: bytes) -> object:
     return cia402.Status.from_bytes(data).state
 
 
-ROBOTIQ = [
-    bytes.fromhex(text)
-    for text in (
-        "09 10 03 E8 00 03 06 09 00 00 FF FF FF 42 29",
-        "09 04 07 D0 00 03 B1 CE",
-        "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 40 96 56",
-    )
-]
-NETWORK = [
-    bytes.fromhex(text)
-    for text in (
-        "33 9A 00 00 00 0D 02 10 00 00 00 03 06 01 00 00 00 00 00",
-        "00 02 00 00 00 06 41 03 01 00 00 04",
-    )
-]
+ROBOTIQ = frames(
+    "09 10 03 E8 00 03 06 09 00 00 FF FF FF 42 29",
+    "09 04 07 D0 00 03 B1 CE",
+    "09 17 07 D0 00 03 03 E8 00 03 06 09 00 00 80 FF 40 96 56",
+)
+NETWORK = frames(
+    "33 9A 00 00 00 0D 02 10 00 00 00 03 06 01 00 00 00 00 00",
+    "00 02 00 00 00 06 41 03 01 00 00 04",
+)
 ANSWERS = [
     bytes.fromhex("09 03 06 39 00 00 FF 0E 0A F7 8B"),
     rtu_frame(9, b"\x83\x02"),
@@ -189,53 +188,99 @@ MESSAGES: list[tuple[str, bytes, Callable[[bytes], object], tuple[type[Exception
     ("HERI II reply", bytes(38), heri.Reply.from_bytes, (heri.HeriFrameError,)),
 ]
 
-RH56_REQUESTS = [
-    bytes.fromhex(text)
-    for text in (
-        "EB 90 01 04 11 0A 06 4E 74",
-        "EB 90 01 0F 12 CE 05 FF FF FF FF FF FF F4 01 FF FF FF FF E0",
-        "EB 90 01 04 12 EC 03 01 07",
-    )
-]
-RH56_REPLIES = [
-    bytes.fromhex(text)
-    for text in (
-        "90 EB 01 0F 11 2E 06 00 00 F4 FF 05 00 5E 01 00 00 00 00 AC",
-        "90 EB 01 04 12 CE 05 01 EB",
-        "90 EB 01 09 11 4C 06 02 02 02 03 02 02 7A",
-    )
-]
+RH56_REQUESTS = frames(
+    "EB 90 01 04 11 0A 06 4E 74",
+    "EB 90 01 0F 12 CE 05 FF FF FF FF FF FF F4 01 FF FF FF FF E0",
+    "EB 90 01 04 12 EC 03 01 07",
+)
+RH56_REPLIES = frames(
+    "90 EB 01 0F 11 2E 06 00 00 F4 FF 05 00 5E 01 00 00 00 00 AC",
+    "90 EB 01 04 12 CE 05 01 EB",
+    "90 EB 01 09 11 4C 06 02 02 02 03 02 02 7A",
+)
 
-FEETECH_REQUESTS = [
-    bytes.fromhex(text)
-    for text in (
-        "FF FF 01 02 01 FB",
-        "FF FF 01 09 03 2A 01 FF 00 00 03 E8 DD",
-        "FF FF FE 06 82 38 0F 01 02 2F",
-    )
-]
-FEETECH_REPLIES = [
-    bytes.fromhex(text)
-    for text in (
-        "FF FF 01 04 20 01 FF DA",
-        "FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1",
-    )
-]
+FEETECH_REQUESTS = frames(
+    "FF FF 01 02 01 FB",
+    "FF FF 01 09 03 2A 01 FF 00 00 03 E8 DD",
+    "FF FF FE 06 82 38 0F 01 02 2F",
+)
+FEETECH_REPLIES = frames(
+    "FF FF 01 04 20 01 FF DA",
+    "FF FF 01 0D 00 01 FF 00 00 00 00 32 1E 00 00 00 A1",
+)
 
-ABILITY_COMMANDS = [
-    bytes.fromhex(text)
-    for text in (
-        "7E 50 A0 10 7E",
-        "7E 50 10 99 19 99 19 99 19 99 19 99 19 67 E6 D9 7E",
-        "7E 50 10 7D 5E 7D 5D" + " 00" * 10 + " A5 7E",
-    )
-]
+ABILITY_COMMANDS = frames(
+    "7E 50 A0 10 7E",
+    "7E 50 10 99 19 99 19 99 19 99 19 99 19 67 E6 D9 7E",
+    "7E 50 10 7D 5E 7D 5D" + " 00" * 10 + " A5 7E",
+)
 ABILITY_REPLIES = [
     bytes.fromhex(
         "7E 10" + " 99 19 00 00" * 5 + " 67 E6 00 00 23 61 45" + " 00" * 42 + " 01 5F 7E"
     ),
     bytes.fromhex("7E 12" + " 99 19 36 01" * 5 + " 67 E6 36 01" + " 28 00" * 6 + " 00 ED 7E"),
 ]
+
+BLOCKS: list[tuple[str, list[bytes], int, Callable[[tuple[int, ...]], object], type[Exception]]] = [
+    (
+        "Robotiq 2F status",
+        [frame[3:-2] for frame in ANSWERS[::2]],
+        3,
+        two.Status.from_registers,
+        FrameError,
+    ),
+    (
+        "Robotiq 3F status",
+        [frame[3:-2] for frame in ANSWERS[::2]],
+        8,
+        three.Status.from_registers,
+        FrameError,
+    ),
+    (
+        "OnRobot 3FG status",
+        frames("00 0E 02 EE 02 70 01 F4"),
+        4,
+        onrobot.Status.from_registers,
+        FrameError,
+    ),
+    (
+        "OnRobot 3FG command",
+        frames("01 F4 02 EE 00 00 00 01"),
+        4,
+        onrobot.Command.from_registers,
+        FrameError,
+    ),
+    (
+        "LinkerHand version",
+        frames("00 06 00 01 00 01 00 52 00 10 00 10"),
+        6,
+        linkerhand.Version.from_registers,
+        linkerhand.LinkerFrameError,
+    ),
+    (
+        "OnRobot RG state",
+        frames("01 F4 00 00", "01 40 00 02"),
+        2,
+        rg.Status.from_registers,
+        FrameError,
+    ),
+    ("OnRobot RG command", frames("01 90 04 4C 00 10"), 3, rg.Command.from_registers, FrameError),
+    (
+        "SCHUNK EGU input",
+        frames("80 00 00 80 FB 00 00 00 00 00 00 00 D9 00 00 00"),
+        8,
+        egu.Input.from_registers,
+        FrameError,
+    ),
+    (
+        "SCHUNK EGU output",
+        frames("01 20 00 00 10 27 00 00 20 4E 00 00 00 00 00 00"),
+        8,
+        egu.Output.from_registers,
+        FrameError,
+    ),
+]
+"""Decoders of registers: name, samples, number of registers, what decodes them, its error."""
 
 DECODERS = [
     Decoder("Modbus RTU requests", ROBOTIQ, parser=lambda: RtuRequests(9), prefix=b"\x09"),
@@ -258,61 +303,7 @@ DECODERS = [
         errors=(FrameError,),
         prefix=b"\x09\x03",
     ),
-    Decoder(
-        "Robotiq 2F status",
-        [frame[3:-2] for frame in ANSWERS[::2]],
-        decode=registers(3, two.Status.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "Robotiq 3F status",
-        [frame[3:-2] for frame in ANSWERS[::2]],
-        decode=registers(8, three.Status.from_registers),
-        errors=(FrameError,),
-    ),
     Decoder("Robotiq 3F command", ROBOTIQ, decode=registers(8, three.Command.from_registers)),
-    Decoder(
-        "OnRobot 3FG status",
-        [bytes.fromhex("00 0E 02 EE 02 70 01 F4")],
-        decode=registers(4, onrobot.Status.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "OnRobot 3FG command",
-        [bytes.fromhex("01 F4 02 EE 00 00 00 01")],
-        decode=registers(4, onrobot.Command.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "LinkerHand version",
-        [bytes.fromhex("00 06 00 01 00 01 00 52 00 10 00 10")],
-        decode=registers(6, linkerhand.Version.from_registers),
-        errors=(linkerhand.LinkerFrameError,),
-    ),
-    Decoder(
-        "OnRobot RG state",
-        [bytes.fromhex("01 F4 00 00"), bytes.fromhex("01 40 00 02")],
-        decode=registers(2, rg.Status.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "OnRobot RG command",
-        [bytes.fromhex("01 90 04 4C 00 10")],
-        decode=registers(3, rg.Command.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "SCHUNK EGU input",
-        [bytes.fromhex("80 00 00 80 FB 00 00 00 00 00 00 00 D9 00 00 00")],
-        decode=registers(8, egu.Input.from_registers),
-        errors=(FrameError,),
-    ),
-    Decoder(
-        "SCHUNK EGU output",
-        [bytes.fromhex("01 20 00 00 10 27 00 00 20 4E 00 00 00 00 00 00")],
-        decode=registers(8, egu.Output.from_registers),
-        errors=(FrameError,),
-    ),
     Decoder(
         "WSG 50 frames",
         [
@@ -422,6 +413,10 @@ DECODERS = [
         parser=lambda: ListParser(1),
         prefix=b"::\1\x0c",
         limit=ListParser.LIMIT,
+    ),
+    *(
+        Decoder(name, samples, decode=registers(count, decode), errors=(error,))
+        for name, samples, count, decode, error in BLOCKS
     ),
     *(
         # Reading YAML takes half a millisecond.

@@ -34,6 +34,10 @@ API_TIME = 0.3
 """Silence after which the hand leaves API mode, at most [s]."""
 
 _FLAG, _ESCAPE, _FLIP = 0x7E, 0x7D, 0x20
+_LEAST = 2
+"""Bytes of the shortest command without its checksum: address and header."""
+VELOCITIES, NO_TOUCH = 2, 3
+"""Variants of a reply: 2 tells velocities in place of currents, 3 both, and no touch."""
 _TOUCH = 45
 """Bytes of the thirty touch words of 12 bits."""
 _WORDS = struct.Struct("<6h")
@@ -150,7 +154,7 @@ class _Parser:
             frame = unstuffed(run)
         except AbilityFrameError:
             return None
-        return frame[:-1] if len(frame) > 2 and not sum(frame) & 0xFF else None
+        return frame[:-1] if len(frame) > _LEAST and not sum(frame) & 0xFF else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +185,7 @@ class Command:
         Raises:
             AbilityFrameError: if it is too short, or its set-points are incomplete.
         """
-        if len(frame) < 2:
+        if len(frame) < _LEAST:
             raise AbilityFrameError(f"{len(frame)} bytes are not a command")
         words: tuple[int, ...] = ()
         if frame[1] & 0xF0 in SET_POINTS:
@@ -234,10 +238,10 @@ class Reply:
             AbilityFrameError: if no Ability Hand can reply that.
         """
         variant = (frame[0] & 0x0F) + 1 if frame else 0
-        with_touch = variant in (1, 2)
+        with_touch = 1 <= variant < NO_TOUCH
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
         # Which class a reply echoes is documented for positions alone, so all are taken.
-        if not 1 <= variant <= 3 or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
+        if not 1 <= variant <= NO_TOUCH or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
             raise AbilityFrameError(f"no header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
             raise AbilityFrameError(f"{len(frame)} bytes are not a reply of variant {variant}")
@@ -248,17 +252,19 @@ class Reply:
         return cls(
             variant,
             pairs[::2],
-            () if variant == 2 else second,
-            second if variant == 2 else (() if with_touch else _WORDS.unpack(rest)),
+            () if variant == VELOCITIES else second,
+            second if variant == VELOCITIES else (() if with_touch else _WORDS.unpack(rest)),
             _touch_words(rest) if with_touch else (),
             tuple(bool(frame[-1] >> motor & 1) for motor in range(COUNT)),
         )
 
     def to_frame(self) -> bytes:
         """Return the frame without its checksum."""
-        second = self.velocities if self.variant == 2 else self.currents
+        second = self.velocities if self.variant == VELOCITIES else self.currents
         pairs = [word for pair in zip(self.positions, second, strict=True) for word in pair]
-        rest = _WORDS.pack(*self.velocities) if self.variant == 3 else _touch_bytes(self.touch)
+        rest = (
+            _WORDS.pack(*self.velocities) if self.variant == NO_TOUCH else _touch_bytes(self.touch)
+        )
         status = sum(1 << motor for motor, limited in enumerate(self.limited) if limited)
         head = bytes([Header.POSITION + self.variant - 1])
         return head + _PAIRS.pack(*pairs) + rest + bytes([status])
@@ -349,7 +355,15 @@ _OFFSET = 0.878894
 """What the client's line tells at no conductance [N]."""
 _SLOPE = 121_591.0
 """Force of a touch sensor by its conductance [N·Ω]."""
-_VOLTS = 3.3 / 4096
+_FULL = 4095
+"""Largest touch word: twelve bits."""
+_VOLTS = 3.3 / (_FULL + 1)
+"""Volts of one count: the converter measures up to 3.3 V."""
+_DIVIDER, _SERIES = 33_000.0, 10_000.0
+"""The client's line has a sensor's resistance as 33,000 / V + 10,000 [Ω]: a divider, and a resistor
+in series with the sensor."""
+_SHORTED = 20_000.0
+"""Resistance at which the word is the largest there is [Ω]: 33,000 / 3.3 + 10,000."""
 _NEAR = 319
 """Word at which half of the line's force is its offset; below, a line through 0 takes its place,
 since a sensor that nothing touches would tell a newton else."""
@@ -359,7 +373,7 @@ def touch_force(word: int) -> float:
     """Return the force on a touch sensor [N]; a placeholder of the maker, not a calibration."""
     if word < _NEAR:
         return word / _NEAR * touch_force(_NEAR)
-    return _SLOPE / (33_000.0 / (word * _VOLTS) + 10_000.0) + _OFFSET
+    return _SLOPE / (_DIVIDER / (word * _VOLTS) + _SERIES) + _OFFSET
 
 
 def touch_word(force: float) -> int:
@@ -369,6 +383,6 @@ def touch_word(force: float) -> int:
         return max(0, round(force / near * _NEAR))
     resistance = _SLOPE / (force - _OFFSET)
     # At the sensor's end nothing is left beside the resistor in series.
-    return (
-        4095 if resistance <= 20_000.0 else min(4095, round(33_000 / (resistance - 1e4) / _VOLTS))
-    )
+    if resistance <= _SHORTED:
+        return _FULL
+    return min(_FULL, round(_DIVIDER / (resistance - _SERIES) / _VOLTS))

@@ -112,7 +112,7 @@ class AbilityHandDriver(Driver):
             refuses=refuses,
             recoverable=True,
             gains=_GAINS.get(options.mode, ()),
-            touch=_SENSORS if options.touch and options.variant != 3 else (),
+            touch=_SENSORS if options.touch and options.variant != codec.NO_TOUCH else (),
         )
 
     def _told(self) -> tuple[str, ...]:

@@ -45,7 +45,8 @@ _ARM = 0.06
 """Distance from a digit's joint to its fingertip [m], about that of the maker's model."""
 _SPREAD = (0.05, 0.35, 0.35, 0.15, 0.05, 0.05)
 """Parts of a fingertip's force that its six sensors feel: most on its inner side."""
-_INDEX = 0
+_INDEX, _ROTATOR = 0, 5
+"""Places of two motors in `codec.MOTORS`; the thumb's rotator does not react to collisions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return how the motors of the five digits close."""
         return [
+            # The rotator is left out: it turns the thumb and closes on nothing.
             Closing(axis, low, high, effort)
             for axis, (low, high), effort in zip(self.axes[:5], _RANGES, EFFORTS, strict=False)
         ]
@@ -194,7 +196,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         axis = self.axes[motor]
         axis.advance(dt)
         onward = math.copysign(1.0, axis.target - axis.position)
-        if axis.blocked and axis.obstacle is not None and motor < 5:  # the rotator is exempt
+        if axis.blocked and axis.obstacle is not None and motor != _ROTATOR:
             self._blocked[motor] += dt
             if self._blocked[motor] > _CONTACT:
                 self._collided[motor] = onward
@@ -231,7 +233,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     def _form(self, header: int) -> int:
         """Return the variant of the reply to a command."""
         asked = header & 0x0F
-        known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < 3
+        known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < codec.NO_TOUCH
         before, self._variant = self._variant, asked + 1 if known else self._variant
         return before if self.properties.fast else self._variant
 
@@ -279,9 +281,9 @@ class AbilityHandEmulator(Emulator, Grasps):
         return Reply(
             variant,
             tuple(codec.angle_counts(axis.position) for axis in self.axes),
-            () if variant == 2 else currents,
+            () if variant == codec.VELOCITIES else currents,
             () if variant == 1 else rates,
-            () if variant == 3 else self._touch(),
+            () if variant == codec.NO_TOUCH else self._touch(),
             tuple(self.limited),
         )
 

@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rtee.drivers import wiring
 from rtee.drivers.ability_hand.codec import ADDRESS, MOTORS, Header
 from rtee.drivers.options import DeviceOptions, Positive
-from rtee.drivers.wiring import check_names, numbers_of
 from rtee.types import DeviceSpec
 
 Motor = Literal["index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator"]
@@ -85,11 +85,7 @@ def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
     Raises:
         ConfigError: if an actuator has none, or two have the same.
     """
-    if options.motors:
-        check_names(spec, "motors", options.motors)
-    named = {a.name: options.motors.get(a.name) or _motor_of(a.name) for a in spec.actuators}
-    found = {name: MOTORS.index(motor) for name, motor in named.items() if motor}
-    return tuple(numbers_of(spec, "motors", found, "motor"))
+    return wiring.motors_of(spec, "motors", options.motors, MOTORS, _motor_of)
 
 
 def _motor_of(name: str) -> str:

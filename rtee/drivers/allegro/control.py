@@ -11,6 +11,8 @@ _AT_REST = 0.05
 """A reference that moves no faster is at rest [rad/s]."""
 _STILL = 0.2
 """A joint that moves no faster is held by friction, or will soon be [rad/s]."""
+_GAP = 0.1
+"""After a longer gap frames were lost [s]: neither a velocity nor an integral follows from it."""
 _CLOSE = 0.002
 """A smaller error is left alone [rad]: the integral would only make the joint hunt for it."""
 
@@ -103,9 +105,8 @@ class JointControl:
         if dt < self._least:
             # The hand sends no faster: these have waited in this computer, and then came at once.
             dt = self._least
-        # Beyond 0.1 s frames were lost: neither a velocity nor an integral follows from such a gap.
-        self._period = dt if 0.0 < dt < 0.1 else 0.0
-        if 0.0 < dt < 0.1 and self.sets:
+        self._period = dt if 0.0 < dt < _GAP else 0.0
+        if self._period and self.sets:
             share = dt / (dt + self._smoothing)
             for i, angle in enumerate(measured):
                 rate = (angle - self.position[i]) / dt

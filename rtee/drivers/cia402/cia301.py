@@ -18,6 +18,12 @@ SDO_ANSWER = 0x580
 SDO_REQUEST = 0x600
 TPDO = (0x180, 0x280, 0x380, 0x480)
 RPDO = (0x200, 0x300, 0x400, 0x500)
+NODES = 127
+"""Largest node id; ids count from 1."""
+FULL = 8
+"""Bytes of a classic CAN frame that is full, as those of SDO and of emergency messages are."""
+SPECIFIER = 5
+"""Bits below the command specifier in the first byte of an SDO frame."""
 DISABLED = 0x8000_0000
 """Bit of a PDO's COB-ID: it does not exist."""
 
@@ -34,6 +40,15 @@ class NmtCommand(IntEnum):
     PRE_OPERATIONAL = 0x80
     RESET_NODE = 0x81
     RESET_COMMUNICATION = 0x82
+
+
+class Specifier(IntEnum):
+    """Command specifiers of SDO requests (CiA 301, SDO protocols)."""
+
+    DOWNLOAD = 1
+    UPLOAD = 2
+    UPLOAD_SEGMENT = 3
+    ABORT = 4
 
 
 class NmtState(IntEnum):
@@ -85,7 +100,7 @@ class Emergency:
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """Read it; raises `CanopenFrameError`."""
-        if len(data) != 8:
+        if len(data) != FULL:
             raise CanopenFrameError("an emergency message has eight bytes")
         code, register = struct.unpack_from("<HB", data)
         return cls(code, register, data[3:])
@@ -134,7 +149,7 @@ class Sdo:
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """Read the eight bytes; raises `CanopenFrameError`."""
-        if len(data) != 8:
+        if len(data) != FULL:
             raise CanopenFrameError("an SDO frame has eight bytes")
         command, index, subindex = struct.unpack_from("<BHB", data)
         return cls(command, index, subindex, data[4:])
@@ -148,7 +163,7 @@ class Sdo:
     @classmethod
     def upload(cls, index: int, subindex: int = 0) -> Self:
         """Return the request that reads an object."""
-        return cls(0x40, index, subindex)
+        return cls(Specifier.UPLOAD << SPECIFIER, index, subindex)
 
     @classmethod
     def download(cls, index: int, subindex: int, value: bytes) -> Self:
@@ -168,7 +183,7 @@ class Sdo:
     @classmethod
     def aborted(cls, index: int, subindex: int, code: int) -> Self:
         """Return a refusal."""
-        return cls(0x80, index, subindex, struct.pack("<I", code))
+        return cls(Specifier.ABORT << SPECIFIER, index, subindex, struct.pack("<I", code))
 
 
 # Error codes of CiA 301 and, from 2310h, of CiA 402.
@@ -196,9 +211,13 @@ _CLASSES: dict[int, str] = {
 }  # fmt: skip
 
 
+_VENDOR = 0xFF00
+"""Error codes from here on are the device manufacturer's (CiA 301, table of emergency codes)."""
+
+
 def emergency_name(code: int) -> str:
     """Return an error code in words."""
-    if code >= 0xFF00:
+    if code >= _VENDOR:
         return "manufacturer's"
     return EMERGENCIES.get(code) or _CLASSES.get(code >> 12, "unknown")
 

@@ -72,6 +72,7 @@ class Cia402Emulator(Emulator, Grasps):
         for drive in self.drives.values():
             drive.axis.stuck = "stuck" in self.faults
             drive.node.inhibited = "silent" in self.faults
+            # The profile is the low half of the device type; 2 in the high one means a servo drive.
             kind = 401 if "wrong_device" in self.faults else self.properties.device_type
             drive.node.objects[Object.DEVICE_TYPE, 0].value = struct.pack("<I", 0x20000 | kind)
 

@@ -19,11 +19,14 @@ from rtee.drivers.cia402.cia301 import (
     NmtCommand,
     NmtState,
     Sdo,
+    Specifier,
 )
 
 _RECEIVE, _TRANSMIT = 0x1400, 0x1800  # communication parameters of the first PDO
 _MAP = 0x200  # from those to the mapping of the same PDO
 _COUNT = 4  # PDOs in each direction
+_SYNCHRONOUS = 240
+"""Largest transmission type of a synchronous PDO, which counts from the next SYNC."""
 
 
 @dataclass(slots=True)
@@ -109,7 +112,7 @@ class Node:
                 if (mapped >> 16, mapped >> 8 & 0xFF) not in self.objects:
                     return Abort.NOT_MAPPABLE
                 size += mapped & 0xFF
-            return Abort.PDO_LENGTH if size > 64 else None
+            return Abort.PDO_LENGTH if size > 8 * cia301.FULL else None
 
         return check
 
@@ -183,19 +186,19 @@ class Node:
 
     def _serve(self, request: Sdo, raw: bytes) -> bytes:
         key = (request.index, request.subindex)
-        kind = request.command >> 5
-        if kind == 3:
+        kind = request.command >> cia301.SPECIFIER
+        if kind == Specifier.UPLOAD_SEGMENT:
             return self._next_segment(request)
-        if kind == 4:
+        if kind == Specifier.ABORT:
             self._upload = None
             return Sdo.aborted(*key, Abort.GENERAL).to_bytes()
         entry = self.objects.get(key)
         if entry is None:
             known = any(index == request.index for index, _ in self.objects)
             return Sdo.aborted(*key, Abort.NO_SUBINDEX if known else Abort.NO_OBJECT).to_bytes()
-        if kind == 2:
+        if kind == Specifier.UPLOAD:
             return self._read(key, entry)
-        if kind == 1:
+        if kind == Specifier.DOWNLOAD:
             return self._write(key, entry, request)
         return Sdo.aborted(*key, Abort.COMMAND).to_bytes()
 
@@ -243,8 +246,7 @@ class Node:
         for n in range(_COUNT):
             cob = self.get(_RECEIVE + n, 1)
             if not cob & DISABLED and cob & 0x7FF == frame.id:
-                # Transmission types up to 240 are synchronous: they count from the next SYNC.
-                if self.get(_RECEIVE + n, 2) <= 240:
+                if self.get(_RECEIVE + n, 2) <= _SYNCHRONOUS:
                     self._received[n] = frame.data
                 else:
                     self._unpack(n, frame.data)
@@ -279,7 +281,7 @@ class Node:
         for n in range(_COUNT):
             cob = self.get(_TRANSMIT + n, 1)
             count = self.get(_TRANSMIT + _MAP + n, 0)
-            if cob & DISABLED or not count or self.get(_TRANSMIT + n, 2) > 240:
+            if cob & DISABLED or not count or self.get(_TRANSMIT + n, 2) > _SYNCHRONOUS:
                 continue
             data = b""
             for slot in range(1, count + 1):

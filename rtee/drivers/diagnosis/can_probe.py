@@ -13,6 +13,11 @@ from rtee.drivers.diagnosis.slaves import Found
 _HAND_INFO = 7
 """Length of the information that an Allegro Hand reports about itself [byte]."""
 
+_DEVICE_TYPE = 0x1000, 0
+"""Object and subindex of the device type, which every CANopen node has (CiA 301)."""
+_DRIVES = 402
+"""Number of the profile of drives."""
+
 
 def can(interface: str, bitrate: int) -> Probe:
     """Return a probe for nodes on a CAN bus: Allegro Hands, LinkerHands and CANopen."""
@@ -26,10 +31,12 @@ def can(interface: str, bitrate: int) -> Probe:
 
 async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     from rtee.drivers.allegro.codec import Command, request
+    from rtee.drivers.cia402 import cia301
     from rtee.drivers.linkerhand import codec as linker
 
     heard: dict[int, bytes] = {}
     forms: set[tuple[int, bytes, int]] = set()
+    device_type = cia301.Sdo.upload(*_DEVICE_TYPE).to_bytes()
 
     def hear(frame: CanFrame) -> None:
         if not frame.remote:  # some interfaces hand back what was sent
@@ -43,8 +50,8 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
         for unit in (linker.RIGHT, linker.LEFT):
             for code in (1, 4):  # both halves of the positions
                 await bus.send(linker.query(unit, code))
-        for node in range(1, 128):
-            await bus.send(CanFrame(0x600 + node, bytes.fromhex("4000100000000000")))
+        for node in range(1, cia301.NODES + 1):
+            await bus.send(CanFrame(cia301.SDO_REQUEST + node, device_type))
             # One request a millisecond: nodes on a slow bus must not overflow their buffers.
             await asyncio.sleep(0.001)
         # Long enough for a heartbeat of nodes that answer nothing else.
@@ -62,13 +69,14 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
             model = "l10" if (unit, b"\x04", 5) in forms else "o6"
             options = {**where, "model": model, "unit": unit}
             found.append(Found("linkerhand", f"LinkerHand {model.upper()}, unit {unit}", options))
-    for node in range(1, 128):
-        answer = heard.get(0x580 + node)
-        if answer is not None and len(answer) == 8:
-            kind = int.from_bytes(answer[4:6], "little") if answer[0] & 0xE0 == 0x40 else 0
-            name = "CiA 402 drive" if kind == 402 else "CANopen node"
-            driver = "cia402" if kind == 402 else ""
+    for node in range(1, cia301.NODES + 1):
+        answer = heard.get(cia301.SDO_ANSWER + node)
+        if answer is not None and len(answer) == cia301.FULL:
+            # The low half of the device type is the number of the device's profile.
+            uploaded = answer[0] >> cia301.SPECIFIER == cia301.Specifier.UPLOAD
+            drive = uploaded and int.from_bytes(answer[4:6], "little") == _DRIVES
+            name, driver = ("CiA 402 drive", "cia402") if drive else ("CANopen node", "")
             found.append(Found(driver, f"{name} {node}", {**where, "id": node}))
-        elif 0x700 + node in heard:
+        elif cia301.HEARTBEAT + node in heard:
             found.append(Found("", f"CANopen node {node} (heartbeat only)", where))
     return found

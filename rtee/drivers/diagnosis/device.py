@@ -29,6 +29,8 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec
 
+_HOT = 60.0
+"""Temperature from which a hand should rest [°C]: most devices switch off at 70 to 80."""
 _CAN_RATE = 1_000_000
 """Bit rate of the CAN bus of devices that have no option for it [bit/s]."""
 
@@ -182,7 +184,7 @@ def _state(state: ActuatorState, homing: bool) -> list[Check]:
         taxels = state.touch.values
         largest = float(np.nanmax(taxels, initial=0.0))
         found.append(ok("touch", f"{len(taxels)} taxels, the largest value {largest:.2f}"))
-    hot = [t for t in state.temperature if t > 60.0]
+    hot = [t for t in state.temperature if t > _HOT]
     if hot:
         found.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))
     for name in ("voltage", "supply"):

@@ -11,6 +11,8 @@ from rtee.errors import BusTimeout, FrameError
 from rtee.sample import ActuatorState
 from rtee.types import Reference
 
+_MISSES = 5
+"""Exchanges that may fail one after the other: a lost frame is no reason to stop halfway."""
 _STEP = 0.02
 """Time between two references while it twitches [s], slow enough for every bus."""
 
@@ -73,7 +75,6 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
             missed = 0
         except (BusTimeout, FrameError):
             missed += 1
-            # A lost frame now and then is not a reason to stop halfway.
-            if missed > 5:
+            if missed > _MISSES:
                 raise
         await asyncio.sleep(_STEP)

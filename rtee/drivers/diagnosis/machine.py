@@ -9,6 +9,10 @@ import shutil
 from pathlib import Path
 
 from rtee.drivers.diagnosis.checks import Check, ok, warning
+from rtee.hand.config_schema import RealtimeSettings
+
+_PRIORITY = RealtimeSettings().priority
+"""Priority that a hand asks for unless its configuration gives another."""
 
 _LIMITS = "/etc/security/limits.d/rtee.conf"
 """Where the limits of the user are raised (pam_limits)."""
@@ -62,11 +66,11 @@ def _governor(root: Path) -> Check:
 
 def _priority() -> Check:
     soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
-    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY or soft >= 80:
+    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY or soft >= _PRIORITY:
         return ok("real-time priority", "allowed")
     return warning(
         "real-time priority",
-        f"allowed up to {soft}, `rtee run --realtime` asks for 80",
+        f"allowed up to {soft}, `rtee run --realtime` asks for {_PRIORITY}",
         f"echo '{_user()} - rtprio 90' | sudo tee -a {_LIMITS}   # then log in again",
     )
 

@@ -20,6 +20,12 @@ LONGEST = 1024
 """Largest length field that is accepted [byte]: no servo has a larger table, garbage often
 would."""
 _STUFFED = b"\xff\xff\xfd"
+_AHEAD = 7
+"""Bytes ahead of what the length field counts: header, id and the field itself."""
+_SHORTEST = 3
+"""Smallest length field: instruction and CRC."""
+_POLYNOMIAL = 0x8005
+"""Of the CRC: CRC-16 as Robotis prints it (Protocol 2.0, CRC)."""
 
 
 class DynamixelFrameError(ValueError):
@@ -78,7 +84,7 @@ def _crc_table() -> tuple[int, ...]:
     for byte in range(256):
         value = byte << 8
         for _ in range(8):
-            value = (value << 1) ^ (0x8005 if value & 0x8000 else 0)
+            value = (value << 1) ^ (_POLYNOMIAL if value & 0x8000 else 0)
         table.append(value & 0xFFFF)
     return tuple(table)
 
@@ -113,10 +119,10 @@ def _sealed(device: int, body: bytes) -> bytes:
 
 def _opened(raw: bytes) -> tuple[int, bytes]:
     """Return the id and what follows the length field, still stuffed."""
-    if len(raw) < 10 or raw[:4] != HEADER:
+    if len(raw) < _SHORTEST + _AHEAD or raw[:4] != HEADER:
         raise DynamixelFrameError("a packet begins with FF FF FD 00 and has at least ten bytes")
     device, length = struct.unpack_from("<BH", raw, 4)
-    if not 3 <= length <= LONGEST or len(raw) != length + 7:
+    if not _SHORTEST <= length <= LONGEST or len(raw) != length + _AHEAD:
         raise DynamixelFrameError(f"a length of {length} does not fit {len(raw)} bytes")
     if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
         raise DynamixelFrameError("the CRC does not match")
@@ -205,8 +211,8 @@ class InstructionParser(FramedParser[InstructionPacket]):
         self.damaged: list[tuple[int, int]] = []
 
     def _length(self, at: int) -> int:
-        length = (self._buffer[at + 5] | self._buffer[at + 6] << 8) + 7
-        return length if 10 <= length <= LONGEST + 7 else 0
+        length = self._buffer[at + 5] | self._buffer[at + 6] << 8
+        return length + _AHEAD if _SHORTEST <= length <= LONGEST else 0
 
     def _inside(self) -> int:
         # Stuffing keeps headers out of packets: another one means that this one is cut off.

@@ -26,6 +26,10 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 from rtee.drivers.servo_emulator import ServoLine
 
+_SPAN = 4
+"""Bytes of an address and a length, with which the parameters of most instructions begin."""
+_ALWAYS = 2
+"""Status return level at which a servo answers every instruction; see its control table."""
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
 """Status return level from which an instruction is answered; other instructions from 2."""
@@ -180,9 +184,9 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
     def _answers(self, packet: InstructionPacket, now: float) -> list[bytes]:
         params = packet.params
         match packet.instruction:
-            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(params) >= 4:
+            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if len(params) >= _SPAN:
                 address, length = struct.unpack_from("<HH", params)
-                wanted = [(n, address, length) for n in params[4:]]
+                wanted = [(n, address, length) for n in params[_SPAN:]]
                 fast = packet.instruction == Instruction.FAST_SYNC_READ
                 return self._read_many(wanted, fast, now)
             case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
@@ -190,9 +194,9 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 wanted = list(struct.iter_unpack("<BHH", params[: len(params) // 5 * 5]))
                 fast = packet.instruction == Instruction.FAST_BULK_READ
                 return self._read_many(wanted, fast, now)
-            case Instruction.SYNC_WRITE if len(params) >= 4:
+            case Instruction.SYNC_WRITE if len(params) >= _SPAN:
                 address, length = struct.unpack_from("<HH", params)
-                for at in range(4, len(params) - length, length + 1):
+                for at in range(_SPAN, len(params) - length, length + 1):
                     for servo in self._listening([params[at]], now):
                         servo.write(address, params[at + 1 : at + 1 + length])
                 return []
@@ -225,7 +229,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             case Instruction.PING:
                 reply = servo.read(0, 7) or bytes(7)
                 return self._status(servo, 0, reply[0:2] + reply[6:7])
-            case Instruction.READ if len(params) < 4:
+            case Instruction.READ if len(params) < _SPAN:
                 error = Error.DATA_LENGTH
             case Instruction.WRITE | Instruction.REG_WRITE if len(params) < 3:
                 error = Error.DATA_LENGTH
@@ -245,17 +249,17 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 # It answers first: after the reboot it is silent for a while.
                 answer = self._status(servo, 0)
                 servo.reboot(now)
-                return answer if level >= 2 else None
+                return answer if level >= _ALWAYS else None
             case Instruction.FACTORY_RESET if len(params) == 1:
                 answer = self._status(servo, 0)
                 servo.factory_reset(now, params[0])
-                return answer if level >= 2 else None
+                return answer if level >= _ALWAYS else None
             case Instruction.CLEAR if params == _CLEAR_TURNS:
                 servo.clear_turns()
                 error = Error.NONE
             case _:
                 error = Error.INSTRUCTION
-        return self._status(servo, error) if level >= 2 else None
+        return self._status(servo, error) if level >= _ALWAYS else None
 
     def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
         answers = []

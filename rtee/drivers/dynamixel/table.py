@@ -19,6 +19,9 @@ LATENCY = 1e-3
 END = 228
 """First address behind the table."""
 
+_RAM = 64
+"""First address of the RAM area; what lies below is EEPROM."""
+
 
 @dataclass(frozen=True, slots=True)
 class Register:
@@ -45,7 +48,7 @@ class Register:
     @property
     def eeprom(self) -> bool:
         """Whether it survives a power cycle, and can be written only without torque."""
-        return self.address < 64
+        return self.address < _RAM
 
     def pack(self, value: int) -> bytes:
         """Return a value as bytes."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
 
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
+from rtee.drivers.connection import longer_deadline
 from rtee.drivers.feetech.codec import (
     OVERHEAD,
     Frame,
@@ -46,19 +47,14 @@ class FeetechLink:
         self.delay = self.turnaround = 0.0
         self._bus = bus
         self._family = family
-        self._deadline = deadline
+        self.deadline = deadline
         self._retries = retries
         self._parser = ReplyParser()
         self._groups: dict[tuple[frozenset[int], int], GroupParser] = {}
 
-    @contextlib.contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def unhurried(self) -> AbstractContextManager[None]:
         """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        usual, self._deadline = self._deadline, max(self._deadline, PATIENCE)
-        try:
-            yield
-        finally:
-            self._deadline = usual
+        return longer_deadline(self, PATIENCE)
 
     def read_time(self, size: int, count: int = 1) -> float:
         """Return the time of one request for so many bytes of each of ``count`` servos [s]."""
@@ -72,7 +68,7 @@ class FeetechLink:
         return wire_time(OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
 
     def _longest(self, size: int, count: int = 1) -> float:
-        return self._deadline + (self._retries + 1) * self.read_time(size, count)
+        return self.deadline + (self._retries + 1) * self.read_time(size, count)
 
     async def read(self, number: int, address: int, size: int) -> Frame:
         """Return a servo's answer with so many bytes of its registers; raises `BusError`."""

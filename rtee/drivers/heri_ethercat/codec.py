@@ -25,6 +25,8 @@ TORQUE_PER_AMPERE = TORQUE_CONSTANT * GEAR * EFFICIENCY
 COMMAND_OBJECT = (0x8001, 3)
 ACKNOWLEDGE_OBJECT = (0x8001, 4)
 FIRMWARE_OBJECT = (0x8001, 1)
+ORDER_SIZE = 2
+"""Bytes of a command and of its acknowledgement."""
 # The high byte of an acknowledgement; the low one repeats the command.
 _DONE = 0x7800
 _REFUSED = 0xAA00  # the board did not accept the command
@@ -200,7 +202,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     Raises:
         HeriFrameError: if it is not an acknowledgement.
     """
-    if len(raw) < 2:
+    if len(raw) < ORDER_SIZE:
         raise HeriFrameError("an acknowledgement has two bytes")
     word = raw[0] | raw[1] << 8
     # The acknowledgement of the command before is still there until the board takes this one.

@@ -22,6 +22,7 @@ from rtee.drivers.heri_ethercat.codec import (
     COMMAND_OBJECT,
     FIRMWARE_OBJECT,
     MOTORS,
+    ORDER_SIZE,
     TORQUE_PER_AMPERE,
     Command,
     Fault,
@@ -257,7 +258,7 @@ class HeriEmulator(Emulator, Grasps):
 
     def write_object(self, position: int, index: int, subindex: int, data: bytes) -> bool:
         """Write an object."""
-        if (index, subindex) != COMMAND_OBJECT or len(data) != 2:
+        if (index, subindex) != COMMAND_OBJECT or len(data) != ORDER_SIZE:
             return False
         board = self.boards[position]
         code = data[0] | data[1] << 8

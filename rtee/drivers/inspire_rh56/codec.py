@@ -31,8 +31,14 @@ MOST_TACTILE = 3000
 """Largest force limit of a hand with tactile sensors [g]."""
 OVERHEAD = 8  # bytes of a frame beside its data
 
-_LONGEST = 255 + 5
-"""Bytes of the longest frame: its length byte does not count five of them."""
+_AROUND = 5
+"""Bytes of a frame that its length byte does not count: header, number, length and checksum."""
+_INSIDE = 3
+"""Bytes it counts besides the data: command and address."""
+_LONGEST = 0xFF + _AROUND
+"""Bytes of the longest frame."""
+_ERRORS = 0x1F
+"""The five bits of a motor's error that have a meaning."""
 _BELOW, _ABOVE = -100, 2000
 """What lies beyond is not an angle count: a tenth of the way below 0, and above what an example
 frame of the manual has."""
@@ -134,8 +140,8 @@ class Frame:
 
     def to_bytes(self, header: bytes) -> bytes:
         """Return the frame as sent."""
-        length = len(self.data) + 3
-        if not (0 <= self.hand <= 255 and 4 <= length <= 255):
+        length = len(self.data) + _INSIDE
+        if not (0 <= self.hand <= 0xFF and _INSIDE < length <= 0xFF):
             raise Rh56FrameError(f"no frame can carry {self}")
         body = bytes((self.hand, length, self.command)) + self.address.to_bytes(2, "little")
         body += self.data
@@ -148,7 +154,7 @@ class Frame:
         Raises:
             Rh56FrameError: if it is none.
         """
-        if len(raw) <= OVERHEAD or raw[3] < 4 or len(raw) != raw[3] + 5:
+        if len(raw) <= OVERHEAD or raw[3] <= _INSIDE or len(raw) != raw[3] + _AROUND:
             raise Rh56FrameError(f"{len(raw)} bytes are not a frame")
         if sum(raw[2:-1]) & 0xFF != raw[-1]:
             raise Rh56FrameError("the checksum does not match")
@@ -165,7 +171,7 @@ class RequestParser(FramedParser[Frame]):
 
     def _length(self, at: int) -> int:
         length = self._buffer[at + 3]
-        return length + 5 if length >= 4 else 0
+        return length + _AROUND if length > _INSIDE else 0
 
     def _decode(self, raw: bytes) -> Frame:
         return Frame.from_bytes(raw)
@@ -227,7 +233,7 @@ class Report:
         # A checksum of one byte lets some damage pass; what cannot be is refused here.
         if not all(_BELOW <= count <= _ABOVE for count in where):
             raise Rh56FrameError(f"no angles of an RH56: {where}")
-        if any(bits > 0x1F for bits in errors) or any(
+        if any(bits > _ERRORS for bits in errors) or any(
             state in (4, *range(8, 256)) for state in states
         ):
             raise Rh56FrameError(f"no errors and states of an RH56: {report[24:36].hex(' ')}")

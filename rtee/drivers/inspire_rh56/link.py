@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
+from rtee.drivers.connection import longer_deadline
 from rtee.drivers.inspire_rh56.codec import (
     OVERHEAD,
     Command,
@@ -42,14 +42,9 @@ class Rh56Link(ABC):
         self.deadline = deadline
         self.retries = retries
 
-    @contextlib.contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def unhurried(self) -> AbstractContextManager[None]:
         """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
-        try:
-            yield
-        finally:
-            self.deadline = usual
+        return longer_deadline(self, PATIENCE)
 
     @abstractmethod
     async def read(self, address: int, size: int) -> bytes:

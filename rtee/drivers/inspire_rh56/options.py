@@ -7,11 +7,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from rtee.drivers import wiring
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE
 from rtee.drivers.inspire_rh56.scales import FORCES, Force, Scale
 from rtee.drivers.inspire_rh56.tactile import AREAS, Area
 from rtee.drivers.options import DeviceOptions, Positive
-from rtee.drivers.wiring import check_names, numbers_of
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 
@@ -126,11 +126,7 @@ def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
     Raises:
         ConfigError: if an actuator has none, or two have the same.
     """
-    if options.fingers:
-        check_names(spec, "fingers", options.fingers)
-    named = {a.name: options.fingers.get(a.name) or _finger_of(a.name) for a in spec.actuators}
-    found = {name: FINGERS.index(finger) for name, finger in named.items() if finger}
-    return tuple(numbers_of(spec, "fingers", found, "motor"))
+    return wiring.motors_of(spec, "fingers", options.fingers, FINGERS, _finger_of)
 
 
 def _finger_of(name: str) -> str:

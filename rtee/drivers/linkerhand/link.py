@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.timing import silence, wire_time
+from rtee.drivers.connection import longer_deadline
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Fault, LinkerFrameError, Model, Table, Version
 from rtee.errors import FrameError
@@ -37,14 +38,9 @@ class LinkerLink(ABC):
         self.deadline = deadline
         self.retries = retries
 
-    @contextlib.contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def unhurried(self) -> AbstractContextManager[None]:
         """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
-        try:
-            yield
-        finally:
-            self.deadline = usual
+        return longer_deadline(self, PATIENCE)
 
     @abstractmethod
     async def version(self) -> Version | None:

@@ -6,10 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rtee.drivers import wiring
 from rtee.drivers.linkerhand.codec import BITRATE, MODELS, RIGHT, Model
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.drivers.scale import LinearScale
-from rtee.drivers.wiring import check_names, numbers_of
 from rtee.errors import ConfigError
 from rtee.types import DeviceSpec
 
@@ -94,12 +94,7 @@ def motors_of(spec: DeviceSpec, options: LinkerHandOptions) -> tuple[int, ...]:
     Raises:
         ConfigError: if an actuator has none, or two have the same.
     """
-    if options.motors:
-        check_names(spec, "motors", options.motors)
-    known = options.kind.motors
-    named = {a.name: options.motors.get(a.name) or _motor_of(a.name) for a in spec.actuators}
-    found = {name: known.index(motor) for name, motor in named.items() if motor in known}
-    return tuple(numbers_of(spec, "motors", found, "motor"))
+    return wiring.motors_of(spec, "motors", options.motors, options.kind.motors, _motor_of)
 
 
 def _motor_of(name: str) -> str:

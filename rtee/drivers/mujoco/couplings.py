@@ -48,6 +48,9 @@ _SOLREF = [0.005, 1.0]
 _SOLIMP = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Impedance of a rigid coupling: hardly any play."""
 
+_EXACT = 1e-6
+"""Error of a polynomial [rad or m] below which it counts as the coupling itself."""
+
 _LEAST_SLOPE = 1e-3
 """Least sum of shares times slopes, relative to the shares, by which effort is distributed: below
 it the joints hardly move with the actuator and would get immense torques."""
@@ -192,7 +195,7 @@ def add_couplings(
         data, error = fit(follower.coupling, lower, upper)
         motor = motor_joint(hand, follower.actuator.name)
         _add_equality(spec, follower.joint, motor, data)
-        if error > 1e-6:
+        if error > _EXACT:
             notes.append(
                 f"joint '{follower.joint}' follows '{follower.actuator.name}' by a curve; its "
                 f"tangent is renewed at every exchange (a single polynomial would be up to "

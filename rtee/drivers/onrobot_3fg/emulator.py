@@ -25,6 +25,10 @@ from rtee.drivers.onrobot_emulator import (
 )
 from rtee.drivers.properties import Duration, Positive, read_properties
 
+_SETTINGS = 0x0401
+"""First register of the settings of the fingers; the targets are those from 0 on."""
+_THERE = 2e-4
+"""Two counts of the diameter register [m]: what the fingers can resolve."""
 _APPROACH_FORCE = 50.0
 """Force until the contact [N]; the connectivity guide says about 50."""
 _FLEXIBLE_FORCE = 140.0
@@ -150,8 +154,8 @@ class OnRobot3FGEmulator(OnRobotEmulator):
     # --- registers -------------------------------------------------------------------------------
 
     def _set(self, address: int, values: Sequence[int]) -> None:
-        if address >= 0x0401:
-            start = address - 0x0401
+        if address >= _SETTINGS:
+            start = address - _SETTINGS
             settings = [*self._settings]
             settings[start : start + len(values)] = values
             if settings[2] not in (1, 2, 3):
@@ -161,7 +165,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
             return
         self._targets[address : address + len(values)] = values
         # Only a write that includes the control register starts anything, as on the device.
-        if address + len(values) == 4:
+        if address + len(values) == len(self._targets):
             self._command(values[-1])
 
     def registers(self) -> Mapping[int, int]:
@@ -239,8 +243,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         self.axis.advance(dt)
         if not self._busy or self.axis.velocity != 0.0:
             return
-        # Two counts of the diameter register: what the fingers can resolve.
-        there = abs(self.axis.target - self.axis.position) < 2e-4
+        there = abs(self.axis.target - self.axis.position) < _THERE
         if there or not self._grips or self.axis.stuck:
             self._busy = False
             return

@@ -153,6 +153,7 @@ class Status:
 
     def to_registers(self) -> tuple[int, int]:
         """Return the two registers."""
+        # Bits 2 to 5: for each switch whether it is pushed, and whether it was during a motion.
         bits = self.busy | self.grip_detected << 1 | self.safety_error << 6
         for i in range(2):
             bits |= self.pushed[i] << 2 + 2 * i | self.triggered[i] << 3 + 2 * i

@@ -197,7 +197,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
             return
         self._targets[address : address + len(values)] = values
         # Only a write that includes the control register starts anything, as on the device.
-        if address + len(values) == 3:
+        if address + len(values) == len(self._targets):
             self._command(values[-1])
 
     def registers(self) -> Mapping[int, int]:

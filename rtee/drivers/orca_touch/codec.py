@@ -86,6 +86,7 @@ _SLOTS: Mapping[str, tuple[int, int]] = {
 
 _PER_SLOT = 4  # modules of a slot; the third is the fingertip
 _TIP = 2
+_NORMAL = 2  # axis of a resultant that presses on the sensor, and so is never negative
 _TAXEL, _RESULTANT = 3, 6  # bytes of each
 
 
@@ -361,7 +362,7 @@ def forces_bytes(resultants: FloatArray, taxels: Sequence[FloatArray], content: 
     for resultant, of_finger in zip(resultants, taxels, strict=True):
         if content & Content.RESULTANTS:
             for axis, force in enumerate(np.rint(resultant / NEWTONS).astype(int).tolist()):
-                low = max(0, min(force, 255)) if axis == 2 else max(-128, min(force, 127))
+                low = max(0, min(force, 255)) if axis == _NORMAL else max(-128, min(force, 127))
                 data += bytes((low & 0xFF, 0xFF if low < 0 else 0))
         if content & Content.TAXELS:
             counts = np.rint(of_finger / NEWTONS)

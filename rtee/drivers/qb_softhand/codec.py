@@ -20,6 +20,8 @@ LONGEST = 128
 """Largest length byte that a device takes."""
 OVERHEAD = 4
 """Bytes of a frame that its length byte does not count."""
+_SHORTEST = 2
+"""Smallest length byte: command and checksum."""
 TURNAROUND = 1e-3
 """Latency of a USB adapter: time from a request to its answer beyond the wire's [s]."""
 
@@ -69,8 +71,8 @@ class Frame:
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent."""
-        length = len(self.data) + 2
-        if length > LONGEST or not 0 <= self.device <= 255:
+        length = len(self.data) + _SHORTEST
+        if length > LONGEST or not 0 <= self.device <= 0xFF:
             raise QbFrameError(f"no frame can carry {self}")
         check = reduce(xor, self.data, self.command)
         return HEADER + bytes((self.device, length, self.command, *self.data, check))
@@ -82,9 +84,9 @@ class Frame:
         Raises:
             QbFrameError: if it is none.
         """
-        if len(raw) < 6 or raw[:2] != HEADER:
+        if len(raw) < _SHORTEST + OVERHEAD or raw[:2] != HEADER:
             raise QbFrameError("a frame begins with 3A 3A and has at least six bytes")
-        if not 2 <= raw[3] <= LONGEST or len(raw) != raw[3] + OVERHEAD:
+        if not _SHORTEST <= raw[3] <= LONGEST or len(raw) != raw[3] + OVERHEAD:
             raise QbFrameError(f"a length of {raw[3]} does not fit {len(raw)} bytes")
         body = raw[4:-1]
         if reduce(xor, body) != raw[-1]:
@@ -102,7 +104,7 @@ class Parser(FramedParser[Frame]):
 
     def _length(self, at: int) -> int:
         length = self._buffer[at + 3]
-        return length + OVERHEAD if 2 <= length <= LONGEST else 0
+        return length + OVERHEAD if _SHORTEST <= length <= LONGEST else 0
 
     def _decode(self, raw: bytes) -> Frame:
         return Frame.from_bytes(raw)

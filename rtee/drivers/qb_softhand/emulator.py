@@ -20,6 +20,10 @@ from rtee.drivers.qb_softhand import codec
 from rtee.drivers.qb_softhand.codec import BROADCAST, HEADER, Command, Frame, Parser
 from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
 
+_LOWEST = -4_000
+"""Lower limit of the motors of a hand with two [ticks]."""
+_RATES = {13: 460_800}
+"""Parameters of the baud rate's command and what they set [baud]; others set the factory's."""
 _TEXT_REQUEST = b"?\r\n"  # asks for the information text without a frame
 
 
@@ -65,7 +69,7 @@ class QbOptions:
     @property
     def lower(self) -> int:
         """Lower limit of a motor [ticks]."""
-        return -4_000 if self.motors == 2 else 0
+        return _LOWEST if self.motors == 2 else 0
 
     @property
     def upper(self) -> int:
@@ -257,7 +261,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
             case Command.SET_WATCHDOG if data and self.options.watchdog:
                 self.watchdog = codec.watchdog_seconds(data[0])
             case Command.SET_BAUDRATE if data:
-                self.baudrate = 460_800 if data[0] == 13 else codec.BAUDRATE
+                self.baudrate = _RATES.get(data[0], codec.BAUDRATE)
             case Command.STORE_PARAMS | Command.SET_ZEROS | Command.GET_PARAM_LIST:
                 return self._acknowledge(command)
         return None

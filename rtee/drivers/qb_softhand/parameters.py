@@ -14,6 +14,12 @@ SLOT = 50  # bytes of a parameter
 MOST = 64
 """Most parameters a list may have; more means that the bytes are something else."""
 
+_HEAD = 6
+"""Bytes ahead of the first parameter: header, device, length, command and number."""
+_SIGN = 0x8000
+"""A current limit from here on is a negative number in 16 bits."""
+_SIGNED = frozenset({3, 5})
+"""Types of signed integers, of 16 and 32 bits, as limits are."""
 # Type byte to the form of a value (big-endian).
 _FORMS = {0: "B", 1: "b", 2: "B", 3: "h", 4: "H", 5: "i", 6: "I", 7: "f", 8: "d"}
 
@@ -108,12 +114,12 @@ class ListParser:
                 del buffer[:-2]
                 return []
             del buffer[:start]
-            if len(buffer) < 6:
+            if len(buffer) < _HEAD:
                 return []
             count = buffer[5]
             if buffer[4] == Command.GET_PARAM_LIST and 0 < count <= MOST:
                 try:
-                    found = self._read(bytes(buffer[6 : 6 + count * SLOT]))
+                    found = self._read(bytes(buffer[_HEAD : _HEAD + count * SLOT]))
                     if len(found) < count:
                         return []
                     buffer.clear()
@@ -146,7 +152,7 @@ class Limits:
 def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
     """Return the motors' limits from a list, or nothing where it has none that make sense."""
     found = parameters.get(Index.LIMITS)
-    if found is None or len(found.values) < 2 or found.kind not in {3, 5}:
+    if found is None or len(found.values) < 2 or found.kind not in _SIGNED:
         return ()
     pairs = zip(found.values[::2], found.values[1::2], strict=False)
     made = tuple(Limits(int(low), int(high)) for low, high in pairs)
@@ -156,6 +162,6 @@ def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
 def current_limit(parameters: Mapping[int, Parameter]) -> float | None:
     """Return the current limit [A] from a list, or ``None`` where it has none."""
     found = parameters.get(Index.CURRENT_LIMIT)
-    if found is None or not found.values or not 0 < found.values[0] < 32768:
+    if found is None or not found.values or not 0 < found.values[0] < _SIGN:
         return None
     return found.values[0] / 1000.0

@@ -31,7 +31,8 @@ from rtee.drivers.robotiq_2f.codec import (
 )
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
-from rtee.errors import BusError, BusTimeout, CalibrationError, ConfigError, HandshakeError
+from rtee.drivers.wiring import only_actuator
+from rtee.errors import BusError, BusTimeout, CalibrationError, HandshakeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -80,12 +81,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(Robotiq2FOptions, spec)
-        if len(spec.actuators) != 1:
-            raise ConfigError(
-                f"device '{spec.name}': a two-finger gripper has one actuator, "
-                f"not {len(spec.actuators)}",
-                key=f"devices.{spec.name}.actuators",
-            )
+        only_actuator(spec, "a two-finger gripper")
         self._grip = Grip()
         self._requested = -1
         super().__init__(spec, buses, self.options)

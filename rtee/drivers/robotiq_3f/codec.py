@@ -231,6 +231,8 @@ class Scale:
 
 # A finger's first joint turns by the same angle per count all the way: the published driver's 200
 # counts per radian. The scissor turns linearly between its end counts, and no further.
+FINGERS = 3
+"""Axes ahead of the scissor, a to c."""
 _FINGER = Scale(LinearScale((0.0, 200.0), (0.0, 1.0), ends=COUNTS))
 _SCISSOR = Scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
 

@@ -15,6 +15,7 @@ from rtee.drivers.robotiq_3f.codec import (
     AXES,
     COUNT,
     FAULTS,
+    FINGERS,
     FORCE,
     SCALES,
     AxisStatus,
@@ -32,6 +33,8 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
+_OPEN, _CLOSED = 10, 250
+"""A contact beyond these positions [count] is the end stop itself."""
 _SIMPLE = 3
 """Registers that are enough for all fingers together: action, and the request of finger a."""
 
@@ -163,9 +166,8 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         """Return whether a motor presses on something, short of its end stops."""
         axis, going = self._status.axes[at], self._status.going
         contact = going and (
-            # Contact near an end stop is the stop itself: some counts of margin for either.
-            (axis.contact is Contact.CLOSING and axis.position < 250)
-            or (axis.contact is Contact.OPENING and axis.position > 10)
+            (axis.contact is Contact.CLOSING and axis.position < _CLOSED)
+            or (axis.contact is Contact.OPENING and axis.position > _OPEN)
         )
         # Motors that are not commanded each for itself echo no request of their own.
         requested = axis.requested if self._sent is None else self._sent.axes[at].position
@@ -222,7 +224,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         if axis.contact in _PRESSING:
             first = self._status.axes[0].requested
             # Together, only finger a echoes a request; the others follow it.
-            echo = axis.requested or (first if at < 3 else 0)
+            echo = axis.requested or (first if at < FINGERS else 0)
             return Request(echo or axis.position, 255, 255)
         return Request(axis.position, 255, 255)
 

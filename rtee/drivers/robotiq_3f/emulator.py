@@ -15,6 +15,7 @@ from rtee.drivers.objects import Closing
 from rtee.drivers.properties import Duration, read_properties
 from rtee.drivers.robotiq_3f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_3f.codec import (
+    FINGERS,
     FORCE,
     SPEED,
     STROKE,
@@ -215,7 +216,7 @@ def _motion(contacts: Sequence[Contact]) -> Motion:
     short = sum(contact is not Contact.AT_REQUEST for contact in contacts)
     if not short:
         return Motion.ALL_REACHED
-    return Motion.ALL_SHORT if short == 3 else Motion.SOME_SHORT
+    return Motion.ALL_SHORT if short == FINGERS else Motion.SOME_SHORT
 
 
 def _current(axis: Axis) -> int:

@@ -240,6 +240,7 @@ class Input:
 
 def registers(data: bytes) -> tuple[int, ...]:
     """Return bytes of the device's memory as registers."""
+    # Big-endian to keep the order of the bytes: Modbus sends the high one of a register first.
     return struct.unpack(f">{len(data) // 2}H", data)
 
 

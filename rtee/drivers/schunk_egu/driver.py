@@ -36,7 +36,8 @@ from rtee.drivers.schunk_egu.codec import (
     float_of,
     text_of,
 )
-from rtee.drivers.step_follower import Order, StepFollower
+from rtee.drivers.step_follower import Order, Settle, StepFollower
+from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
     BusError,
     BusTimeout,
@@ -87,9 +88,7 @@ class SchunkEguOptions(DeviceOptions):
         description="exchanges per second; below 20 the gripper may miss them and stop",
     )
     brake_test: bool = Field(False, description="test the brake whenever it is activated")
-    settle: float = Field(
-        0.1, ge=0.0, description="a reference that rests this long is gone to, however near [s]"
-    )
+    settle: Settle = 0.1
     step: float = Field(
         0.003,
         gt=0.0,
@@ -111,11 +110,7 @@ class SchunkEguDriver(BlocksDriver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         options = self.options = read_options(SchunkEguOptions, spec)
-        if len(spec.actuators) != 1:
-            raise ConfigError(
-                f"device '{spec.name}': an EGU or EGK has one actuator, not {len(spec.actuators)}",
-                key=f"devices.{spec.name}.actuators",
-            )
+        only_actuator(spec, "an EGU or EGK")
         self._follower = StepFollower(options.settle, options.step / _UM, _SAME, _REACHED)
         self._input = Input()
         self._gripping = False

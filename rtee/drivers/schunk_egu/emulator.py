@@ -304,6 +304,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         position, speed = output.position / 1e3, output.speed / 1e3
         outward = bool(output.control & Control.OUTWARD)
         if command in (Control.GRIP, Control.GRIP_AT):
+            # In percent, as the driver's scale of efforts has it.
             if not 1 <= output.force <= 100:
                 return None, 0.0, 0.0
             end = made.stroke if outward else 0.0

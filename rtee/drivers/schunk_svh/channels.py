@@ -76,6 +76,7 @@ class Channel:
         """Return the effort [N·m] of a current [mA]: positive closes; ``NaN`` when not known."""
         if self.force_slope == 0.0:
             return math.nan
+        # The offset may be negative: below some current, friction leaves no force.
         size = max(0.0, self.force_slope * abs(current_ma) + self.force_offset) * self.lever
         return math.copysign(size, current_ma * -self.direction)
 

@@ -14,7 +14,9 @@ CHANNELS = 9  # motors of the hand
 SYNC = b"\x4c\xaa"  # begins every packet
 PAYLOAD = 64
 """Bytes of data in every packet of the host, padded with zeros."""
-PACKET = PAYLOAD + 8
+_OVERHEAD = 8
+"""Bytes of a packet besides its data: header of six, two checksums."""
+PACKET = PAYLOAD + _OVERHEAD
 """Bytes of a padded packet on the wire."""
 GAP = 782e-6
 """Pause the hand needs after each packet of the host [s]."""
@@ -72,7 +74,7 @@ class Packet:
 
     def to_bytes(self, *, pad: bool = True) -> bytes:
         """Return the packet as sent; the host always pads its data to 64 bytes."""
-        if len(self.data) > PAYLOAD or not 0 <= self.channel <= 15 or not 0 <= self.index <= 255:
+        if len(self.data) > PAYLOAD or not 0 <= self.channel <= 0xF or not 0 <= self.index <= 0xFF:
             raise SvhFrameError(f"no packet can carry {self}")
         data = self.data.ljust(PAYLOAD, b"\x00") if pad else self.data
         address = self.command | self.channel << 4
@@ -85,12 +87,12 @@ class Packet:
         Raises:
             SvhFrameError: if it is none.
         """
-        if len(raw) < 8:
+        if len(raw) < _OVERHEAD:
             raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
         sync, index, address, length = _HEADER.unpack_from(raw)
         if sync != SYNC:
             raise SvhFrameError("a packet begins with 4C AA")
-        if length > PAYLOAD or len(raw) != length + 8:
+        if length > PAYLOAD or len(raw) != length + _OVERHEAD:
             raise SvhFrameError(f"a data length of {length} does not fit {len(raw)} bytes")
         data = raw[6:-2]
         if bytes(checksums(data)) != raw[-2:]:

@@ -79,6 +79,7 @@ class Limits:
 
     async def write(self, link: SvhLink, channels: Sequence[int]) -> None:
         """Write the settings of all channels; raises `BusError`."""
+        # What is written here replaces all limits sent before.
         self._sent.clear()
         self._settled = None
         for channel in channels:
@@ -111,6 +112,7 @@ class Limits:
                 "rate": self._rate_for(channel, float(reference.max_velocity[i])),
             }
             for what, value in wanted.items():
+                # NaN, which is close to nothing: a limit that was never sent is sent now.
                 sent = self._sent.get((channel.index, what), math.nan)
                 if math.isclose(sent, value, rel_tol=_TOLERANCE):
                     continue

@@ -67,6 +67,7 @@ class SvhLink:
 
     async def firmware(self) -> codec.FirmwareInfo:
         """Return the hand's identification; also finds out whether it echoes indices."""
+        # Until this is known, every reply to the command counts, whatever its index.
         self.echoes = False
         reply = await self.exchange(Command.GET_FIRMWARE_INFO)
         self.echoes = reply.index == self._index

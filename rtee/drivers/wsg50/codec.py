@@ -24,7 +24,10 @@ _CRC = struct.Struct("<H")
 _OVERHEAD = _HEAD.size + _CRC.size
 _LONGEST = 256
 """Bytes of the longest payload that is taken for one: the device's tag is a text of free length."""
+_STATUS = 2
+"""Bytes of the status that every answer's payload begins with."""
 _POLYNOMIAL = 0x1021
+"""Of CRC-16-CCITT."""
 _ACKNOWLEDGE = b"ack"  # payload that clears a fast stop
 _RELATIVE, _STOP_ON_BLOCK = 0x01, 0x02  # flags of a pre-position
 
@@ -201,7 +204,7 @@ class Frame:
     @property
     def status(self) -> Status:
         """The status of an answer; raises `WsgFrameError` where it has none."""
-        if len(self.payload) < 2:
+        if len(self.payload) < _STATUS:
             raise WsgFrameError("an answer without a status")
         try:
             return Status(int.from_bytes(self.payload[:2], "little"))
@@ -355,13 +358,13 @@ class Limits:
 
 def state_of(frame: Frame) -> State:
     """Return the system's state of an answer; raises `WsgFrameError`."""
-    if len(frame.payload) != 6:
+    if len(frame.payload) != _STATUS + 4:
         raise WsgFrameError("no state")
     return State(int.from_bytes(frame.payload[2:], "little"))
 
 
 def grasping_of(frame: Frame) -> Grasping:
     """Return the state of a grasp of an answer; raises `WsgFrameError`."""
-    if len(frame.payload) != 3 or frame.payload[2] > max(Grasping):
+    if len(frame.payload) != _STATUS + 1 or frame.payload[2] > max(Grasping):
         raise WsgFrameError("no state of a grasp")
     return Grasping(frame.payload[2])

@@ -17,7 +17,8 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.scale import LinearScale
-from rtee.drivers.step_follower import Order, StepFollower
+from rtee.drivers.step_follower import Order, Settle, StepFollower
+from rtee.drivers.wiring import only_actuator
 from rtee.drivers.wsg50.codec import (
     PORT,
     Command,
@@ -39,7 +40,6 @@ from rtee.errors import (
     BusError,
     BusTimeout,
     CommandRejected,
-    ConfigError,
     DeviceFault,
     FrameError,
     HandshakeError,
@@ -87,9 +87,7 @@ class Wsg50Options(DeviceOptions):
         "on_demand", description="when a gripper that is not referenced is homed, which moves it"
     )
     home_timeout: float = Field(20.0, gt=0.0, description="[s]")
-    settle: float = Field(
-        0.1, ge=0.0, description="a reference that rests this long is gone to, however near [s]"
-    )
+    settle: Settle = 0.1
     step: float = Field(
         0.005,
         gt=0.0,
@@ -111,11 +109,7 @@ class Wsg50Driver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         options = self.options = read_options(Wsg50Options, spec)
-        if len(spec.actuators) != 1:
-            raise ConfigError(
-                f"device '{spec.name}': a WSG 50 has one actuator, not {len(spec.actuators)}",
-                key=f"devices.{spec.name}.actuators",
-            )
+        only_actuator(spec, "a WSG 50")
         self.connection: Connection[WsgLink] = Connection(spec)
         self._follower = StepFollower(options.settle, options.step * 1e3, _SAME, _REACHED)
         self._report = Report()

@@ -32,6 +32,8 @@ from rtee.drivers.wsg50.codec import (
 
 _HOMING_SPEED = 50.0
 """Speed of homing [mm/s]; no document states it."""
+_NUMBER = 4
+"""Bytes of a number, of which every command that takes some has at least one."""
 _NEAR = 0.02
 """Width within which a target counts as reached [mm]."""
 _AUTO = frozenset(
@@ -205,6 +207,7 @@ class Wsg50Emulator(Emulator, Grasps):
         answers = self._pass(now)
         for frame in self._parser.feed(data):
             if frame.command not in _AUTO:
+                # The newest 64: a run of hours must not fill the memory.
                 self.requests = [*self.requests[-63:], frame]
             self._announced = False
             answers += [self._answer(frame, now), *self._aborted]
@@ -227,7 +230,7 @@ class Wsg50Emulator(Emulator, Grasps):
                 return self._measured(command, frame.payload, now)
             return self._done(command, frame)
         except WsgFrameError:
-            few = len(frame.payload) < 4
+            few = len(frame.payload) < _NUMBER
             status = Status.TOO_FEW_PARAMETERS if few else Status.FORMAT
             return answer(command, status)
 

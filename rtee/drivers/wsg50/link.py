@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
 from rtee.buses.serial import SerialBus
+from rtee.drivers.connection import longer_deadline
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -89,6 +90,7 @@ class _Reports:
         if len(self._found) < len(_REPORT):
             return []
         found = [self._found[command] for command in _REPORT]
+        # Before anything fails below: the next report must not be completed by parts of this one.
         self._found.clear()
         try:
             if any(frame.status is not Status.OK for frame in found):
@@ -117,16 +119,12 @@ class WsgLink:
         self.deadline = deadline
         self._frames = FrameParser()
         self._reports = _Reports()
+        # In one packet: on a network each question of its own would cost a round trip.
         self._questions = b"".join(asking(command).to_bytes() for command in _REPORT)
 
-    @contextlib.contextmanager
-    def unhurried(self) -> Iterator[None]:
+    def unhurried(self) -> AbstractContextManager[None]:
         """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        usual, self.deadline = self.deadline, max(self.deadline, PATIENCE)
-        try:
-            yield
-        finally:
-            self.deadline = usual
+        return longer_deadline(self, PATIENCE)
 
     async def report(self) -> Report:
         """Return what the gripper reports; raises `BusError`."""

@@ -133,6 +133,7 @@ class XBot2Emulator(Emulator, Grasps):
         for i, name in enumerate(command.names):
             axis = self.axes.get(name)
             control = command.control[i] if command.control else Control(0)
+            # A command may be for a whole robot, of which these joints are a part.
             if axis is None:
                 continue
             if control & Control.POSITION and command.position:

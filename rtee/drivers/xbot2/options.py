@@ -71,6 +71,6 @@ class XBot2Options(DeviceOptions):
     @field_validator("address")
     @classmethod
     def _an_address(cls, address: str) -> str:
-        if not address.startswith("tcp://") or len(address) < 7 or ":" in address[6:]:
+        if not (host := address.removeprefix("tcp://")) or host == address or ":" in host:
             raise ValueError("an address is 'tcp://host'; ports are options of their own")
         return address

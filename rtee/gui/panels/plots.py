@@ -47,6 +47,39 @@ def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
     }
 
 
+def chart(
+    gui: viser.GuiApi,
+    data: Sequence[FloatArray],
+    series: Sequence[uplot.Series],
+    title: str,
+    height: int,
+) -> viser.GuiUplotHandle:
+    """Add a plot to the current container.
+
+    Args:
+        gui: Where to add it.
+        data: Times, the lines, and last the lower and the upper end of the axis, ``(k,)`` each.
+        series: How time and each line are drawn.
+        title: Its title, with the unit.
+        height: Its height [pixels].
+    """
+    # Changing a plot's scales would rebuild it; invisible lines set its range instead.
+    ends = [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
+    return gui.add_uplot(
+        tuple(data),
+        (*series, *ends),
+        title=title,
+        scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
+        axes=(
+            uplot.Axis(font=_SMALL, size=28, space=50),
+            uplot.Axis(font=_SMALL, size=48, space=24),
+        ),
+        legend=uplot.Legend(show=False),
+        height=height,
+        padding=(10, 12, 0, 0),
+    )
+
+
 class PlotsPanel:
     """Plots of the chosen actuators and joints."""
 
@@ -165,21 +198,8 @@ class PlotsPanel:
         if name == "position":
             for index in columns:
                 add(index, f"{self._names[index]} reference", 0.75, 0.7)
-        # Changing a plot's scales would rebuild it; invisible lines set its range instead.
-        series += [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
-        return self._gui.add_uplot(
-            self._data(name),
-            tuple(series),
-            title=f"{_said(name)} [{self._units[name]}]",
-            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
-            axes=(
-                uplot.Axis(font=_SMALL, size=28, space=50),
-                uplot.Axis(font=_SMALL, size=48, space=24),
-            ),
-            legend=uplot.Legend(show=False),
-            height=_HEIGHT,
-            padding=(10, 12, 0, 0),
-        )
+        title = f"{_said(name)} [{self._units[name]}]"
+        return chart(self._gui, self._data(name), series, title, _HEIGHT)
 
     def _data(self, name: str) -> tuple[FloatArray, ...]:
         length = float(self._window.value)

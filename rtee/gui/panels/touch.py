@@ -14,6 +14,7 @@ from viser import uplot
 
 from rtee.gui.colours import line_colour, line_dash
 from rtee.gui.history import LONGEST, POINTS, nice_range
+from rtee.gui.panels.plots import chart
 from rtee.gui.panels.table import table
 from rtee.gui.wording import small
 from rtee.sample import FloatArray
@@ -28,7 +29,6 @@ _KEPT: Final = int(100 * LONGEST)
 _SPAN: Final = 0.5
 """Least length of an axis, in the unit: noise should look like noise."""
 
-_SMALL = "10px system-ui, sans-serif"
 _NONE = "The hand measures no touch."
 
 Windows = Mapping[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]
@@ -119,21 +119,9 @@ class TouchPanel:
                         auto=False,
                     )
                 )
-        # As in the other plots: invisible lines set the range.
-        series += [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
-        return self._gui.add_uplot(
-            tuple(np.zeros(1) for _ in series),
-            tuple(series),
-            title=f"touch, sum over taxels [{unit}]",
-            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
-            axes=(
-                uplot.Axis(font=_SMALL, size=28, space=50),
-                uplot.Axis(font=_SMALL, size=48, space=24),
-            ),
-            legend=uplot.Legend(show=False),
-            height=_HEIGHT,
-            padding=(10, 12, 0, 0),
-        )
+        # Times, the lines and the ends of the axis; the first update brings the values.
+        nothing = [np.zeros(1)] * (len(series) + 2)
+        return chart(self._gui, nothing, series, f"touch, sum over taxels [{unit}]", _HEIGHT)
 
     def _data(self, windows: Windows, unit: str) -> tuple[FloatArray, ...]:
         """Return times and lines; those of several devices share the times of all."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator
 from typing import Any, Literal
 
 import anyio
@@ -27,6 +26,7 @@ from rtee.drivers.allegro.emulator import AllegroEmulator, AllegroProperties
 from rtee.drivers.allegro.options import AllegroOptions
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 # --- frames --------------------------------------------------------------------------------------
 
@@ -174,15 +174,7 @@ def device(n: int = 16, **options: Any) -> DeviceSpec:
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[AllegroDriver]:
-    made = AllegroDriver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(AllegroDriver)
 
 
 def hand(pool: BusPool) -> AllegroEmulator:

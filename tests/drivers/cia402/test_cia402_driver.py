@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import anyio
@@ -24,6 +24,7 @@ from rtee.drivers.cia402.emulated_drive import DriveProperties
 from rtee.drivers.cia402.emulator import Cia402Emulator
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 COUNTS = 4096 / (2 * np.pi)
 
@@ -45,15 +46,7 @@ def device(n: int = 1, *, kind: JointKind = JointKind.REVOLUTE, **options: Any) 
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[Cia402Driver]:
-    made = Cia402Driver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(Cia402Driver)
 
 
 def drives(pool: BusPool) -> Cia402Emulator:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +28,7 @@ from rtee.errors import (
     NotConnected,
 )
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 pytestmark = pytest.mark.anyio
 WRITES = {Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.REBOOT}
@@ -55,15 +54,7 @@ def device(n: int = 2, *, limits: tuple[float, float] = (-1.0, 2.0), **options: 
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[DynamixelDriver]:
-    made = DynamixelDriver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(DynamixelDriver)
 
 
 def line(pool: BusPool) -> DynamixelEmulator:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import struct
 import time
-from collections.abc import AsyncIterator
 from typing import Any
 
 import anyio
@@ -24,6 +22,7 @@ from rtee.drivers.heri_ethercat.driver import HeriEthercatDriver
 from rtee.drivers.heri_ethercat.emulator import HeriEmulator
 from rtee.errors import BusBroken, BusTimeout, ConfigError, DeviceFault, HandshakeError
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 NAMES = ("motor_finger1", "motor_finger2", "motor_finger3", "motor_thumb")
 COMMAND = bytes.fromhex(
@@ -106,15 +105,7 @@ def device(*names: str, **options: Any) -> DeviceSpec:
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[HeriEthercatDriver]:
-    made = HeriEthercatDriver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(HeriEthercatDriver)
 
 
 def hand(pool: BusPool) -> HeriEmulator:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -15,6 +14,7 @@ from rtee.drivers.onrobot_rg.driver import OnRobotRGDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import Reference
+from tests.drivers.use import cycled
 
 RG2 = MODELS["rg2"]
 FINGER = actuator("finger_joint", 0.0789, 1.2873, effort=3.33, rest=1.2873)
@@ -49,13 +49,6 @@ class TestOnALine(DriverContract):
 
 
 pytestmark = pytest.mark.anyio
-
-
-async def cycled(session: Session, goal: float, times: int = 100, **limits: Any) -> Any:
-    for _ in range(times):
-        await session.cycle(Reference.at([goal], **limits))
-        await asyncio.sleep(0.005)
-    return await session.sense()
 
 
 async def test_it_grips_with_the_force_that_the_effort_means() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import AsyncIterator
 from typing import Any
 
 import anyio
@@ -19,6 +18,7 @@ from rtee.drivers.qb_softhand.driver import QbSoftHandDriver
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 ONE = ("qbhand_synergy_joint",)
 TWO = ("qbhand2m_synergy_joint", "qbhand2m_manipulation_joint")
@@ -49,15 +49,7 @@ def device(
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[QbSoftHandDriver]:
-    made = QbSoftHandDriver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(QbSoftHandDriver)
 
 
 def hand(pool: BusPool, name: str = "qb") -> QbSoftHandEmulator:

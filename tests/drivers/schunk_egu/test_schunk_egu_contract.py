@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,8 @@ from rtee.drivers.schunk_egu.codec import Control, Status
 from rtee.drivers.schunk_egu.driver import SchunkEguDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
-from rtee.types import JointKind, Reference
+from rtee.types import JointKind
+from tests.drivers.use import cycled
 
 FINGER = actuator(
     "left_finger_joint", 0.0, 0.040, kind=JointKind.PRISMATIC, velocity=0.1, effort=300.0
@@ -42,13 +42,6 @@ class TestOnTheLine(DriverContract):
 
 
 pytestmark = pytest.mark.anyio
-
-
-async def cycled(session: Session, goal: float, times: int = 100, **limits: Any) -> Any:
-    for _ in range(times):
-        await session.cycle(Reference.at([goal], **limits))
-        await asyncio.sleep(0.005)
-    return await session.sense()
 
 
 async def test_it_closes_by_grip_with_the_force_asked_for() -> None:

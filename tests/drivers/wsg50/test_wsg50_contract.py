@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -15,6 +14,7 @@ from rtee.drivers.wsg50.driver import Wsg50Driver
 from rtee.errors import CommandRejected, ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
+from tests.drivers.use import cycled
 
 FINGER = actuator(
     "left_finger_joint", 0.0, 0.055, kind=JointKind.PRISMATIC, velocity=0.2, effort=160.0
@@ -47,13 +47,6 @@ class TestOnTheNetwork(DriverContract):
 
 
 pytestmark = pytest.mark.anyio
-
-
-async def cycled(session: Session, goal: float, times: int = 60, **limits: Any) -> Any:
-    for _ in range(times):
-        await session.cycle(Reference.at([goal], **limits))
-        await asyncio.sleep(0.005)
-    return await session.sense()
 
 
 def heard(session: Session) -> list[int]:

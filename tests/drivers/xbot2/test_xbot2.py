@@ -6,7 +6,6 @@ import contextlib
 import math
 import struct
 import time
-from collections.abc import AsyncIterator
 from typing import Any
 
 import anyio
@@ -25,6 +24,7 @@ from rtee.drivers.xbot2.emulator import ServerProperties, XBot2Emulator
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.use import connecting
 
 SHEET = bytes.fromhex(
     "0A13646167616E615F315F636C61775F6A6F696E7442040000003F6A0101"
@@ -102,15 +102,7 @@ def device(*names: str, **options: Any) -> DeviceSpec:
     )
 
 
-@contextlib.asynccontextmanager
-async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[XBot2Driver]:
-    made = XBot2Driver(spec, pool)
-    try:
-        await made.configure()
-        yield made
-    finally:
-        await made.close()
-        await made.close()
+connected = connecting(XBot2Driver)
 
 
 def server(pool: BusPool) -> XBot2Emulator:

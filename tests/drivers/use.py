@@ -1,0 +1,43 @@
+"""Ways of using a driver that several tests share."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from typing import Any, TypeVar
+
+from rtee.buses.pool import BusPool
+from rtee.drivers.base import Driver
+from rtee.sample import ActuatorState
+from rtee.testing import Session
+from rtee.types import DeviceSpec, Reference
+
+D = TypeVar("D", bound=Driver)
+
+
+def connecting(
+    driver: type[D],
+) -> Callable[[BusPool, DeviceSpec], AbstractAsyncContextManager[D]]:
+    """Return a context manager that makes and configures a driver of this class."""
+
+    @asynccontextmanager
+    async def connected(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[D]:
+        made = driver(spec, pool)
+        try:
+            await made.configure()
+            yield made
+        finally:
+            await made.close()
+            # Drivers promise that closing again does no harm.
+            await made.close()
+
+    return connected
+
+
+async def cycled(session: Session, goal: float, times: int = 100, **limits: Any) -> ActuatorState:
+    """Send one actuator the same reference for many cycles; return what it measures then."""
+    for _ in range(times):
+        await session.cycle(Reference.at([goal], **limits))
+        await asyncio.sleep(0.005)
+    return await session.sense()
