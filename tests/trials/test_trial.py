@@ -23,6 +23,7 @@ from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
 from rtee.trials import trial as trial_module
+from rtee.trials import variation as variation_module
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import graspable, robust_places
@@ -138,6 +139,7 @@ def test_what_chooses_the_place_does_not_count(monkeypatch: pytest.MonkeyPatch) 
         return draw(seed, number)
 
     monkeypatch.setattr(trial_module, "draw", noted)
+    monkeypatch.setattr(variation_module, "draw", noted)  # what chooses draws there
     ready = bench(GRIPPER)
     trial = replace(BALL, variations=2)
     result = run_trial(ready.hand, ready.library, ready.settings, trial)

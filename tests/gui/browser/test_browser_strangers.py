@@ -187,7 +187,9 @@ def test_it_opens_again_in_another_tab_and_after_a_reload(
     page.reload()
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
     assert "token" not in page.url
-    kept = [each for each in page.context.cookies() if each.get("name", "").startswith("rtee_")]
+    kept = [
+        each for each in page.context.cookies(page.url) if each.get("name", "").startswith("rtee_")
+    ]
     assert [(each.get("httpOnly"), each.get("sameSite")) for each in kept] == [(True, "Strict")]
 
 
