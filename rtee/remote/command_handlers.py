@@ -27,7 +27,7 @@ from rtee.types import Goal
 
 Fields = Mapping[str, Any]
 
-_STOPPED_FOR = 0.02
+_STOPPED_FOR = 0.1
 """Time for which a stop counts for the next one, too [s]: below it nobody presses twice."""
 
 _WITHOUT_LEASE = ("release",)

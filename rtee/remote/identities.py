@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
-from rtee.messages.identity import SECRET, claim_of
+from rtee.messages.identity import SECRET, Claim, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import Ignored, Rates
@@ -180,7 +180,12 @@ class Identities:
                 it, or sends too many.
             Ignored: if there are too many even to be refused.
         """
-        client = self._signer(request.name, attachment, question)
+        claim = claim_of(attachment)
+        client = None if claim is None else self._there.get(claim.client)
+        if client is not None and client.rates.spent(request.name):
+            # What only its own requests have spent; to look at the signature would cost more.
+            raise Ignored
+        client = self._signer(request.name, claim, question)
         if client is None:
             self._strangers.refuse("this client is not known here; say hello first")
         rates, admitted = client.rates, self._admitted(client.way)
@@ -220,16 +225,15 @@ class Identities:
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request; empty if nobody has signed it."""
-        client = self._signer(request.name, attachment, question)
+        client = self._signer(request.name, claim_of(attachment), question)
         return "" if client is None else client.name
 
-    def answers_stop(self, name: str) -> bool:
-        """Return whether one more stop of a client is answered; it takes effect in any case."""
+    def answers_stop_at_once(self, name: str) -> bool:
+        """Return whether one more stop of a client is answered at once; it takes effect at once."""
         client = self._there.get(name)
         return (self._strangers if client is None else client.rates).allow("stop")
 
-    def _signer(self, request: str, attachment: bytes | None, question: bytes) -> Client | None:
-        claim = claim_of(attachment)
+    def _signer(self, request: str, claim: Claim | None, question: bytes) -> Client | None:
         client = None if claim is None else self._there.get(claim.client)
         if claim is None or client is None:
             return None

@@ -30,6 +30,7 @@ _RATES = {
     "remove": 40.0,
     "rename": 40.0,
     "record": 10.0,
+    "stop": 20.0,  # answered at once; all take effect
     REFUSALS: 200.0,
 }
 """Requests of some kinds [1/s]."""
@@ -65,13 +66,15 @@ class Rates:
 
     def allow(self, name: str) -> bool:
         """Count a request and return whether it may be handled."""
-        rate, now = _RATES.get(name, _USUAL), self._now()
-        left, then = self._left.get(name, (_BURST * rate, now))
-        left = min(left + (now - then) * rate, _BURST * rate)
+        left, now = self._requests_left(name), self._now()
         if left < 1.0:
             return False
         self._left[name] = left - 1.0, now
         return True
+
+    def spent(self, name: str) -> bool:
+        """Return whether one more request would be neither allowed nor refused aloud."""
+        return self._requests_left(name) < 1.0 and self._requests_left(REFUSALS) < 1.0
 
     def charge(self, size: int) -> None:
         """Count the bytes of an answer."""
@@ -80,6 +83,11 @@ class Rates:
     def has_bytes(self) -> bool:
         """Return whether one more answer may be sent, however long it is."""
         return self._bytes_left() > 0.0
+
+    def _requests_left(self, name: str) -> float:
+        rate, now = _RATES.get(name, _USUAL), self._now()
+        left, then = self._left.get(name, (_BURST * rate, now))
+        return min(left + (now - then) * rate, _BURST * rate)
 
     def _bytes_left(self) -> float:
         now = self._now()

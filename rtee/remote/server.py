@@ -97,7 +97,7 @@ class Server:
         outbox: Publishes what must not be lost, in order.
         stops: Answers stops, which must not wait for a client that is slow to read.
         questions: Handles and answers queries.
-        refused: Ends the queries of those who ask too often.
+        refused: Ends the queries of those who ask or stop too often.
     """
 
     def __init__(
@@ -213,9 +213,14 @@ class Server:
     def _on_stop(self, query: zenoh.Query) -> None:
         send = self._replier(query, self.stops)
 
+        def answer_later(data: bytes, ok: bool) -> None:
+            if not self.refused.put(partial(reply, self._hand, query, data, ok)):
+                send(data, ok)
+
         def handle(request: IncomingRequest) -> None:
-            if not self._identities.answers_stop(request.client):
-                request.send = _unanswered
+            if not self._identities.answers_stop_at_once(request.client):
+                # Who stops again and again waits for each answer, not for what it does.
+                request.send = answer_later
             self._commands.stop(request)
 
         handle_request(query, STOP, self._identities.name, handle, send)
@@ -283,7 +288,3 @@ class Server:
             self._identities.came(token)
         elif client := self._identities.left(token):
             self._commands.client_left(client)
-
-
-def _unanswered(data: bytes, ok: bool) -> None:
-    """Send no answer."""

@@ -121,6 +121,10 @@ def test_rates() -> None:
     with pytest.raises(Ignored):
         one.refuse("why")
     assert not one.allow(REFUSALS)
+    assert one.spent("info")
+    assert not one.spent("status"), "allowed"
+    now += 0.5
+    assert not one.spent("info"), "refused aloud again"
 
 
 def test_rates_of_bytes() -> None:
@@ -221,6 +225,31 @@ async def test_stops_are_carried_out_together_and_always_take_effect(
             running = await remote.start("fist", speed=0.05)
             assert list(await remote.stop()) == ["sim"]
             assert (await running.result()).cancelled
+
+
+async def test_many_stops_are_all_answered_and_later_ones_later(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_REFUSED_AFTER", 1e6)
+    monkeypatch.setitem(rates._RATES, "stop", 1e-6)
+    monkeypatch.setattr(rates, "_BURST", 3e6)
+    done: list[int] = []
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+
+        async def stop(number: int) -> None:
+            assert list(await remote.stop()) == ["sim"]
+            done.append(number)
+
+        async with anyio.create_task_group() as group:
+            for number in range(3):
+                await stop(number)
+            running = await remote.start("fist", speed=0.05)
+            group.start_soon(stop, 3)
+            assert (await running.result()).cancelled
+            assert done == [0, 1, 2], "it has stopped the hand, and is told so later"
+            await until(lambda: served.server.refused._waiting.qsize() == 0)
+            served.server.refused._closing.set()
+    assert done == [0, 1, 2, 3]
 
 
 async def test_many_rates_of_states_leave_some_for_others(
