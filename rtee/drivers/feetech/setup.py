@@ -252,5 +252,6 @@ def restarted(device: str, names: Mapping[int, str], number: int) -> DeviceFault
         device,
         RESTARTED,
         f"restarted: servo {number} ({names[number]})",
-        hint="its supply was cut; `rtee recover` sets it up again where it stands",
+        hint="its supply was cut, or a damaged frame has changed its settings; `rtee recover` sets"
+        " it up again where it stands",
     )
