@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from rtee.errors import ModelError
+from rtee.exchange.mjcf_differential import differential_motion
 from rtee.exchange.mjcf_loops import Linkage, Solved, horner, solve_loop
 from rtee.exchange.mjcf_motion import (
     TINY,
@@ -21,12 +22,14 @@ from rtee.exchange.mjcf_motion import (
     Loop,
     Motion,
     Motor,
+    bare,
     constraints_of,
     joint_name,
     joint_range,
     names_of,
     null_space,
     resting_length,
+    rounded,
     tendon_factors,
 )
 from rtee.sample import FloatArray
@@ -246,7 +249,17 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
         )
     loose = sorted(shared - on_tendons - {m.joint for m in group.motors if m.joint is not None})
     motion.passive += loose
-    _take(model, group, q, {*group.joints} - {*loose}, motion, path)
+    joints = {*group.joints} - {*loose}
+    rows = {joint: row for joint, row in zip(group.joints, q, strict=True) if joint in joints}
+    mixed = differential_motion(model, group.motors, rows)
+    if mixed is not None:
+        motion.notes += mixed.notes
+        motion.fixed |= mixed.fixed
+        motion.driven |= mixed.driven
+        motion.dropped |= mixed.dropped
+        motion.follows |= mixed.follows
+    else:
+        _take(model, group, q, joints, motion, path)
 
 
 def _pull(model: mujoco.MjModel, motor: Motor) -> Line:
@@ -319,12 +332,7 @@ def _take(
         master = chosen[k - 1]
         factor = float(row[k] / rows[master][k])
         offset = float(row[0] - factor * rows[master][0])
-        motion.follows[joint] = Follow(master, _rounded(factor), _rounded(offset))
-
-
-def _rounded(value: float) -> float:
-    """Return a solved number without the last digits, which are rounding of the solution."""
-    return float(f"{value:.13g}") if abs(value) > 1e-13 else 0.0  # infinity stays infinity
+        motion.follows[joint] = Follow(master, rounded(factor), rounded(offset))
 
 
 def _actuator(
@@ -338,7 +346,7 @@ def _actuator(
     alone = [j for j, row in rows.items() if abs(row[k]) > TINY and _only(row, k)]
     named = [j for j in alone if joint_name(model, j) == motor.name]
     if motor.joint is not None:
-        if named and named[0] != motor.joint and _bare(model, motor.joint):
+        if named and named[0] != motor.joint and bare(model, motor.joint):
             return named[0]
         return motor.joint
     pulled = [joint for joint in tendon_factors(model, motor.tendon or 0) or {} if joint in alone]
@@ -347,12 +355,6 @@ def _actuator(
 
 def _only(row: FloatArray, k: int) -> bool:
     return all(abs(value) <= TINY for i, value in enumerate(row) if i not in (0, k))
-
-
-def _bare(model: mujoco.MjModel, joint: int) -> bool:
-    """Return whether a joint's body has neither shapes nor bodies on it."""
-    body = int(model.jnt_bodyid[joint])
-    return model.body_geomnum[body] == 0 and body not in model.body_parentid[1:]
 
 
 def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slope: float) -> Driven:
@@ -366,7 +368,7 @@ def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slop
     for low, high in ((motor.lower - drawn, motor.upper - drawn), own):
         ends = sorted((offset + slope * low, offset + slope * high))
         lower, upper = max(lower, ends[0]), min(upper, ends[1])
-    return Driven(_rounded(lower), _rounded(upper), _rounded(motor.effort / abs(slope)))
+    return Driven(rounded(lower), rounded(upper), rounded(motor.effort / abs(slope)))
 
 
 def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:

@@ -404,3 +404,14 @@ def names_of(model: mujoco.MjModel, joints: Iterable[int]) -> str:
     """Return the names of joints for a message."""
     names = [f"'{joint_name(model, joint)}'" for joint in sorted(joints)]
     return ", ".join(names[:6]) + (", …" if len(names) > 6 else "")
+
+
+def rounded(value: float) -> float:
+    """Return a solved number without the last digits, which are rounding of the solution."""
+    return float(f"{value:.13g}") if abs(value) > 1e-13 else 0.0  # infinity stays infinity
+
+
+def bare(model: mujoco.MjModel, joint: int) -> bool:
+    """Return whether a joint's body has neither shapes nor bodies on it."""
+    body = int(model.jnt_bodyid[joint])
+    return model.body_geomnum[body] == 0 and body not in model.body_parentid[1:]

@@ -241,15 +241,58 @@ def test_meshes_and_textures_are_looked_for_in_their_own_folders(tmp_path: Path)
     assert "m" in load_model(found.urdf).urdf.links
 
 
-def test_a_differential_is_refused_with_the_reason(tmp_path: Path) -> None:
-    extra = """<tendon>
-      <fixed name="sum"><joint joint="a_1" coef="1"/><joint joint="a_2" coef="1"/></fixed>
-      <fixed name="difference"><joint joint="a_1" coef="1"/><joint joint="a_2" coef="-1"/></fixed>
-    </tendon>
-    <actuator><position name="m" tendon="sum"/>
-    <position name="n" tendon="difference"/></actuator>"""
-    with pytest.raises(ModelError, match="follow one actuator each"):
+DIFFERENTIAL = """<tendon>
+  <fixed name="left"><joint joint="a_1" coef="0.5"/><joint joint="a_2" coef="1"/></fixed>
+  <fixed name="right"><joint joint="a_1" coef="0.5"/><joint joint="a_2" coef="-1"/></fixed>
+</tendon>
+<actuator>
+  <position name="m" tendon="left" kp="5" ctrlrange="-0.5 0.9" forcerange="-2 2"/>
+  <position name="n" tendon="right" kp="5" ctrlrange="-0.5 0.5" forcerange="-3 3"/>
+  <position joint="b_1" kp="5"/><position joint="b_2" kp="5"/>
+</actuator>"""
+
+
+def test_the_joints_of_a_differential_are_the_actuators(tmp_path: Path) -> None:
+    hand = made(tmp_path, hand_of(DIFFERENTIAL))
+    assert hand.actuator_names == ("a_1", "a_2", "b_1", "b_2")
+    # With the tendons at m and n, a_1 = m + n and a_2 = (m - n) / 2.
+    assert hand.lower[:2] == pytest.approx([0.0, 0.0])
+    assert hand.upper[:2] == pytest.approx([1.4, 0.7])
+    # By virtual work: half of either tendon's force at a_1, all of both at a_2.
+    assert [a.effort for a in hand.actuators][:2] == pytest.approx([2.5, 5.0])
+    assert "actuators 'm' and 'n' move joints 'a_1', 'a_2' together" in notes_of(
+        tmp_path / "hand.xml"
+    )
+
+
+def test_what_follows_a_joint_of_a_differential_follows_it(tmp_path: Path) -> None:
+    third = """<body name="a_end" pos="0 0 0.04"><joint name="a_3" axis="0 1 0" range="0 90"/>
+      <geom type="box" size="0.005 0.005 0.01" pos="0 0 0.012"/></body>"""
+    text = hand_of(
+        DIFFERENTIAL
+        + """<equality>
+      <joint joint1="a_3" joint2="a_2" polycoef="0 0.8 0 0 0"/></equality>"""
+    )
+    text = text.replace(
+        '<joint name="a_2" axis="0 1 0" range="0 90"/>',
+        '<joint name="a_2" axis="0 1 0" range="0 90"/>' + third,
+    )
+    hand = made(tmp_path, text)
+    assert coupling(hand, "a_3") == ("a_2", pytest.approx(0.8), pytest.approx(0.0))
+
+
+def test_a_joint_that_follows_two_motors_with_joints_of_their_own_is_refused(
+    tmp_path: Path,
+) -> None:
+    extra = """<tendon><fixed name="sum"><joint joint="a_2" coef="1"/>
+      <joint joint="a_1" coef="-1"/><joint joint="b_1" coef="-1"/></fixed></tendon>
+    <equality><tendon tendon1="sum"/></equality>
+    <actuator><position joint="a_1"/><position joint="b_1"/><position joint="b_2"/></actuator>"""
+    with pytest.raises(ModelError, match="'a_2' follows 'actuator_0' and 'actuator_1' at once"):
         made(tmp_path, hand_of(extra))
+
+
+def test_motors_that_leave_no_freedom_are_refused(tmp_path: Path) -> None:
     many = MOTORS.replace(
         "</actuator>", "</actuator><equality><joint joint1='a_1' joint2='b_1'/></equality>"
     )

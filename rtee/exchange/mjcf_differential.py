@@ -1,0 +1,116 @@
+"""Joints that several motors of a MuJoCo model move together: a differential."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from rtee.exchange.mjcf_motion import (
+    TINY,
+    Driven,
+    Follow,
+    Motion,
+    Motor,
+    bare,
+    joint_range,
+    names_of,
+    resting_length,
+    rounded,
+    tendon_factors,
+)
+from rtee.sample import FloatArray
+
+
+def differential_motion(
+    model: mujoco.MjModel, motors: Sequence[Motor], rows: Mapping[int, FloatArray]
+) -> Motion | None:
+    """Solve joints some of which follow several motors at once, as in a differential.
+
+    As many joints as there are motors stand for them, if all others follow one of these each. A
+    driver then mixes the joints' positions into those of its motors.
+
+    Args:
+        model: The model.
+        motors: The motors that move them together.
+        rows: Where each joint is ``(1 + motors,)``: a constant, then slopes by the motors'
+            positions.
+
+    Returns:
+        Their motion; ``None`` if no joint follows several motors, or none can stand for them.
+    """
+    mixing = [j for j, row in rows.items() if np.sum(np.abs(row[1:]) > TINY) > 1]
+    own = {motor.joint for motor in motors}
+    # The joint of a motor that carries nothing is part of the motor.
+    idle = {joint for joint in rows if joint in own and bare(model, joint)}
+    left = [joint for joint in rows if joint not in idle]
+    if not mixing:
+        return None
+    for chosen in itertools.combinations(left, len(motors)):
+        slopes = np.array([rows[joint][1:] for joint in chosen])
+        if abs(np.linalg.det(slopes)) < TINY:
+            continue
+        motors_by_joints = np.linalg.inv(slopes)
+        by_joints = {j: rows[j][1:] @ motors_by_joints for j in left}
+        if any(np.sum(np.abs(row) > TINY) > 1 for row in by_joints.values()):
+            continue
+        made = Motion(dropped=idle)
+        for i, joint in enumerate(chosen):
+            made.driven[joint] = _driven_by_several(
+                model, joint, motors, rows[joint], motors_by_joints[:, i]
+            )
+        for joint in sorted({*left} - {*chosen}):
+            row = by_joints[joint]
+            i = int(np.argmax(np.abs(row)))
+            if abs(row[i]) <= TINY:
+                made.fixed[joint] = float(rows[joint][0])
+                continue
+            offset = float(rows[joint][0] - row[i] * rows[chosen[i]][0])
+            made.follows[joint] = Follow(chosen[i], rounded(float(row[i])), rounded(offset))
+        names = " and ".join(f"'{motor.name}'" for motor in motors)
+        made.notes.append(
+            f"actuators {names} move joints {names_of(model, chosen)} together (a differential), "
+            "so that these joints count as the actuators: the driver mixes them, and where one is "
+            "at its limit the other may have less than its range"
+        )
+        return made
+    return None
+
+
+def _driven_by_several(
+    model: mujoco.MjModel,
+    joint: int,
+    motors: Sequence[Motor],
+    row: FloatArray,
+    levers: FloatArray,
+) -> Driven:
+    """Return the limits of a joint that several motors move.
+
+    Args:
+        model: The model.
+        joint: The joint.
+        motors: The motors.
+        row: Where the joint is ``(1 + motors,)``: a constant, then slopes by the motors' positions.
+        levers: The slopes of the motors' positions by the joint's ``(motors,)``: the torque of the
+            motors at the joint, by virtual work.
+    """
+    lower, upper = joint_range(model, joint)
+    low = high = float(row[0])
+    for motor, slope in zip(motors, row[1:], strict=True):
+        if abs(slope) <= TINY:
+            continue
+        drawn = (
+            float(model.qpos0[motor.joint])
+            if motor.joint is not None
+            else resting_length(model, tendon_factors(model, motor.tendon or 0) or {})
+        )
+        ends = sorted((slope * (motor.lower - drawn), slope * (motor.upper - drawn)))
+        low, high = low + ends[0], high + ends[1]
+    moving = [
+        (motor.effort, abs(r)) for motor, r in zip(motors, levers, strict=True) if abs(r) > TINY
+    ]
+    known = all(effort > 0.0 for effort, _ in moving)
+    effort = sum(effort * lever for effort, lever in moving) if known else 0.0
+    return Driven(rounded(max(lower, low)), rounded(min(upper, high)), rounded(effort))
