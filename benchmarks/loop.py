@@ -11,7 +11,7 @@ came a whole period late count as missed: that is what the computer itself takes
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
-with real-time set-up. `--beside` measures the first set in other circumstances, right after it:
+with real-time set-up, `four-fast` at 1000 Hz. `--beside` measures the first set in other circumstances, right after it:
 
 - `alone`: no client;
 - `unrecorded`: no recorder, neither on the disk nor in memory;
@@ -52,7 +52,7 @@ from witness import Missed, Witness, child, judged
 from rtee.hand.catalog import find_hand
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
-SETS = ("ordinary", "realtime", "helpers", "four")
+SETS = ("ordinary", "realtime", "helpers", "four", "four-fast")
 BESIDE = ("alone", "unrecorded", "bare", "junk", "idle-junk")
 
 PRINTED = re.compile(
@@ -237,6 +237,8 @@ def how_of(name: str) -> How:
     """Return the circumstances that a set's name stands for."""
     if name == "four":
         return How("4 hands at 500 Hz, real-time set-up", count=4, rate=500)
+    if name == "four-fast":
+        return How("4 hands at 1000 Hz, real-time set-up", count=4)
     if name == "ordinary":
         return How("1 hand at 1000 Hz, ordinary", realtime=False)
     if name == "helpers":
