@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 from collections.abc import Iterator
 from html import escape
@@ -207,6 +208,10 @@ async def serve(
             if port
             else "--behind-proxy needs a --port, to which the proxy leads"
         )
+    # A full collection waits until a quarter of all objects are new. Without those of the imports
+    # it comes every few minutes, not hours, and looks at less.
+    gc.collect()
+    gc.freeze()
     links = access.links(server.get_port())
     print(f"rtee: GUI at {links[Role.OPERATOR]}", flush=True)  # noqa: T201
     if Role.OBSERVER in links:
