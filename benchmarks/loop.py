@@ -11,7 +11,8 @@ came a whole period late count as missed: that is what the computer itself takes
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
-with real-time set-up, `four-fast` at 1000 Hz. `--beside` measures the first set in other circumstances, right after it:
+with real-time set-up, `four-fast` at 1000 Hz. `--beside` measures the first set in other
+circumstances, right after it:
 
 - `alone`: no client;
 - `unrecorded`: no recorder, neither on the disk nor in memory;
