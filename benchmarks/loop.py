@@ -48,7 +48,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from common import Table, command_line
-from witness import Missed, Witness, child, judged
+from witness import Missed, StoodStill, Witness, child, judged
 
 from rtee.hand.catalog import find_hand
 
@@ -322,7 +322,7 @@ def run(
     # A client that crashed would make the loop look better than it is.
     failed = [client.args for client in clients if client.poll() is not None]
     assert not failed, f"a client ended early: {failed}"
-    stood_still = watching.stop() if watching else None
+    stood_still = StoodStill(watching.stop() if watching else None)
     until = time.monotonic()
     process.send_signal(signal.SIGTERM)
     process.wait(timeout=30)

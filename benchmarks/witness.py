@@ -9,7 +9,9 @@ the loop's own.
 
 from __future__ import annotations
 
+import bisect
 import ctypes
+import itertools
 import re
 import shutil
 import signal
@@ -86,9 +88,29 @@ class Witness:
         return [((stamp - lateness) * 1e-6, stamp * 1e-6) for lateness, stamp in late]
 
 
-def judged(missed: Missed, stood_still: Sequence[tuple[float, float]] | None) -> Missed:
+class StoodStill:
+    """When a CPU did not run, for many questions.
+
+    Args:
+        spans: From and to [s]; ``None`` without a measurement.
+    """
+
+    def __init__(self, spans: Sequence[tuple[float, float]] | None) -> None:
+        self.measured = spans is not None
+        ordered = sorted(spans or ())
+        self._begins = [begin for begin, _ in ordered]
+        # The latest end of a span and of all before it.
+        self._ends = list(itertools.accumulate((end for _, end in ordered), max))
+
+    def between(self, begin: float, end: float) -> bool:
+        """Return whether a CPU stood still at some moment of a span."""
+        before = bisect.bisect_right(self._begins, end)
+        return before > 0 and self._ends[before - 1] >= begin
+
+
+def judged(missed: Missed, stood_still: StoodStill) -> Missed:
     """Return missed ticks with whose they are."""
-    if stood_still is None:
+    if not stood_still.measured:
         return missed
-    found = any(begin <= missed.woken and end >= missed.since for begin, end in stood_still)
+    found = stood_still.between(missed.since, missed.woken)
     return Missed(**{**vars(missed), "computer": found})
