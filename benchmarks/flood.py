@@ -28,7 +28,7 @@ from witness import child
 
 import rtee
 from rtee.messages.identity import Signer
-from rtee.messages.requests import PUT, REQUESTS
+from rtee.messages.requests import HERE, PUT, REQUESTS, inbox_key
 from rtee.prepare import RunOptions
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct, open_client
@@ -70,15 +70,15 @@ async def send(kind: str, hand: str, endpoint: str) -> None:
     """Send requests of a kind until standard input ends; print how many there were."""
     if endpoint:
         session, signer = open_client([endpoint]), Signer("x")
-        count = flood(kind, hand, session, signer)
+        count = flood(kind, hand, session, signer, "x")
     else:
         async with rtee.connect(hand) as remote:
             link = remote._link
-            count = flood(kind, hand, link._session, link._signer)
+            count = flood(kind, hand, link._session, link._signer, remote.client)
     print(count, flush=True)
 
 
-def flood(kind: str, hand: str, session: zenoh.Session, signer: Signer) -> int:
+def flood(kind: str, hand: str, session: zenoh.Session, signer: Signer, client: str) -> int:
     """Send requests of a kind until standard input ends; return how many there were."""
     print("there", flush=True)
     sys.stdin.readline()
@@ -86,6 +86,8 @@ def flood(kind: str, hand: str, session: zenoh.Session, signer: Signer) -> int:
     threading.Thread(target=lambda: (sys.stdin.readline(), ended.set()), daemon=True).start()
     places, source, count = threading.Semaphore(WAITING), random.Random(1), 0
     key = f"rtee/{hand}/hello/here" if kind == "hello" else REQUESTS[kind].key(hand)
+    if kind in PUT:
+        key = inbox_key(hand, HERE, kind, client)
     while not ended.is_set():
         question = question_of(kind, source)
         proof = signer.attachment(signer.number(), kind, question)

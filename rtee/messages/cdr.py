@@ -42,6 +42,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 
 _LENGTH = SCALARS["uint32"]
 _DOUBLE = SCALARS["float64"]
+# No kind is aligned to more than eight bytes.
 _PADDING = tuple(bytes(size) for size in range(8))
 
 
@@ -59,6 +60,7 @@ class Writer:
 
     def align(self, size: int) -> None:
         """Pad with zeros up to a multiple of ``size`` bytes."""
+        # Alignment counts from behind the header of four bytes.
         self._buffer += bytes((4 - len(self._buffer)) % size)
 
     def scalar(self, kind: str, value: Any) -> None:
@@ -74,12 +76,15 @@ class Writer:
 
     def string(self, value: str) -> None:
         """Append a string."""
+        # Lone surrogates, as in names of files that are not UTF-8, would raise otherwise.
         data = value.encode("utf-8", "replace")
         buffer = self._buffer
+        # Here the header, which is four bytes long, need not be subtracted.
         buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
 
     def strings(self, values: Collection[str]) -> None:
         """Append a sequence of strings."""
+        # A string is a collection of strings, too: it would be sent letter by letter.
         if isinstance(values, str):
             raise MessageError("a list of strings expected")
         self.length(len(values))
@@ -101,6 +106,7 @@ class Writer:
             return
         array = np.ascontiguousarray(values, dtype=DTYPES[kind])
         self.length(array.size)
+        # Without elements, nothing is aligned: what follows comes right behind the length.
         if array.size:
             self.align(array.itemsize)
             self._buffer += array.tobytes()
@@ -141,11 +147,6 @@ class Reader:
         """Bytes that are left."""
         return self._end - self._position
 
-    @property
-    def ended(self) -> bool:
-        """Whether nothing but padding is left."""
-        return self.remaining < len(HEADER) and not any(self._data[self._position :])
-
     def align(self, size: int) -> None:
         """Skip the padding up to a multiple of ``size`` bytes."""
         self._position += (len(HEADER) - self._position) % size
@@ -179,12 +180,14 @@ class Reader:
 
     def strings(self) -> list[str]:
         """Return a sequence of strings."""
+        # A string takes five bytes at least: its length and the NUL.
         return [self.string() for _ in range(self.length(5))]
 
     def string(self) -> str:
         """Return a string."""
         data, start = self._data, self._position
         length = self.length(1)
+        # The length counts the NUL: not even the empty string has the length 0.
         if length == 0:
             raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
         begin = self._position
@@ -202,6 +205,7 @@ class Reader:
         """Return the length of a sequence whose elements take at least ``least`` bytes each."""
         self._position += (4 - self._position) % 4
         count: int = _LENGTH.unpack_from(self._data, self._take(4))[0]
+        # Checked before memory is taken: a damaged length may mean gigabytes.
         if count * least > self._end - self._position:
             raise MessageError(f"sequence of {count} elements, but {self.remaining} bytes left")
         return count
@@ -217,8 +221,10 @@ class Reader:
         dtype = DTYPES[kind]
         self.align(dtype.itemsize)
         start = self._take(count * dtype.itemsize)
+        # From bytes: read as bool directly, a byte of 2 would stay a 2 in memory.
         if kind == "bool":
             return np.frombuffer(self._data, np.uint8, count, start).astype(bool)
+        # A copy, since a view is read-only, mostly misaligned, and keeps the whole message.
         array: NDArray[Any] = np.frombuffer(self._data, dtype, count, start).copy()
         return array
 

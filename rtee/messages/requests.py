@@ -4,8 +4,8 @@ A client asks by a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attach
 it is, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
 error, a ``rtee_msgs/Reply`` that says why not.
 
-What steers the hand may also be put on that key. The answer is put on
-``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or ``-<number>`` with a
+What steers the hand may also be put on ``rtee/<hand>/put/<way>/<name>/<client>``. The answer is put
+on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or ``-<number>`` with a
 ``rtee_msgs/Reply`` that says why not.
 """
 
@@ -50,6 +50,15 @@ STATES = "states"
 
 ANSWERS = "answers"
 """Part of the keys on which clients get the answers to what they have put, not asked."""
+
+
+INBOX = "put"
+"""Part of the keys on which clients put requests, instead of asking."""
+
+
+def inbox_key(hand: str, way: str, name: str, client: str) -> str:
+    """Return the key on which a client that comes in a way, see `HELLO`, puts a request."""
+    return f"{PREFIX}/{hand}/{INBOX}/{way}/{name}/{client}"
 
 
 def topic_for(way: str, topic: str) -> str:
@@ -105,6 +114,7 @@ def _request(
     group: str, name: str, question: str, answer: str, text: str, role: Role | None = None
 ) -> Request:
     if role is None:
+        # An observer may watch, ask and stop; what else changes something names its role.
         role = Role.OPERATOR if group == CONTROL else Role.OBSERVER
     return Request(
         group,

@@ -18,6 +18,10 @@ from rtee.messages.cdr import DTYPES, SCALARS, Reader, Writer
 _RULE = "=" * 80 + "\n"
 """Stands before every definition but the first in a text of several, as in rosbag2's recordings."""
 
+_DEEPEST = 20
+"""Messages within messages that a recorded definition may have: rtee's have four, and each takes a
+few of Python's nested calls."""
+
 _MOST_FIELDS = 1000
 """Fields that a recorded definition may have with all nested ones: ten times those of the largest
 message of rtee; more would only make a damaged or malicious file slow to read."""
@@ -42,6 +46,7 @@ def sections(text: str, first: str = "") -> dict[str, str]:
     found = {first: head} if first else {}
     for part in rest:
         name, _, definition = part.partition("\n")
+        # Definitions name types without the folder `msg` that full names have.
         found[_full(name.removeprefix("MSG:").strip())] = definition
     return found
 
@@ -85,6 +90,7 @@ class Field:
             return np.empty(0, DTYPES[self.kind]) if self.kind in DTYPES else []
         if self.inner is not None:
             return self.inner.completed({})
+        # NaN means `not measured`; integers have no such value.
         return {"string": "", "bool": False, "float32": math.nan, "float64": math.nan}.get(
             self.kind, 0
         )
@@ -124,6 +130,7 @@ class MessageType:
         """Work out how the fields are written and read."""
         writers = tuple((one.name, writer_of(one)) for one in self.fields)
         readers = tuple((one.name, reader_of(one)) for one in self.fields)
+        # The only way to set an attribute of a frozen dataclass.
         object.__setattr__(self, "_writers", writers)
         object.__setattr__(self, "_readers", readers)
 
@@ -163,6 +170,7 @@ class MessageType:
 
     def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
         """Append a message to a writer; see `encode`."""
+        # With as many values, an unknown field leaves another one missing, which raises below.
         if len(values) != len(self.fields):
             wrong = set(values).symmetric_difference(one.name for one in self.fields)
             raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
@@ -171,6 +179,7 @@ class MessageType:
             for name, write in self._writers:
                 write(writer, values[name])
         except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
+            # A MessageError is a ValueError, too; that of a nested message names its field.
             if isinstance(error, MessageError):
                 raise
             raise MessageError(f"{self.name}.{name}: {error}") from error
@@ -212,6 +221,7 @@ def writer_of(field: Field) -> Write:
         return Writer.strings if field.sequence else Writer.string
     if field.sequence:
         return lambda writer, values: writer.array(kind, values)
+    # Most numbers are of this kind: a method of its own saves looking the kind up.
     if kind == "float64":
         return Writer.double
     return lambda writer, value: writer.scalar(kind, value)
@@ -222,6 +232,7 @@ def reader_of(field: Field) -> Read:
     kind, inner = field.kind, field.inner
     if inner is not None:
         if field.sequence:
+            # Every message takes a byte at least; how many it takes, only reading it tells.
             return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
         return inner.read
     if kind == "string":
@@ -252,6 +263,7 @@ def parse(
         code, _, comment = line.partition("#")
         words = code.split()
         if not words:
+            # Comments of lines before the first field are about the whole message.
             if not fields and comment:
                 summary.append(comment.strip())
             continue
@@ -295,26 +307,35 @@ def recorded_type(name: str, schema: str) -> MessageType:
         MessageError: if there is no such type, or the definition makes no sense.
     """
     known = message_type(name)
+    # The usual case needs no parsing.
     if not known.name.startswith("rtee_msgs/") or schema == known.schema:
         return known
     texts = sections(schema, known.name)
-    count = 0
+    count = depth = 0
 
     def made(full: str) -> MessageType:
-        nonlocal count
+        nonlocal count, depth
         if full not in texts:
             return message_type(full)
         definition = texts.pop(full)  # a message that holds itself finds no definition any more
+        depth += 1
+        if depth > _DEEPEST:
+            raise MessageError(f"{name}: the recorded definition is nested too deeply")
         found = parse(full, definition, made)
+        depth -= 1
+        # Back again, since other fields may be of this type, too.
         texts[full] = definition
+        # Counted at every use: types that are used twice at each level double the work each time.
         count += len(found.fields)
         if count > _MOST_FIELDS:
             raise MessageError(f"{name}: the recorded definition has too many fields")
         notations = {one.name: one.notation for one in found.fields}
+        # Readers expect our types: a field may be missing or new, but not of another type.
         ours = message_type(full).fields if full in DEFINITIONS else ()
         changed = [
             one.name for one in ours if notations.get(one.name, one.notation) != one.notation
         ]
+        # A name that occurs twice would lose one of the two values.
         if changed or len(notations) != len(found.fields):
             raise MessageError(f"{name}: the recorded definition makes no sense")
         return found

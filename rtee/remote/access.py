@@ -18,6 +18,7 @@ from rtee.messages.requests import (
     CONTROL,
     HELLO,
     HERE,
+    INBOX,
     PLAIN,
     REQUESTS,
     STATES,
@@ -42,7 +43,7 @@ def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dic
     ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
     subjects = [_subject(way) for way in ways]
     common = [*_announcements(hand), *_presence(hand)]
-    own = {way: [_requests(hand, role, way), *_topics(hand, way)] for way, role in ways.items()}
+    own = {way: [*_requests(hand, role, way), *_topics(hand, way)] for way, role in ways.items()}
     policies = [{"rules": [rule["id"] for rule in common], "subjects": list(ways)}]
     policies += [
         {"rules": [rule["id"] for rule in rules], "subjects": [way]} for way, rules in own.items()
@@ -82,7 +83,6 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
     yield _rule(
         "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
     )
-    yield _rule("receive", "egress", ["declare_subscriber"], hand, [f"{CONTROL}/*"])
     yield _rule("alive", "egress", ["liveliness_token"], hand, [ALIVE])
 
 
@@ -103,13 +103,19 @@ def _topics(hand: str, way: str) -> Iterable[dict[str, Any]]:
         topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
     yield _rule(f"publish {way}", "egress", ["put"], hand, topics)
     yield _rule(f"watch {way}", "ingress", ["declare_subscriber"], hand, topics)
+    # Clients' publishers learn from the hand's subscribers that it listens, and wait for that.
+    yield _rule(f"receive {way}", "egress", ["declare_subscriber"], hand, [f"{INBOX}/{way}/**"])
 
 
-def _requests(hand: str, role: Role, way: str) -> dict[str, Any]:
+def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     """Return which requests those who come in a way may send: what their role allows, and hello."""
     allowed = [one for one in REQUESTS.values() if one.group != HELLO and one.role <= role]
+    # The way is part of the key: nobody can say hello by another's certificate.
     keys = [f"{HELLO}/{way}", *(f"{one.group}/{one.name}" for one in allowed)]
-    return _rule(_name(role, way), "ingress", ["put", "query"], hand, keys)
+    yield _rule(_name(role, way), "ingress", ["query"], hand, keys)
+    put = [f"{INBOX}/{way}/{one.name}/*" for one in allowed if one.group == CONTROL]
+    if put:
+        yield _rule(f"put {way}", "ingress", ["put"], hand, put)
 
 
 def _name(role: Role, way: str) -> str:

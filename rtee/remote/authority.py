@@ -10,6 +10,7 @@ import json
 import os
 import re
 import secrets
+import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import write_atomically
+from rtee.hand.files import sync_folder, write_atomically
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -77,6 +78,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
     made = _builder(subject, subject, key, _AUTHORITY_DAYS)
+    # It signs the certificates of the hand and its clients, but no further authority.
     made = made.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     made = made.add_extension(_usage(signs=True), critical=True)
     certificate = made.sign(key, hashes.SHA256())
@@ -117,6 +119,8 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
         )
     known = _known(folder)
     common = next((spare for spare, of in known.spare.items() if of is role), None)
+    # Without a spare name the person is admitted only from the hand's next start on: Zenoh reads
+    # its access rules once.
     common = common or secrets.token_hex(_RANDOM)
     name = f"{who}.{common}"
     key = ec.generate_private_key(ec.SECP256R1())
@@ -155,12 +159,18 @@ def _known(folder: Path) -> Credentials:
 
 def write_private(path: Path, text: str) -> None:
     """Write a file that only its owner can read; it is never readable by others meanwhile."""
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    # Private from its creation on: a later chmod would leave a moment in which others can open
+    # it. The name is new, so that a file or link that somebody has put there is not followed.
+    descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+    part = Path(made)
     try:
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
             file.write(text)
+            file.flush()
+            # A certificate without its key is of no use after a power cut.
+            os.fsync(file.fileno())
         part.replace(path)
+        sync_folder(path.parent)
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -204,6 +214,7 @@ def _builder(subject: x509.Name, issuer: x509.Name, key: Key, days: int) -> x509
 
 def _usage(*, signs: bool) -> x509.KeyUsage:
     return x509.KeyUsage(
+        # With ECDSA keys TLS only signs; there is no key to encipher, as with RSA.
         digital_signature=not signs,
         content_commitment=False,
         key_encipherment=False,
@@ -217,6 +228,7 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
 
 
 def _name(common: str) -> x509.Name:
+    # X.509 allows 64 characters in a common name (RFC 5280, ub-common-name).
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common[:64])])
 
 

@@ -87,6 +87,7 @@ class BlockingStream:
         stamp: float | None = None,
     ) -> None:
         """Send a sample; see `Stream.send`."""
+        # Taken in the caller's thread: the wait for the event loop would be jitter of the stream.
         when = time.monotonic() if stamp is None else stamp
         _wait(self._portal, partial(self._stream.send, targets, velocity or {}, when))
 
@@ -173,6 +174,7 @@ class BlockingHand:
                 for feedback in goal:
                     on_feedback(feedback)
             return goal.result()
+        # Ending the wait does not end the goal, which runs in the hand.
         except KeyboardInterrupt:
             goal.cancel()
             raise

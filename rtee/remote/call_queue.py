@@ -36,11 +36,13 @@ class CallQueue:
         self.dropped = 0
         self._most = most
         self._waiting: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        # A daemon: a call that waits for a slow client must not keep the process from ending.
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def put(self, call: Callable[[], object]) -> bool:
         """Have a function called; return whether there was room. Any thread may call this."""
+        # Without a lock, so that callers never wait; a few calls beyond the limit do no harm.
         if self._waiting.qsize() >= self._most:
             self.dropped += 1
             return False
@@ -51,6 +53,7 @@ class CallQueue:
         while (call := self._waiting.get()) is not None:
             try:
                 call()
+            # One call that fails must not end the thread, which others rely on.
             except Exception:
                 log.exception("%s: work failed", self._thread.name)
 
@@ -79,6 +82,7 @@ class DelayQueue(CallQueue):
         return super().put(partial(self._call_at, time.monotonic() + self._delay, call))
 
     def _call_at(self, due: float, call: Callable[[], object]) -> None:
+        # Every call has the same delay, so the first in the queue is always the next one due.
         self._closing.wait(max(0.0, due - time.monotonic()))
         call()
 

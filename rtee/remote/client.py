@@ -83,6 +83,7 @@ class LeaseClient:
         try:
             yield
         finally:
+            # Shielded, since a task that is cancelled must not keep the lease from the others.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await self.release()
 
@@ -285,6 +286,7 @@ async def connect(
     session, name, way = await open_hand(hand, endpoint, wait, on_wait)
     # The process and a random part distinguish clients that have the same name.
     whose = "" if way in (HERE, PLAIN) else f"{person(way)}-"
+    # The client's own name is cut, so that the 100 characters of a name have room for the rest.
     identity = safe_name(f"{whose}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
     link = Link(session, name, identity, common_name(way))
     try:
@@ -293,5 +295,6 @@ async def connect(
         yield remote
         await remote.leave()  # not after an error, which counts as losing the client
     finally:
+        # Also when cancelled: a session that stays open would keep the client alive for the hand.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

@@ -99,6 +99,7 @@ class CommandHandlers:
         """Take a sample of a stream; only refusals are answered."""
         streams = self._loop.streams
         with self._lock:
+            # Before the sample is decoded, so that a flood costs little.
             if not streams.admit():
                 return
             sample = STREAM_TARGETS.decode(request.question)
@@ -140,12 +141,14 @@ class CommandHandlers:
     async def _stop_all(self) -> None:
         while True:
             with self._stop_lock:
+                # Read before the devices stop: what moves the hand meanwhile needs another stop.
                 asked, moves = len(self._stopping), self._moves
                 client = self._stopping[0].client or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
             answer = {"device": list(confirmed), "confirmed": list(confirmed.values())}
             with self._stop_lock:
                 done, self._stopping[:asked] = self._stopping[:asked], []
+                # A stop that a device has not confirmed must not answer the next one.
                 if all(confirmed.values()):
                     self._stopped, self._stopped_after = answer, moves
                     self._stopped_at = time.monotonic()

@@ -115,6 +115,7 @@ class Credentials:
             stamp = (found.st_mtime_ns, found.st_ino)
             if stamp == self._stamp:
                 return False
+            # The stamp is older than what is read: a list replaced in between is read once more.
             self.people, self.until, self.spare = _people(path)
             self._stamp = stamp
             return True
@@ -136,6 +137,7 @@ class Credentials:
 
     def forget(self) -> None:
         """Admit nobody until the list can be read."""
+        # Without the stamp, the list counts as changed as soon as it can be read again.
         self.people, self._stamp = (), (-1, -1)
 
     @property

@@ -98,6 +98,7 @@ def _own_folder(*, make: bool) -> int | None:
         if make:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
+        # The open folder is judged and not its path, which somebody could exchange in between.
         if _is_trusted(os.fstat(descriptor), os.getuid(), 0o022):
             return descriptor
     except FileNotFoundError:
@@ -168,6 +169,7 @@ class Place:
         """Remove the file."""
         self._ended.set()
         self._watcher.join()
+        # Before the lock is given up, or it might be the next server's file by then.
         if _same_file(self._descriptor, self.path):
             with contextlib.suppress(OSError):
                 self.path.unlink()
@@ -341,6 +343,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
         pid, endpoints = entry.get("pid"), entry.get("endpoints")
         if not isinstance(pid, int) or not isinstance(endpoints, list):
             return None
+        # Shared, so that several readers do not take each other for the server.
         if _lock(descriptor, fcntl.LOCK_SH):
             return None
         hand = name.removesuffix(".json")

@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterator
 
 import zenoh
 
-from rtee.errors import NoHand
+from rtee.errors import NoHand, TooManyRequests
 from rtee.messages import network_key
 from rtee.messages.identity import Signer
-from rtee.messages.requests import ANSWERS, PUT, REQUESTS, topic_for
+from rtee.messages.requests import ANSWERS, PUT, inbox_key, topic_for
 from rtee.remote.session import EXPRESS, direct
 
 _CONNECT_WITHIN = 5.0
@@ -59,22 +59,26 @@ class FastRequests:
         self._gone = False
         self._unmatched = set(PUT)
         self._connected = asyncio.Event()
-        self._publishers = {name: self._publisher(session, name) for name in PUT}
+        self._publishers = {
+            name: self._publisher(session, name, inbox_key(hand, way, name, client)) for name in PUT
+        }
         self._answers = session.declare_subscriber(
             network_key(hand, topic_for(way, f"{ANSWERS}/{client}")), direct(self._on_answer)
         )
 
-    def _publisher(self, session: zenoh.Session, name: str) -> zenoh.Publisher:
-        publisher = session.declare_publisher(REQUESTS[name].key(self._hand), **EXPRESS)
+    def _publisher(self, session: zenoh.Session, name: str, key: str) -> zenoh.Publisher:
+        publisher = session.declare_publisher(key, **EXPRESS)
 
         def changed(status: zenoh.MatchingStatus) -> None:
-            if status.matching:
-                self._call_soon(self._on_match, name)
+            self._call_soon(self._on_match, name, status.matching)
 
         publisher.declare_matching_listener(direct(changed))
         return publisher
 
-    def _on_match(self, name: str) -> None:
+    def _on_match(self, name: str, matching: bool) -> None:
+        if not matching:
+            self._unmatched.add(name)
+            return
         self._unmatched.discard(name)
         if not self._unmatched:
             self._connected.set()
@@ -91,6 +95,12 @@ class FastRequests:
         """Publish a request and return the future of its answer; see `Link.send`."""
         if self._gone:
             raise NoHand(f"the hand '{self._hand}' does not answer")
+        # The hand takes its subscriber back where too much comes (see `Inboxes`); what is published
+        # then would be lost without an answer.
+        if name in self._unmatched:
+            raise TooManyRequests(
+                f"the hand '{self._hand}' does not listen for a while: too many requests came"
+            )
         number = self._signer.number()
         self._publish(name, question, number)
         # The answer is delivered in this thread, so it cannot come before the future is there.

@@ -193,12 +193,23 @@ class GoalClient:
         goal = replace(goal, client=self._link.client)
         # Sent before anything else is prepared. The answer, and what follows it, come through this
         # event loop and so cannot arrive before the goal is registered.
+        if goal.goal_id in self._running:
+            raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
         answer = self._link.send("do", encode_goal(goal))
         running = self._running[goal.goal_id] = RunningGoal(
             goal, partial(self.cancel, goal.goal_id)
         )
         try:
-            await answer
+            await asyncio.shield(answer)
+        except anyio.get_cancelled_exc_class():
+            # Sent already: the hand would carry out what its caller has given up, with nobody to
+            # cancel it. First the answer, as a goal that has not arrived cannot be cancelled.
+            with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
+                await answer
+                await running.cancel()
+            self._running.pop(goal.goal_id, None)
+            raise
+        # A goal that nobody follows must not stay registered.
         except BaseException:
             self._running.pop(goal.goal_id, None)
             raise
@@ -226,6 +237,7 @@ class GoalClient:
         try:
             return await running.result(on_feedback)
         except anyio.get_cancelled_exc_class():
+            # Shielded: the scope that is cancelled would cancel this request, too.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await running.cancel()
             raise

@@ -47,6 +47,7 @@ class GraspPlanning:
         question.check()
         if actions is None:
             raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
+        # Made by the first question: most hands are never asked, and need no thread for it.
         if self._queue is None:
             self._queue = CallQueue(f"plan {self._hand}", _WAITING)
         if not self._queue.put(partial(self._answer, asked, actions.parent, question)):
@@ -63,6 +64,7 @@ class GraspPlanning:
             asked.refuse(error)
 
     def _started(self, process: subprocess.Popen[str]) -> None:
+        # `close` may have run since the queue's thread has looked, and found no process to end.
         self._process = process
         if self._closed:
             process.kill()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
-from rtee.messages.identity import SECRET, Claim, claim_of
+from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import Ignored, Rates
@@ -41,6 +41,10 @@ class Admitted(NamedTuple):
 
     role: Role
     prefix: str = ""
+
+
+def _nothing(*_: object) -> None:
+    """Do nothing."""
 
 
 Admit = Callable[[str], Admitted | None]
@@ -85,11 +89,16 @@ class Identities:
 
     Args:
         admit: Tells what those who come in some way may do.
+
+    Attributes:
+        present: Called with the name of each client that comes, now or again, and its way.
     """
 
     def __init__(self, admit: Admit = admit_local) -> None:
         self._admitted = admit
+        self.present: Callable[[str, str], object] = _nothing
         self._lock = threading.Lock()
+        # One allowance for all: a stranger could change its name and so get a new one.
         self._strangers = Rates()
         self._there: dict[str, Client] = {}
         self._by_token: dict[str, Client] = {}
@@ -140,6 +149,7 @@ class Identities:
         # One that is gone under this name must not come back beside the new one.
         self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
         self._there[client.name] = self._by_token[client.token] = client
+        self.present(client.name, client.way)
         request.answer(accepted(f"{client.secret.hex()} {client.role.name.lower()}"))
 
     def came(self, token: str) -> None:
@@ -149,10 +159,12 @@ class Identities:
         with self._lock:
             client, request = self._greeting.pop(token, (None, None))
             if client is not None and request is not None:
+                # Another client may have taken the name while this one waited for its token.
                 if client.name not in self._there:
                     self._admit(client, request)
             elif (back := self._gone.pop(token, None)) is not None:
                 self._there[back.name] = self._by_token[token] = back
+                self.present(back.name, back.way)
             elif token not in self._by_token:
                 self._tokens[token] = None
                 _shorten(self._tokens)
@@ -180,14 +192,31 @@ class Identities:
                 it, or sends too many.
             Ignored: if there are too many even to be refused.
         """
-        claim = claim_of(attachment)
-        client = None if claim is None else self._there.get(claim.client)
-        if client is not None and client.rates.spent(request.name):
-            # What only its own requests have spent; to look at the signature would cost more.
-            raise Ignored
-        client = self._signer(request.name, claim, question)
+        client = self.signer(request, attachment, question)
         if client is None:
             self._strangers.refuse("this client is not known here; say hello first")
+        return self.permit(client, request)
+
+    def signer(self, request: Request, attachment: bytes | None, question: bytes) -> Client | None:
+        """Return the client that has signed a request; ``None`` if none has, or if it is old."""
+        claim = claim_of(attachment)
+        client = None if claim is None else self._there.get(claim.client)
+        # Cheap checks come first: requests of strangers cost no HMAC.
+        if claim is None or client is None:
+            return None
+        # Before the number is noted: otherwise anybody could use up the numbers of a client.
+        if not claim.signed_by(client.secret, request.name, question):
+            return None
+        with self._lock:
+            return client if client.is_new(request.name, claim.count) else None
+
+    def admits(self, client: Client) -> bool:
+        """Return whether the way in which a client came is still admitted."""
+        return self._admitted(client.way) is not None
+
+    def permit(self, client: Client, request: Request) -> str:
+        """Return the name of a client if it may send a request now; raises as `check` does."""
+        # Looked up for each request: the certificate may have been revoked since hello.
         rates, admitted = client.rates, self._admitted(client.way)
         if admitted is None:
             rates.refuse("the certificate of this client was revoked")
@@ -225,22 +254,13 @@ class Identities:
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request; empty if nobody has signed it."""
-        client = self._signer(request.name, claim_of(attachment), question)
+        client = self.signer(request, attachment, question)
         return "" if client is None else client.name
 
     def answers_stop_at_once(self, name: str) -> bool:
         """Return whether one more stop of a client is answered at once; it takes effect at once."""
         client = self._there.get(name)
         return (self._strangers if client is None else client.rates).allow("stop")
-
-    def _signer(self, request: str, claim: Claim | None, question: bytes) -> Client | None:
-        client = None if claim is None else self._there.get(claim.client)
-        if claim is None or client is None:
-            return None
-        if not claim.signed_by(client.secret, request, question):
-            return None
-        with self._lock:
-            return client if client.is_new(request, claim.count) else None
 
 
 def _shorten(waiting: OrderedDict[str, Any]) -> None:

@@ -12,7 +12,7 @@ import zenoh
 from rtee.errors import LeaseHeld, MessageError, RteeError, TooManyRequests
 from rtee.messages import network_key
 from rtee.messages.identity import LONGEST_CLAIM
-from rtee.messages.requests import HELLO, REQUESTS, Request
+from rtee.messages.requests import HELLO, INBOX, REQUESTS, Request
 from rtee.messages.schema import message_type
 from rtee.remote.rates import Ignored
 
@@ -35,6 +35,7 @@ def accepted(text: str = "") -> dict[str, Any]:
 
 def refusal(error: Exception) -> bytes:
     """Return the ``rtee_msgs/Reply`` that reports an error."""
+    # Any other error is a mistake in the hand's code: the log needs its traceback.
     known = isinstance(error, RteeError)
     if not known:
         log.error("a request failed", exc_info=error)
@@ -154,12 +155,12 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
     Raises:
         MessageError: if the message is not a request of the group.
     """
-    # The last part of the key of a hello says how the client comes.
-    name = HELLO if group == HELLO else last_part(message)
+    name = _name(message, group)
     request = REQUESTS.get(name)
     if request is None or request.group != group:
         raise MessageError(f"there is no request '{name[:50]}' in '{group}'")
     payload = message.payload
+    # The length first: a copy of the bytes would hold Python's lock, which the loop needs.
     size = 0 if payload is None else len(payload)
     if size > LONGEST:
         raise MessageError(f"{size} bytes are longer than any request")
@@ -168,6 +169,14 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
             raise MessageError(f"the request '{name}' needs a {request.question.name}")
         return request, b""
     return request, payload.to_bytes()
+
+
+def _name(message: zenoh.Query | zenoh.Sample, group: str) -> str:
+    if group == HELLO:  # the last part of its key says how the client comes
+        return HELLO
+    parts = str(message.key_expr).split("/")
+    # Behind the prefix and the hand: put/WAY/NAME/CLIENT, or GROUP/NAME.
+    return parts[4] if parts[2] == INBOX else parts[3]
 
 
 def last_part(message: zenoh.Query | zenoh.Sample) -> str:
@@ -196,6 +205,7 @@ def reply(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
 
 def refuse(query: zenoh.Query, data: bytes | None) -> None:
     """End a query with a refusal or, with ``None``, without an answer; may wait for the network."""
+    # The context ends the query in any case; otherwise its client would wait for the timeout.
     with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
         if data is not None:
             query.reply_err(data)

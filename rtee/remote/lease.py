@@ -68,6 +68,7 @@ class Lease:
 
     def ended(self, goal_id: str) -> None:
         """Note that a goal has ended."""
+        # One atomic step: the loop's thread calls this while Zenoh's threads look up leases.
         self._goals.pop(goal_id, None)
 
     def jogged(self, client: str) -> None:
@@ -76,6 +77,7 @@ class Lease:
 
     def client_left(self, client: str) -> bool:
         """Note that a client has left; return whether it held the lease."""
+        # Asked first: after the release it would hold nothing.
         held = self.holder == client
         self.release(client)
         for goal, owner in tuple(self._goals.items()):

@@ -88,6 +88,7 @@ class Link:
         self._signer.secret = bytes.fromhex(secret)
         # A word of a newer hand that this client does not know hides nothing from a person.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
+        # Zenoh drops silently what is published before the hand has subscribed.
         await self._fast.connected()
 
     def on_gone(self, callback: Callable[[], object]) -> None:
@@ -226,6 +227,7 @@ class Link:
                 direct(replied, ended),
                 consolidation=zenoh.ConsolidationMode.NONE,  # else replies wait for the last one
                 timeout=within,
+                # A stop must overtake all other messages that wait to be sent.
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,
                 payload=question,
@@ -270,6 +272,7 @@ class Link:
 
     def close(self) -> None:
         """Undeclare everything and close the session; blocks for a moment."""
+        # A connection that is broken already leaves nothing to undeclare.
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]

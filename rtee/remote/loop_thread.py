@@ -39,6 +39,7 @@ class LoopThread:
         def call() -> None:
             try:
                 answer.set_result(function())
+            # Raised again where `call` was called; in the event loop it would only be logged.
             except Exception as error:
                 answer.set_exception(error)
 

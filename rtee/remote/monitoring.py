@@ -81,6 +81,7 @@ class CollectedStates:
             step: Return only every ``step``-th of them; always the newest.
         """
         states: list[State] = []
+        # The number is fixed at the start, since Zenoh's thread goes on appending.
         for number in range(len(self._found) - 1, -1, -1):
             data = self._found.popleft()
             if number % step == 0:
@@ -111,6 +112,7 @@ class Monitoring:
             _put(queue, event)
 
     def _on_gone(self) -> None:
+        # ``None`` ends the iteration of those who would wait for ever.
         for events in tuple(self._event_queues):
             _put(events, None)
         for states in self._state_queues:

@@ -42,6 +42,7 @@ class Outlet:
 
     def put(self, data: bytes) -> None:
         """Publish a message."""
+        # Held while publishing, so that no publisher is undeclared while it is in use.
         with self._changing:
             for key in self._keys.values():
                 if key.wanted:

@@ -93,6 +93,7 @@ class Protection:
                 ", ".join(everybody),
             )
         plain = [each for each in endpoints.listen if not each.startswith(TLS)]
+        # What comes through a router carries no certificate of the client behind it.
         self._plain = bool(plain or endpoints.connect)
         self.settings: dict[str, Any] = {}
         self._hand = hand
@@ -103,6 +104,7 @@ class Protection:
             self.settings |= self._credentials.settings()
             self._look_up(self._credentials)
             admitted = {name: one.role for name, one in self._admitted.items()}
+            # Zenoh reads its rules once: they must name certificates that are made later, too.
             self._known = {**self._credentials.spare, **admitted}
         self.settings["access_control"] = access_control(hand, self._known, plain=self._plain)
 
@@ -153,6 +155,7 @@ class Protection:
         try:
             return credentials.read()
         except ConfigError as error:
+            # Nobody is admitted as it is: reported once, not every second.
             if not credentials.people:
                 return False
             log.error("%s: nobody is admitted from the network: %s", self._hand, error)
@@ -162,6 +165,7 @@ class Protection:
     def _look_up(self, credentials: Credentials) -> None:
         admitted = credentials.admitted
         for name in admitted.keys() - self._known.keys() - self._admitted.keys():
+            # Empty at the start, when all who are listed become known.
             if self._known:
                 log.warning(
                     "%s: %s is admitted from the next start on: no spare name was left for it",

@@ -191,6 +191,7 @@ class Streams:
         due = [each for each in self._all if self._ticks % each.every == 0 and each.outlet.wanted]
         if due:
             self._worker.put(partial(self._put, record, due))
+        # Sensors measure less often than the loop ticks; the same mapping holds nothing new.
         if record.touch is not self._felt and self._ticks % self._touch_every == 0:
             known, self._felt = self._felt, record.touch
             if self._touch.wanted:
@@ -206,6 +207,7 @@ class Streams:
         for stream in due:
             if not stream.outlet.wanted:  # its subscribers have left meanwhile
                 continue
+            # Streams of several rates that are due at one tick share the message.
             if stream.encode == self.messages.state:
                 state = state or stream.encode(record)
                 stream.outlet.put(state)
@@ -243,6 +245,7 @@ class Publisher(Observer):
         return self._outbox.dropped
 
     def _put(self, topic: str, encode: Callable[..., bytes], what: object, **times: float) -> None:
+        # Taken here: the message may wait in the queue for a slow client.
         wall = time.time_ns()
         self._outbox.put(lambda: self._topics[topic].put(encode(what, wall=wall, **times)))
 
@@ -264,6 +267,7 @@ class Publisher(Observer):
 
     def on_result(self, result: Result) -> None:
         """Publish the result of a goal."""
+        # Before the result goes out: another client that reads it may begin a goal at once.
         self._lease.ended(result.goal_id)
         self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
 

@@ -15,6 +15,9 @@ REFUSALS = "refusals"
 """Name under which refusals are counted; further ones are not answered, since an answer costs more
 than to look at a request."""
 
+EXCESS = "excess"
+"""Name under which that is counted which a client puts too much, or others on its keys."""
+
 _USUAL = 100.0
 """Requests of a kind [1/s]: several times what programs ask for that poll."""
 
@@ -32,6 +35,7 @@ _RATES = {
     "record": 10.0,
     "stop": 20.0,  # answered at once; all take effect
     REFUSALS: 200.0,
+    EXCESS: 20.0,  # who puts more is not heard for a moment
 }
 """Requests of some kinds [1/s]."""
 
@@ -71,10 +75,6 @@ class Rates:
             return False
         self._left[name] = left - 1.0, now
         return True
-
-    def spent(self, name: str) -> bool:
-        """Return whether one more request would be neither allowed nor refused aloud."""
-        return self._requests_left(name) < 1.0 and self._requests_left(REFUSALS) < 1.0
 
     def charge(self, size: int) -> None:
         """Count the bytes of an answer."""

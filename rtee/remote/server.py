@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Collection
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
 import anyio
 import anyio.to_thread
@@ -39,6 +39,7 @@ from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import claimed
 from rtee.remote.identities import Identities
+from rtee.remote.inboxes import Inboxes
 from rtee.remote.incoming_request import (
     IncomingRequest,
     Later,
@@ -57,6 +58,8 @@ from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
+
+T = TypeVar("T")
 
 _REFUSED_AFTER = 0.25
 """Time after which those who ask too often are told so [s]: a script that waits for each answer
@@ -95,6 +98,7 @@ class Server:
     Attributes:
         endpoint: Address of the hand on this computer.
         outbox: Publishes what must not be lost, in order.
+        inboxes: Receive what clients put.
         stops: Answers stops, which must not wait for a client that is slow to read.
         questions: Handles and answers queries.
         refused: Ends the queries of those who ask or stop too often.
@@ -114,8 +118,10 @@ class Server:
         self.stops = CallQueue(f"stop {hand}")
         self.questions = CallQueue(f"answer {hand}")
         self.refused = DelayQueue(f"refuse {hand}", _REFUSED_AFTER, _MOST_REFUSED)
+        self.inboxes = Inboxes(session, hand, self._on_put, self.outbox)
         self._hand, self._session = hand, session
         self._identities, self._commands, self._queries = identities, commands, queries
+        identities.present = self.inboxes.open
 
     @classmethod
     @contextlib.asynccontextmanager
@@ -137,7 +143,14 @@ class Server:
         Raises:
             ConfigError: if the hand runs already, or an endpoint cannot be used.
         """
-        in_thread = anyio.to_thread.run_sync
+
+        # These calls block for milliseconds, and the event loop is the one that drives the hand.
+        async def in_thread(function: Callable[..., T], *arguments: object) -> T:
+            # When cancelled, too: else the session would outlive the hand, and answer for it.
+            with anyio.CancelScope(shield=True):
+                result = await anyio.to_thread.run_sync(function, *arguments)
+            return result  # noqa: RET504 - in the scope, mypy would miss a return behind it
+
         hand = loop.hand
         async with contextlib.AsyncExitStack() as stack:
             place = stack.enter_context(claimed(hand.name))
@@ -168,6 +181,7 @@ class Server:
 
             def admit(people: Collection[str], revoked: Collection[str]) -> None:
                 outlets.admit(people)
+                # A client whose requests are refused must not go on holding the lease.
                 for client in identities.of(revoked):
                     commands.client_left(client)
 
@@ -184,7 +198,6 @@ class Server:
             return network_key(self._hand, "/".join(parts))
 
         session, liveliness = self._session, self._session.liveliness()
-        session.declare_subscriber(key(CONTROL, "*"), direct(self._on_put))
         queries: dict[str, Callable[[zenoh.Query], None]] = {
             HELLO: self._on_hello,
             STOP: self._on_stop,
@@ -194,11 +207,14 @@ class Server:
         for group, handle in queries.items():
             session.declare_queryable(key(group, "*"), direct(handle))
         liveliness.declare_subscriber(key(CLIENTS, "*"), direct(self._on_client), history=True)
+        # Last: whoever sees the token sends requests at once.
         self._token = liveliness.declare_token(key(ALIVE))
 
     def close(self) -> None:
         """Send the waiting answers; blocks for a moment."""
         self._queries.close()
+        self.inboxes.close()
+        # The outbox comes last: refusals and inboxes still put calls into it.
         for queue in (self.refused, self.questions, self.stops, self.outbox):
             queue.close()
 
@@ -246,20 +262,31 @@ class Server:
         return later
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        attachment, name = attachment_of(sample), ""
+        attachment, owner = attachment_of(sample), last_part(sample)
+        signed = False
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
-            nonlocal name
-            name = self._identities.check(request, attachment, question)
-            return name
+            nonlocal signed
+            client = self._identities.signer(request, attachment, question)
+            if client is None or client.name != owner:
+                raise RequestRejected(f"'{owner}' has not signed this")
+            signed = self._identities.admits(client)  # what was revoked is not answered
+            return self._identities.permit(client, request)
 
         def answer(data: bytes, ok: bool) -> None:
             claim = claim_of(attachment)
             # Only who has signed it is answered; else others could have it refused.
-            if claim is not None and name:
-                self._answer_put(name, claim.number, data, ok)
+            if claim is not None and signed:
+                self._answer_put(owner, claim.number, data, ok)
+            else:
+                self.inboxes.count_excess(owner)
 
-        handle_request(sample, CONTROL, check, self._commands.handle_put, answer)
+        def later(data: bytes | None) -> None:
+            self.inboxes.count_excess(owner)
+            if data is not None:
+                answer(data, False)
+
+        handle_request(sample, CONTROL, check, self._commands.handle_put, answer, later)
 
     def _answer_put(self, client: str, number: str, data: bytes, ok: bool) -> None:
         topic = topic_for(self._identities.way(client), f"{ANSWERS}/{client}")
@@ -273,6 +300,7 @@ class Server:
                 self._identities.charge(request.client, len(data))
                 reply(self._hand, query, data, ok)
 
+            # The questions' thread may wait for the network; a refusal in Zenoh's thread must not.
             at_once, request.send = request.send, send
             if not self.questions.put(partial(answer_to, request, self._queries.handle)):
                 request.send = at_once
@@ -284,7 +312,9 @@ class Server:
     def _on_client(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
+            # A new client has a new connection, on which Zenoh has set SO_LINGER.
             disable_linger()
             self._identities.came(token)
         elif client := self._identities.left(token):
+            self.inboxes.remove(client)
             self._commands.client_left(client)

@@ -208,6 +208,7 @@ def open_server(
     }
     try:
         session = zenoh.open(_configured(settings | dict(further or {})))
+        # Zenoh makes the socket with the process's umask, whatever that is.
         local.chmod(_SOCKET_MODE)
         return session, endpoint
     except (OSError, zenoh.ZError) as error:
@@ -224,6 +225,7 @@ def way_to(endpoint: str) -> str:
 
 def is_safe(endpoint: str) -> bool:
     """Return whether nobody can come through an endpoint who is not admitted."""
+    # An endpoint with metadata does not match, and what is not understood counts as unsafe.
     match = _TCP.fullmatch(endpoint)
     if match is not None and not endpoint.startswith(TLS):
         with contextlib.suppress(ValueError):

@@ -170,6 +170,7 @@ class StreamClient:
                 try:
                     yield stream
                 finally:
+                    # Shielded: a cancelled client ends its stream, too, instead of its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                         if not (stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})

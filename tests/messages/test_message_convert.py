@@ -216,3 +216,13 @@ def test_a_status_written_before_devices_told_their_gains_is_read(text: str) -> 
         kind.decode(data)
     with pytest.raises(MessageError):
         older.decode(data[:-9])
+
+
+def test_a_recorded_definition_that_is_nested_too_deeply_is_refused() -> None:
+    name = "rtee_msgs/msg/ActuatorState"
+    texts = ["my_msgs/T0 nested\n"]
+    rule = "=" * 80 + "\n"
+    texts += [f"{rule}MSG: my_msgs/T{k}\nmy_msgs/T{k + 1} nested\n" for k in range(1000)]
+    texts.append(f"{rule}MSG: my_msgs/T1000\nbool last\n")
+    with pytest.raises(MessageError, match="nested too deeply"):
+        recorded_type(name, "".join(texts))

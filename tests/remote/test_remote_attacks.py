@@ -18,7 +18,7 @@ from rtee.errors import LeaseHeld, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages import encode_event, encode_goal, encode_result, message_type
 from rtee.messages.identity import Signer
-from rtee.messages.requests import REQUESTS
+from rtee.messages.requests import HERE, REQUESTS, inbox_key
 from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct
 from rtee.types import Event, Goal, Result
@@ -66,8 +66,9 @@ class Intruder:
         found = self.session.get(key, payload=question, attachment=proof, timeout=5.0)
         return [REPLY.decode(e.err.payload.to_bytes())["reason"] if e.err else "" for e in found]
 
-    def put(self, name: str, question: bytes, proof: str | None = None) -> None:
-        key = REQUESTS[name].key("small")
+    def put(self, name: str, owner: str, question: bytes, proof: str | None = None) -> None:
+        """Put a request where a client of the hand puts it."""
+        key = inbox_key("small", HERE, name, owner)
         block = zenoh.CongestionControl.BLOCK
         self.session.put(key, question, attachment=proof, congestion_control=block)
 
@@ -126,7 +127,7 @@ async def test_nobody_moves_the_hand_under_the_name_of_its_holder(
         for proof in (None, f"1 {holder}", forged.attachment("9", "do", goal)):
             (reason,) = await in_thread(bad.ask, "do", goal, proof)
             assert "not known here" in reason
-            await in_thread(bad.put, "do", goal, proof)
+            await in_thread(bad.put, "do", holder, goal, proof)
         await settled(victim)
         assert (await victim.status()).holder == victim.client
         assert served.watcher.goals == []
@@ -224,7 +225,7 @@ async def test_nobody_answers_or_speaks_for_the_hand(
         bad = await intruder(served, mode, intruders)
         for key in ("ask/*", "control/*", "stop/*", "hello/*", "**"):
             await in_thread(bad.answer, f"rtee/small/{key}", b"junk")
-        for key in ("control/*", "hello/*", "clients/*", "ask/*"):
+        for key in ("control/*", "put/**", "hello/*", "clients/*", "ask/*"):
             await in_thread(bad.listen, f"rtee/small/{key}")
         liveliness = bad.session.liveliness()
         tokens = [liveliness.declare_token(f"rtee/{name}/alive") for name in ("small", "other")]

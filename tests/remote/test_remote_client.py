@@ -11,7 +11,7 @@ import zenoh
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError, LeaseHeld, NoHand, RequestRejected
+from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.remote.server import Server
 from rtee.remote.session import direct
@@ -289,6 +289,38 @@ async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
         first, second = await remote.state(), await remote.state()
         assert second.tick >= first.tick
         assert np.isfinite(second.reference_position).all()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0005, 0.001, 0.003])
+async def test_a_call_that_is_given_up_before_its_answer_moves_nothing(
+    hand: Hand, library: ActionLibrary, delay: float
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        with anyio.move_on_after(delay) as given_up:
+            await remote.do("fist", speed=0.01)
+        assert given_up.cancelled_caught
+        while (await remote.status()).goal_id:  # noqa: ASYNC110 - it brakes first
+            await anyio.sleep(0.01)
+        assert not remote._goals._running
+
+
+async def test_a_hand_whose_run_is_cancelled_leaves_the_network(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    with anyio.CancelScope() as scope:
+        async with serving(hand, library) as served:
+            assert served.server.endpoint
+            scope.cancel()
+            await anyio.sleep(1.0)
+    assert not [one.name for one in threading.enumerate() if one.name.endswith(" small")]
+
+
+async def test_a_goal_that_runs_is_not_started_again(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        running = await remote.start("fist", speed=0.5)
+        with pytest.raises(GoalRejected, match="runs already"):
+            await remote._goals.start_goal(running.goal)
+        assert (await running.result()).reached, "it is still followed"
 
 
 async def test_status(hand: Hand, library: ActionLibrary) -> None:

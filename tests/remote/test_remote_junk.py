@@ -13,13 +13,13 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import MessageError
 from rtee.hand.model import Hand
-from rtee.messages.requests import REQUESTS, Request
+from rtee.messages.requests import HERE, REQUESTS, Request, inbox_key
 from rtee.messages.schema import message_type
 from rtee.remote.client import RemoteHand
 from rtee.remote.incoming_request import LONGEST
 from rtee.remote.session import open_client
 
-from .serving import serving
+from .serving import serving, until
 
 pytestmark = pytest.mark.anyio
 
@@ -161,13 +161,18 @@ async def test_junk_that_is_put_is_refused_or_ignored(
         with session.declare_subscriber(f"rtee/small/answers/{client}") as answers:
             for name in ("do", "dance"):
                 for junk in (b"", b"junk", bytes(LONGEST + 1)):
-                    key = f"rtee/small/control/{name}"
+                    key = inbox_key("small", HERE, name, client)
                     for attachment in (None, "", f"7 {client}", f"7 {client} {'0' * 32}"):
                         put(key, junk, attachment=attachment)
                     for attachment in ("7 " + "x" * 500, "7 nobody 00", "\u00fc 7 **"):
                         put(key, junk, attachment=attachment)
+            # So much junk on a client's keys, and the hand does not listen there for a while.
+            inbox = served.server.inboxes._inboxes[client]
+            await until(lambda: inbox.closed)
+            await until(lambda: not inbox.closed and inbox.subscriber is not None)
             number = remote._link._signer.number("mine")
-            put("rtee/small/control/do", b"junk", attachment=signed(remote, "do", b"junk", number))
+            key = inbox_key("small", HERE, "do", client)
+            put(key, b"junk", attachment=signed(remote, "do", b"junk", number))
             sample = await anyio.to_thread.run_sync(answers.recv)
             assert sample.attachment.to_string() == f"-{number}", "who did not sign has no answer"
             assert REPLY.decode(sample.payload.to_bytes())["reason"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
+from asyncio import Future
 from collections.abc import Iterator
 
 import anyio
@@ -18,10 +20,11 @@ from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.messages.identity import Signer, claim_of
-from rtee.messages.requests import REQUESTS
+from rtee.messages.requests import HERE, REQUESTS, inbox_key
 from rtee.remote import command_handlers, query_handlers, rates, server
 from rtee.remote.call_queue import DelayQueue
 from rtee.remote.identities import _MOST_WAITING, Identities
+from rtee.remote.inboxes import _Inbox
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.publishing import MOST_STREAMS
 from rtee.remote.rates import REFUSALS, Ignored, Rates
@@ -49,6 +52,7 @@ def _memory() -> int:
 
 SENDER = """
 import sys
+from rtee.messages.requests import HERE, inbox_key
 from rtee.remote.session import open_client
 import zenoh
 session = open_client([sys.argv[1]])
@@ -57,7 +61,7 @@ sys.stdin.readline()
 try:
     for _ in range(3):
         session.put(
-            "rtee/small/control/do",
+            inbox_key("small", HERE, "do", sys.argv[2]),
             bytes(100_000_000),
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
@@ -70,7 +74,7 @@ sys.stdin.readline()
 
 async def test_large_messages_take_no_memory(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as remote:
-        sender = await started(SENDER, served.server.endpoint)
+        sender = await started(SENDER, served.server.endpoint, remote.client)
         before = _memory()
         assert sender.stdin is not None
         await sender.stdin.send(b"\n")
@@ -100,6 +104,71 @@ async def test_who_asks_too_often_is_refused_and_others_are_not(
         assert (await other.info()).name == "small"
 
 
+async def test_who_puts_too_much_is_not_heard_for_a_while_and_others_are(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with (
+        serving(hand, library) as served,
+        rtee.connect("small", client="flood") as flood,
+        rtee.connect("small") as other,
+    ):
+        link = flood._link
+        question = REQUESTS["jog"].question.encode(
+            {"client": "", "source": "", "name": ["x"], "value": [0.5], "limit": 1.0}
+        )
+
+        def shut_out() -> bool:
+            try:
+                for _ in range(50):
+                    link.send("jog", question, within=0.1).add_done_callback(Future.exception)
+            except TooManyRequests:
+                return True
+            return False
+
+        await until(shut_out)
+        with pytest.raises(TooManyRequests, match="does not listen for a while"):
+            link.send("jog", question)
+        assert (await other.do("Trig", "index", intensity=0.1)).reached
+        assert await flood.status(), "questions have their own limits"
+        assert list(await flood.stop()) == ["sim"]
+        await flood.jog({"near": 0.1})  # is sent until the hand listens again
+        await until(lambda: not link._fast._unmatched)
+        await flood.release()
+        assert (await flood.do("Trig", "index", intensity=0.2)).reached
+        inboxes = served.server.inboxes._inboxes
+        assert sorted(inboxes) == sorted([flood.client, other.client])
+        await until(shut_out)  # and leaves meanwhile
+
+
+async def test_an_inbox_goes_with_its_client(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        async with rtee.connect("small") as remote:
+            assert list(served.server.inboxes._inboxes) == [remote.client]
+        await until(lambda: not served.server.inboxes._inboxes)
+
+
+async def test_junk_on_the_key_of_a_client_is_not_heard_for_long(
+    hand: Hand, library: ActionLibrary, sessions: list[zenoh.Session]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        sessions.append(open_client([served.server.endpoint]))
+        key = inbox_key("small", HERE, "do", remote.client)
+        inbox = served.server.inboxes._inboxes[remote.client]
+        publisher = sessions[0].declare_publisher(
+            key, congestion_control=zenoh.CongestionControl.BLOCK
+        )
+
+        def closed() -> bool:
+            for _ in range(10):
+                publisher.put(b"junk")
+            return inbox.closed
+
+        await until(closed)
+        await until(lambda: not inbox.closed and inbox.subscriber is not None)
+        await until(lambda: not remote._link._fast._unmatched)
+        assert (await remote.do("Trig", "index", intensity=0.1)).reached
+
+
 async def test_a_script_that_asks_too_often_only_takes_longer(
     hand: Hand, library: ActionLibrary
 ) -> None:
@@ -121,10 +190,21 @@ def test_rates() -> None:
     with pytest.raises(Ignored):
         one.refuse("why")
     assert not one.allow(REFUSALS)
-    assert one.spent("info")
-    assert not one.spent("status"), "allowed"
-    now += 0.5
-    assert not one.spent("info"), "refused aloud again"
+
+
+def test_who_goes_on_to_put_too_much_is_heard_ever_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, inbox = 100.0, _Inbox("key")
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    times = []
+    for _ in range(7):
+        inbox.close()
+        assert inbox.closed
+        times.append(inbox.closed_for)
+        now = inbox.until + 0.1
+    assert times == [1.0, 2.0, 4.0, 8.0, 16.0, 16.0, 16.0]
+    now += 40.0
+    inbox.close()
+    assert inbox.closed_for == 1.0
 
 
 def test_rates_of_bytes() -> None:
