@@ -230,10 +230,12 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
             result = run_trial(
                 ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=stills
             )
+    # Nothing is taken of an object that fits nowhere.
     if pictures is not None and stills is not None and stills.taken:
         from rtee.trials.pictures import write_strip
 
         words = "_".join((ready.hand.name, trial.action, *trial.elements, trial.object))
+        # Objects are written with colons, and meshes with slashes.
         file = "".join(c if c.isalnum() or c in "._-" else "-" for c in words) + ".png"
         write_strip(pictures / file, stills.taken)
     return result
@@ -254,6 +256,7 @@ def _all(
     from rtee.trials.store import FILE_NAME, fingerprint, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 
+    # A mistyped object is refused once, and before any process starts.
     for shape in {trial.object: None for trial in trials}:
         parse_object(shape)
     ready = bench(name)
@@ -271,31 +274,36 @@ def _all(
             "hand or by an earlier method; they are made anew, and replaced at the end",
             file=sys.stderr,
         )
+        # An earlier command may have been interrupted while it replaced them.
         known = read_results(_unfinished(path), made_with)
     todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:
+            # Only when there is something to write: else no copy of a shipped hand is made.
             folder = own(ready.folder)
             report_copy(ready.folder, folder)
             path = folder / FILE_NAME
         keep = _Kept(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
+        # Not the number of processors: a container or taskset may leave fewer.
         processes = jobs or len(os.sched_getaffinity(0))
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
+        # Closed at once when interrupted, which ends the processes.
         with keep.until_done(len(todo), again), closing(coming):
             for result in _with_progress(coming, len(todo)):
                 keep.add(result)
     if old:
+        # All are there, so that the outdated ones can go.
         _unfinished(path).replace(path)
     return [known[trial.key] for trial in trials]
 
 
 def _done(trial: Trial, known: TrialResult | None) -> bool:
     """Return whether a trial's result is known, with the variations that are asked for."""
-    return known is not None and (known.trial.variations, known.trial.seed) == (
-        trial.variations,
-        trial.seed,
-    )
+    if known is None:
+        return False
+    before, wanted = ((each.variations, each.seed, each.choosing) for each in (known.trial, trial))
+    return before == wanted
 
 
 def _unfinished(path: Path) -> Path:
@@ -341,6 +349,7 @@ class _Kept:
         try:
             yield
         except KeyboardInterrupt:
+            # First, since the sentence says that they are kept.
             self.write()
             print(f"rtee: interrupted; {self._words(total, again)}", file=sys.stderr)
             raise
@@ -426,4 +435,5 @@ def _table(results: Sequence[TrialResult]) -> None:
         table.add_column(shape.replace(":", "\n"), justify="right")
     for name, row in rows.items():
         table.add_row(name, *(row.get(shape, "") for shape in shapes))
+    # In a pipe, rich would take 80 columns and cut the table.
     Console(width=None if sys.stdout.isatty() else 200).print(table)

@@ -70,7 +70,9 @@ def try_tasks(
 
     trials = _trials(action, tuple(elements), objects, asked)
     ready = bench(hand, RATE)
+    # An unknown action is refused before the first trial.
     ready.library.find(action, elements)
+    # Tasks have no trial without variation, so that there is at least one with it.
     count = _VARIATIONS if asked.variations is None else max(asked.variations, 1)
     documents = []
     for trial in trials:
@@ -127,6 +129,8 @@ def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
     }[trial.way]
     peak = max(result.peak for result in results)
     what = f"{trial.task}, {' '.join((trial.action, *trial.elements))} on {trial.object}, {how}"
+    if ends[End.STALLED] and trial.way is not Way.EFFORT:
+        others += " (the effort for this force hardly moves the hand; try a larger --force)"
     return (
         f"{what}: {held} of {len(results)} succeed (95 % confidence: {low * 100:.0f} to "
         f"{high * 100:.0f} %){others}; at most {peak:.1f} N"

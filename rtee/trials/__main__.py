@@ -23,6 +23,7 @@ def main() -> None:
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print must not come between the lines
     job = Job.from_json(sys.stdin.readline())
+    # After the job was read: the thread reads the same input.
     threading.Thread(target=_watch, daemon=True).start()
     try:
         job.check()
@@ -39,6 +40,7 @@ def _watch() -> None:
     """End with the one that asked."""
     while sys.stdin.read(1):
         pass
+    # From a thread, and in the middle of a trial, nothing else ends the process at once.
     os._exit(1)
 
 
@@ -63,12 +65,14 @@ def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO
 
         def tell(done: int, of: int, number: int = number, what: str = what) -> None:
             text = f"{what}: variation {done} of {of}"
+            # One more than the variations: the trial without any comes first.
             _write(out, {"progress": (number + done / (of + 1)) / count, "text": text})
 
         trial = Trial(name, elements, job.object, 1.0, job.mass, 3, job.friction, job.variations)
         try:
             found = run_trial(ready.hand, ready.library, ready.settings, trial, progress=tell)
         except RteeError as error:
+            # The only trial's error is the job's; among several, it is the result of that one.
             if count == 1:
                 raise
             found = TrialResult(trial, False, str(error))

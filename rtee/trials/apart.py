@@ -95,8 +95,10 @@ class Job:
 
 def command() -> tuple[list[str], dict[str, str]]:
     """Return the command line of the process, and its environment."""
+    # The process runs the same rtee as this one, installed or not.
     paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    # -P: a module in the current folder must not take the place of one of rtee's.
     return [sys.executable, "-P", "-m", "rtee.trials"], environment
 
 
@@ -104,6 +106,7 @@ def check_installed(*, planning: bool) -> None:
     """Raise `MissingExtra` if this computer cannot try actions, or plan grasps."""
     modules = {"coal": "extract", "pinocchio": "extract"}
     if not planning:
+        # A trial needs them all: geometry ranks the places that dynamics tries.
         modules = {"mujoco": "sim", **modules}
     for module, extra in modules.items():
         if importlib.util.find_spec(module) is None:

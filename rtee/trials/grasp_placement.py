@@ -127,6 +127,7 @@ class Places:
         """Return a place's pose ``(4, 4)``, moved back on its way until the open hand is clear."""
         pose = np.array(place.pose)
         length = float(np.linalg.norm(place.way))
+        # Without a way there are no steps, so that nothing is divided by its length of 0.
         steps = round(length / _BACK)
         for _ in range(steps):
             if self._clear(pose, 0.0):
@@ -137,6 +138,7 @@ class Places:
     @staticmethod
     def _apart(one: Place, other: Place) -> bool:
         near = float(np.linalg.norm(one.pose[:3, 3] - other.pose[:3, 3])) < _APART
+        # Entries of two turns that differ by less than 0.2 are within some 12 degrees.
         return not (near and np.allclose(one.pose[:3, :3], other.pose[:3, :3], atol=0.2))
 
     def _candidates(self) -> Iterator[Place]:
@@ -156,6 +158,7 @@ class Places:
                 poses = self._poses(middle, centres, axis, outward)
                 for turn in sorted(missing):
                     pose = poses[turn]
+                    # The open hand has to be clear of it, too: from there it closes.
                     if self._clear(pose, float(intensity)) and self._clear(pose, 0.0):
                         missing.discard(turn)
                         yield Place(pose, float(intensity), np.zeros(3))
@@ -168,6 +171,7 @@ class Places:
         way = self._tips(0.4).mean(axis=0) - self._tips(0.0).mean(axis=0)
         way = way - (way @ outward) * outward
         length = float(np.linalg.norm(way))
+        # Without a direction, places to the side fall together and are found to be one.
         unit: FloatArray = way / length if length > 1e-3 else np.zeros(3)
         return unit
 
@@ -189,6 +193,7 @@ class Places:
         along = ways @ axes[:, -1]
         least = _TAKES_PART * float(np.abs(along).max())
         sides = (along > least, along < -least)
+        # All move the same way, so that there are no two sides to balance.
         if not all(side.any() for side in sides):
             return axes[:, -1], even
         weights: FloatArray = sum((0.5 * side / side.sum() for side in sides), np.zeros(len(tips)))
@@ -202,6 +207,7 @@ class Places:
         closing = centres[-1] - centres[0] if axis is None else axis
         closing = closing - (closing @ outward) * outward
         if float(np.linalg.norm(closing)) < 1e-3:
+            # With one fingertip, or several in line with the reach, any axis across will do.
             closing = np.eye(3)[int(np.argmin(np.abs(outward)))]
         closing = closing / np.linalg.norm(closing)
         side = np.cross(outward, closing)
@@ -216,6 +222,7 @@ class Places:
     def _tips(self, intensity: float) -> FloatArray:
         """Return the middles ``(k, 3)`` of the fingertips' geometry in the base frame."""
         self._pose_hand(intensity)
+        # Positions are all that is needed; finding contacts would cost far more.
         mujoco.mj_kinematics(self._model, self._data)
         inverse: FloatArray = np.asarray(np.linalg.inv(self._base()), dtype=np.float64)
         middles = []

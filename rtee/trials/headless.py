@@ -102,6 +102,7 @@ class HeadlessHand(Generic[P]):
         self.simulation = simulation
         self.controller = Controller(hand, settings)
         self.time = ticks * settings.period
+        # The clock is read once, so that stamps are as regular as the simulated time.
         self._wall_ns = time.time_ns() - round(self.time * 1e9)
         self.library = library
         self._settings = settings
@@ -119,6 +120,7 @@ class HeadlessHand(Generic[P]):
             text = "another run begins, with a controller of its own"
             for observer in self.observers:
                 observer.on_event(Event(RUN_BEGINS, "simulation", text, self.time))
+        # A recorded command: a check of the recording starts its controller in the same way.
         self._apply(SetActive(dict.fromkeys(hand.actuator_names, True)))
         self.tick()  # the controller starts from what is measured
 
@@ -185,6 +187,7 @@ class HeadlessHand(Generic[P]):
         position, effort = simulation.position, simulation.effort
         forces = simulation.contact_forces
         measured = self._measured(position, effort, forces)
+        # After measuring, as in the loop: a goal begins with what is measured in its own tick.
         due, self._due = self._due, []
         for what in due:
             if isinstance(what, Plan):
@@ -192,6 +195,7 @@ class HeadlessHand(Generic[P]):
             else:
                 controller.apply(what, self.time)
         controller.step(self.time, measured)
+        # Copies: the controller goes on in the same arrays, and records keep theirs.
         reference = np.array(controller.reference_position)
         limit = np.array(controller.reference_effort)
         simulation.command(reference, limit, self._everything)
@@ -199,6 +203,7 @@ class HeadlessHand(Generic[P]):
             self._record(position, effort, reference, limit, forces)
         self._tell()
         self.ticks += 1
+        # Not added up, since rounding errors would grow with the ticks.
         self.time = self.ticks * self._settings.period
 
     def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
@@ -254,4 +259,5 @@ class HeadlessHand(Generic[P]):
                 else:
                     observer.on_event(item)
         outbox.items.clear()
+        # No device is behind this hand that could be disabled.
         outbox.disable.clear()

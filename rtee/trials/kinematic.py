@@ -28,6 +28,7 @@ class KinematicPlay:
     def advance(self) -> None:
         """Go where the last references say."""
         self.velocity = (self._reference - self.position) / self._period
+        # A copy, since the next command changes the references in place.
         self.position = np.array(self._reference)
 
     def command(self, position: FloatArray, max_effort: FloatArray, mask: BoolArray) -> None:

@@ -70,8 +70,10 @@ class SimulationRenderer:
         if back is None:
             turn = simulation.surroundings.base_pose[:3, :3]
             back = turn @ choose_view(self._mesh.geometry)[0]
+            # Never from below, where the table would hide everything.
             back[2] = abs(back[2])
         table = [i for i, (geom, *_) in enumerate(self._extras) if self._is_table(geom)]
+        # The table is much wider than the hand, which would be small beside all of it.
         mesh = self._posed(leave_out=table)
         points = mesh.corners.reshape(-1, 3)
         points = np.concatenate([points, *(points + way for way in reach)])

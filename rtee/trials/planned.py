@@ -55,6 +55,7 @@ def check_plan(
     name = plan.action or DRAFT
     if not plan.action:
         library = ActionLibrary(hand, (*library, library.compose(DRAFT, plan.parts)))
+    # Within the trial, an action that is missing would count as a lost object.
     library.find(name, plan.elements)
     options = SimOptions(
         object_mass=thing.mass, friction=ranking.friction, support="held", carrier="arm"
@@ -136,10 +137,12 @@ def _simulation(
 def _turned(axis: FloatArray) -> FloatArray:
     """Return the shortest rotation ``(3, 3)`` that brings a unit vector downwards."""
     cosine = float(axis @ _DOWN)
+    # Opposite vectors: any axis across them will do, and the formula would divide by 0.
     if cosine < -1.0 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])
     x, y, z = np.cross(axis, _DOWN)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # Rodrigues' formula for the angle between two unit vectors, without the angle itself.
     rotation: FloatArray = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
     return rotation
 
@@ -177,6 +180,7 @@ def _stl(piece: Piece) -> bytes:
         ball = _BALL * piece.radius
         points = (points[:, None] + ball).reshape(-1, 3)
     count = len(points)
+    # Any triangles that hold all points will do, since MuJoCo takes the corners alone.
     corners = points[
         np.stack(
             [np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1

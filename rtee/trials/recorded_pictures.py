@@ -86,6 +86,7 @@ class _Strip:
         states = recording.actuator_states
         if set(states.names) != set(hand.actuator_names):
             raise LogError("does not hold the hand it is of", path=recording.paths[0])
+        # A recording may list the actuators in another order than the hand.
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         thing = recording.object_description
@@ -141,6 +142,7 @@ class _Strip:
 
     def _arrow(self, row: FloatArray) -> float:
         strength = float(np.linalg.norm(row[3:6]))
+        # It saturates, so that a hard contact's arrow stays in the picture.
         return _LONGEST * self._size * strength / (strength + _HALF)
 
 
@@ -151,6 +153,7 @@ def _value(channel: Channel, at: float) -> FloatArray:
 def _along(point: FloatArray, force: FloatArray, length: float) -> FloatArray:
     """Return the pose of a shaft along z that ends at a point, where a force presses."""
     z = force / np.linalg.norm(force)
+    # The base axis most across z, so that the product is never near 0.
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)
     return homogeneous(np.stack([x, np.cross(z, x), z], axis=1), point - 0.5 * length * z)

@@ -38,6 +38,7 @@ def graspable(text: str, mass: float) -> GraspObject:
         ConfigError: if it is none.
         ModelError: if the mesh cannot be used.
     """
+    # `read_object` knows shapes and meshes; the drill is a body of several hulls.
     if parse_object(text).kind == "drill":
         pieces = tuple(hull_piece(points) for points in drill_parts())
         return GraspObject(text, pieces, mass)
@@ -65,6 +66,7 @@ def robust_places(
     found = robust_poses(Planner(hand, thing), action, groups_of(library, action), others)
     places = [Place(pose.candidate.pose, pose.first, pose.candidate.way) for pose in found]
     chosen: list[Place] = []
+    # Where too few places are robust, those between the fingertips make up the number.
     for place in (*places, *tips):
         if all(_apart(place, other, thing) for other in chosen):
             chosen.append(place)
@@ -79,6 +81,7 @@ def groups_of(library: ActionLibrary, action: Action) -> list[Primitive]:
     return [
         pinch
         for pinch in library.all("primitive")
+        # Not all of the fingers: places between all of them come from `Places`.
         if isinstance(pinch, Primitive) and pinch.kind.pinch and set(pinch.fingers) < moved
     ]
 

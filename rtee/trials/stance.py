@@ -64,7 +64,9 @@ class Stance:
         """
         place = np.array(self.place)
         place[:3, :3] = held[:3, :3]
+        # The object stands in the world as before, so that it is the hand that turns.
         mount: FloatArray = self.mount @ self.place[:3, :3] @ place[:3, :3].T
+        # The hand comes along the same line in the world.
         way: FloatArray = mount.T @ self.mount @ self.way
         return Stance(place, mount, way, lands, self.back)
 
@@ -79,6 +81,7 @@ class Stance:
         mount: FloatArray = upright @ place[:3, :3].T
         frame = np.eye(4)
         frame[:3, :3] = upright
+        # Scaled about its origin, a larger object would reach into the table.
         grown = shape.lowest(frame) - shape.scaled(variation.size).lowest(frame)
         place[:3, 3] += mount.T @ np.array([0.0, 0.0, grown])
         return place, mount
@@ -133,6 +136,7 @@ def find_stances(
         if reach == "down":
             yield Stance(pose, down, axis)
         else:
+            # From the side, the hand may come with either side up.
             for up in (pose[:3, 2], -pose[:3, 2]):
                 yield Stance(pose, np.stack([axis, np.cross(up, axis), up]), axis)
 

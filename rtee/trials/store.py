@@ -168,6 +168,7 @@ def outdated(text: str, path: Path) -> bool:
 
 def _current(document: Mapping[str, Any], present: str) -> bool:
     """Return whether results were made with the present files, by the present method."""
+    # Files that were written before the method was counted do not name it.
     made = document["made_with"], document.get("method", 1)
     return bool(made == (present, METHOD))
 

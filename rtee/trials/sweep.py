@@ -133,6 +133,7 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             futures = [pool.submit(attempt, name, trial) for trial in trials]
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            # All processes are started by now; each has its own copy of this end.
             leash.close()
             for future in as_completed(futures):
                 yield future.result()
@@ -141,6 +142,7 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
                 "a process that did trials was ended from outside, perhaps for want of memory"
             ) from error
         finally:
+            # First, since leaving the pool waits for processes, and only this ends those at work.
             held.close()
             pool.shutdown(wait=False, cancel_futures=True)
 
@@ -156,6 +158,7 @@ def end_with(leash: Connection) -> None:
 
     def watch() -> None:
         leash.poll(None)
+        # From a thread, sys.exit would end the thread alone.
         os._exit(1)
 
     threading.Thread(target=watch, name="leash", daemon=True).start()
@@ -180,6 +183,7 @@ def sweep_on_cluster(name: str, trials: Sequence[Trial], address: str) -> Genera
     except (OSError, ValueError) as error:
         raise ConfigError(f"no Dask scheduler answers at '{address}': {error}") from error
     with client:
+        # Not pure: equal calls must not be answered from memory, since the hand's files may change.
         futures = [client.submit(attempt, name, trial, pure=False) for trial in trials]
         for future in distributed.as_completed(futures):
             yield future.result()

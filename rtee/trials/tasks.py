@@ -97,6 +97,7 @@ class End(StrEnum):
 
     HELD = "held"
     MISSED = "not grasped"
+    STALLED = "stopped before a finger touched it"
     BROKEN = "broken"
     LOST = "lost"
 
@@ -181,6 +182,7 @@ class _Run:
 
     def __init__(self, ready: Bench, trial: TaskTrial, number: int) -> None:
         hand, library, settings = ready.hand, ready.library, ready.settings
+        # Neither hand nor way is in the seed, so that all meet the same variations.
         varied = np.random.default_rng([number, trial.seed])
         mass = trial.task.mass if trial.mass is None else trial.mass
         options = SimOptions(
@@ -203,11 +205,12 @@ class _Run:
         self._start = around.position_in_hand
         self._peak = 0.0
         self._headless: HeadlessHand[Simulation] = HeadlessHand(hand, library, settings, simulation)
+        # From the start: an egg may break at the first touch.
         self._headless.before_tick(self._watch)
 
     def result(self) -> TaskResult:
         """Grasp the object, do what the task says, and return how it ended."""
-        end = End.HELD if self._grasp() else End.MISSED
+        end = self._grasp()
         if end is End.HELD:
             match self._trial.task:
                 case Task.CUP:
@@ -215,6 +218,7 @@ class _Run:
                 case Task.TUG:
                     self._tug()
             end = End.HELD if self._held else End.LOST
+        # Whatever else it came to: an egg may be broken and still be held.
         if self._trial.task is Task.EGG and self._peak > BREAKS:
             end = End.BROKEN
         return TaskResult(end, round(self._peak, 3))
@@ -222,7 +226,7 @@ class _Run:
     def _watch(self, _: float) -> None:
         self._peak = max(self._peak, float(self._simulation.contact_forces.max()))
 
-    def _grasp(self) -> bool:
+    def _grasp(self) -> End:
         """Grasp the object, let go of it, and return whether the hand has it."""
         result = self._headless.do(self._trial.goal())
         self._headless.wait(_SETTLE)
@@ -230,7 +234,10 @@ class _Run:
         # What closing moved it is no slip.
         self._start = self._around.position_in_hand
         self._headless.wait(_SETTLE)
-        return result.grasped and self._held
+        # Told apart from a miss, since it has another remedy: a larger force.
+        if result.stalled and not result.touched and not result.grasped:
+            return End.STALLED
+        return End.HELD if result.grasped and self._held else End.MISSED
 
     @property
     def _held(self) -> bool:
@@ -240,12 +247,21 @@ class _Run:
 
     def _fill(self) -> None:
         model, body = self._simulation.model, self._body
-        empty, inertia = float(model.body_mass[body]), model.body_inertia[body].copy()
+        first = int(model.body_dofadr[body])
+        dofs = slice(first, first + int(model.body_dofnum[body]))
+        mass = float(model.body_mass[body])
+        # MuJoCo works these out once: the last two scale its contacts, and the last but two stands
+        # for the mass matrix of a free body. With those of the empty cup it would fall too fast.
+        grow = [(model.body_inertia, body), (model.dof_M0, dofs)]
+        shrink = [(model.body_invweight0, body), (model.dof_invweight0, dofs)]
+        empty = [(field, at, field[at].copy()) for field, at in (*grow, *shrink)]
 
         def fill(share: float) -> None:
-            model.body_mass[body] = empty + _WATER * share
             # The water is where the cup is: its inertia grows with the mass.
-            model.body_inertia[body] = inertia * model.body_mass[body] / empty
+            factor = (mass + _WATER * share) / mass
+            model.body_mass[body] = mass * factor
+            for number, (field, at, value) in enumerate(empty):
+                field[at] = value * factor if number < len(grow) else value / factor
 
         self._during(_FILLING, fill)
 
@@ -257,13 +273,16 @@ class _Run:
             applied[self._body, 2] = -_TUG * min(share * _TUGGED / _RISING, 1.0)
 
         self._during(_TUGGED, pull)
+        # MuJoCo keeps an applied force until it is taken away.
         applied[self._body] = 0.0
 
     def _during(self, seconds: float, act: Callable[[float], None]) -> None:
         """Let time pass [s], doing something at every tick with the share that is over; settle."""
         headless = self._headless
         begin = headless.time
-        while headless.time < begin + seconds:
+        # What is lost stays lost: a body that falls for seconds and spins is beyond the solver.
+        while headless.time < begin + seconds and self._held:
             act((headless.time - begin) / seconds)
             headless.tick()
-        headless.wait(_SETTLE)
+        if self._held:
+            headless.wait(_SETTLE)

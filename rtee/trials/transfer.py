@@ -134,6 +134,7 @@ def run_transfer(
             break
     if not tried:
         return TransferResult(transfer, False, "the object fits nowhere between the fingers")
+    # What was placed counts first; then how often it was placed with variations, then how near.
     _, best = max(tried, key=lambda pair: (pair[1].placed, pair[0], -pair[1].off))
     return bench.varied(best)
 
@@ -174,6 +175,7 @@ class _Bench:
         """Learn from how the object was held: turn the hand so that it is carried upright."""
         best = self.run(first, number)
         for _ in range(_LESSONS):
+            # An object that fell on the way teaches nothing.
             if best.stance is None or best.held is None or best.lands is None:
                 break
             result = self.run(best.stance.learned(best.held, best.lands), number)
@@ -224,6 +226,7 @@ class _Bench:
             )
             place, mount = stance.varied(variation, self._shape)
         lands = stance.place[:3, 3] if stance.lands is None else stance.lands
+        # The container is where the hand leaves the object, turned and carried as it will be.
         x, y, _ = _turned(transfer.turn) @ mount @ lands + np.array([*transfer.by, 0.0])
         simulation = make_simulation(
             hand,
@@ -250,6 +253,7 @@ class _Bench:
         run = _Run(headless, transfer, mount @ lands, way, stance.back, watch)
         result = run.result()
         if not quiet:
+            # Only what is recorded takes time of the recording.
             self._ticks = headless.ticks
         return replace(result, places=number, stance=stance, ticks=headless.ticks)
 
@@ -293,8 +297,10 @@ class _Run:
     def result(self) -> TransferResult:
         headless, around, script = self._headless, self._around, self._script
         transfer = self._transfer
+        # The carrier is there already; the script has to start from there, too.
         script.jump(-self._way)
         before, base = around.object_frame, around.base_pose
+        # Measured where the way begins; targets are told from where it ends.
         base[:3, 3] += self._way
         self._tell("start")
         script.go(np.zeros(3), 1.0)
@@ -306,6 +312,7 @@ class _Run:
         self._outcome = outcome_of(headless.do(grasp))
         headless.wait(_SETTLE)
         self._tell("grasp")
+        # A hand that felt for the object closes elsewhere than where the approach ended.
         closing = np.array(base)
         closing[:3, 3] += script.at[:3]
         place = (np.linalg.inv(closing) @ before)[:3, 3]
@@ -326,6 +333,7 @@ class _Run:
         self._held = np.asarray(np.linalg.inv(around.base_pose) @ around.object_frame)
         self._set_down()
         self._start = None
+        # Before the hand retreats: `lands` is told in the frame of the hand that opens.
         down = around.base_pose
         self._tell("set down")
         headless.do(Goal(OPEN, goal_id=f"open-{headless.ticks}"))
@@ -333,6 +341,7 @@ class _Run:
         self._tell("open")
         way = _turned(transfer.turn) @ self._way
         script.go(script.at[:3] - way, 1.0)
+        # What was let go needs time to fall over, if it does.
         headless.wait(1.0)
         self._tell("retreat")
         expected = np.array(before)
@@ -364,18 +373,21 @@ class _Run:
             self._slide = max(self._slide, float(np.linalg.norm(now - self._start)))
 
     def _lost(self) -> bool:
+        # In the air it can touch the table only if it hangs far out of the hand.
         return not self._around.touching() or self._slide > LOST or self._around.on_table
 
     def _judge(self, target: FloatArray) -> TransferResult:
         now, speed = self._around.object_frame, self._around.speed
         off = float(np.linalg.norm(now[:2, 3] - target[:2, 3]))
         up = target[:3, :3].T[:, 2]  # of the object, in its own frame
+        # Rounding may bring a cosine beyond 1.
         tilt = float(np.arccos(np.clip((now[:3, :3] @ up)[2], -1.0, 1.0)))
         reason = ""
         inside = bool(
             (np.abs(now[:2, 3] - target[:2, 3]) < 0.5 * np.array(CONTAINER_SIZE[:2])).all()
         )
         if self._around.touching():
+            # First: what is still held may stand well, but only by the hand.
             reason = "the hand did not let go of it"
         elif self._transfer.container:
             reason = "" if inside else "it is not in the container"

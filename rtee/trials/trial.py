@@ -138,6 +138,7 @@ def run_trial(
     tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
+        # One simulation serves all places, since only the object's pose differs.
         simulation.reset()
         simulation.surroundings.place(simulation.surroundings.base_pose @ place.pose)
         headless = HeadlessHand(hand, library, settings, simulation, observers, ticks=ticks)
@@ -160,6 +161,7 @@ def run_trial(
     for round_ in range(_ROUNDS):
         here = varied.at(varied.shifted(best.place, round_)[0], free, best)
         varied.choose(here, trial.choosing)
+        # A place that was moved may be worse: the tries that moved it are few.
         best = max(best, here, key=lambda here: here.rank)
         if best is not here or best.lost <= _SPARE:
             break
@@ -180,6 +182,7 @@ def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Trie
             place, here.around = varied.shifted(here.place, round_)
             best = max(best, here, key=lambda one: (one.result.held, one.around))
             shift = np.linalg.norm(place.pose[:3, 3] - here.place.pose[:3, 3])
+            # Moving on from a place that is no better would lead away from the best one.
             if best is not here or shift < _STAYS:
                 break
             here = varied.at(place, free, here)
@@ -189,6 +192,7 @@ def _carefully(contenders: list[_Tried], varied: _Varied, free: Places) -> _Trie
         found.append(best)
         if best.lost == 0 and best.around >= _AMIDST:
             break
+    # How well it lies amid places that hold says more than how little the object slipped there.
     return max(found, key=lambda one: (*one.rank[:2], one.around))
 
 
@@ -263,6 +267,7 @@ class _Varied:
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
+        # Size, mass and friction are compiled into the model, so each variation needs its own.
         simulation = _simulation(self._hand, self._settings, self._trial, variation)
         around = simulation.surroundings
         if variation is not None:
@@ -316,6 +321,7 @@ class _Varied:
             place: The place.
             round_: How often a place was moved before; each round uses other draws.
         """
+        # The place itself, where the object was held; the mean exists if no other one holds.
         held = [np.zeros(3)]
         for number, point in enumerate(_AROUND, EXPLORING_FROM + round_ * len(_AROUND)):
             x, y, z = (float(value) for value in point)
@@ -324,6 +330,7 @@ class _Varied:
                 held.append(point)
         pose = np.array(place.pose)
         pose[:3, 3] += np.mean(held, axis=0)
+        # The share is of the places around, so the place itself does not count.
         return replace(place, pose=pose), (len(held) - 1) / len(_AROUND)
 
 
@@ -353,6 +360,7 @@ class TrialRun:
         self._around = headless.simulation.surroundings
         self._script = CarrierScript(headless)
         self._peak = 0.0
+        # The tick with which the hand started belongs to the trial, too.
         self._began = headless.time - headless.period
 
     def result(self) -> TrialResult:
@@ -383,6 +391,7 @@ class TrialRun:
         # From here on the object should stay: how far closing moved it does not count as slip.
         start = around.position_in_hand
         moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
+        # A soft hand pushes what it closes on, so that more is allowed here than of slip.
         if not around.touching() or moved > _FALLEN + _PUSHED:
             return self._ended("it was not grasped", "", outcome, moved, forces)
         headless.before_tick(self._note_force)
@@ -406,11 +415,13 @@ class TrialRun:
         self._tell("start")
         if np.any(way):
             self._script.go(np.zeros(3), 1.0)
+            # The carrier's servos come behind their script; the hand closes at rest.
             self._headless.wait(0.2)
         self._tell("approach")
 
     def _fallen(self, start: np.ndarray[tuple[int, ...], np.dtype[np.float64]], when: str) -> str:
         slip = float(np.linalg.norm(self._around.position_in_hand - start))
+        # What has fallen may still lean on a finger, and what nothing touches may not be far yet.
         if not self._around.touching() or slip > _FALLEN:
             return f"it fell {when}"
         return ""

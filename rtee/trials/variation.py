@@ -63,6 +63,7 @@ class Variation:
         rx, ry, rz = self.turn
         return Variation(
             size=2.0 - self.size,
+            # Objects only get heavier: the range is 1 to 1 + MASS.
             mass=2.0 + MASS - self.mass,
             position=(-x, -y, -z),
             turn=(-rx, -ry, -rz),
@@ -81,6 +82,7 @@ def draw(seed: int, number: int) -> Variation:
     """Return the variation of a number, counted from 0, of a seed."""
     random = np.random.default_rng([seed, number])
     x, y, z = random.uniform(-POSITION, POSITION, 3)
+    # Normal numbers, since a direction made of uniform ones would prefer the diagonals.
     axis = random.normal(size=3)
     rx, ry, rz = random.uniform(0.0, TURN) * axis / np.linalg.norm(axis)
     return Variation(
@@ -120,6 +122,7 @@ def interval(successes: int, tries: int) -> tuple[float, float]:
     middle = rate + square / (2 * tries)
     half = _CONFIDENCE * math.sqrt(rate * (1.0 - rate) / tries + square / (4 * tries * tries))
     scale = 1.0 + square / tries
+    # Rounding may lead out of 0 to 1 when all tries succeed, or none.
     return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
 
 

@@ -14,7 +14,7 @@ from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.errors import ConfigError, GoalRejected, RteeError
 from rtee.trials.sweep import bench
-from rtee.trials.tasks import BREAKS, RATE, End, Task, TaskTrial, Way, run_task
+from rtee.trials.tasks import BREAKS, RATE, End, Task, TaskTrial, Way, _Run, run_task
 
 GRIPPER = "robotiq_2f_85"
 BALL = "sphere:0.02"
@@ -68,6 +68,14 @@ def test_the_sentence_tells_the_rate_and_how_the_others_ended() -> None:
     assert "3 to 6 N, reflexes: 1 of 1 succeed" in lines[2]
 
 
+def test_a_force_too_small_to_move_the_hand_is_told() -> None:
+    words = [GRIPPER, "Grasp", "--task", "egg", "--object", "sphere:0.03", "--variations", "1"]
+    words += ["--no-reflexes", "--force"]
+    weak = CliRunner().invoke(app_of(try_), [*words, "3N"]).stdout
+    assert "1 stopped before a finger touched it (the effort for this force hardly moves" in weak
+    assert "1 of 1 succeed" in CliRunner().invoke(app_of(try_), [*words, "4N"]).stdout
+
+
 @pytest.mark.parametrize(
     ("words", "error", "said"),
     [
@@ -89,3 +97,16 @@ def test_mistakes_are_told_in_one_sentence(
 ) -> None:
     with pytest.raises(error, match=said.replace("?", r"\?")):
         CliRunner().invoke(app_of(try_), [GRIPPER, *words], catch_exceptions=False)
+
+
+def test_a_filled_cup_is_as_inert_as_it_is_heavy() -> None:
+    """MuJoCo works some of it out once, when the model is made."""
+    run = _Run(bench(GRIPPER, RATE), TaskTrial(Task.CUP, "Grasp", object=BALL), 0)
+    model, body = run._simulation.model, run._body
+    dof, empty = model.body_dofadr[body], float(model.body_mass[body])
+    run._fill()
+    mass = float(model.body_mass[body])
+    assert mass > 1.2 * empty
+    assert model.dof_M0[dof] == pytest.approx(mass)
+    assert model.body_invweight0[body][0] == pytest.approx(1.0 / mass)
+    assert model.dof_invweight0[dof] == pytest.approx(1.0 / mass)

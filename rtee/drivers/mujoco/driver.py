@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import math
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -36,12 +38,23 @@ _AFFORDABLE = 0.2
 """A step that takes less than this share of a period runs in the loop's own thread: handing it
 to another one would cost more."""
 
+_MOST_BEHIND = 3
+"""Periods that a late exchange makes up for at most: a freeze of the computer is no motion."""
+
+_ROUNDED = 1e-3
+"""What a whole period may lack by rounding."""
+
+_SPARE = 0.7
+"""A step must take less than this share of a period for missed ones to be made up for: a simulation
+that is too slow would only come to be later still."""
+
 
 class MujocoDriver(Driver):
     """A hand with dynamics and contact, simulated.
 
-    Every exchange advances the simulation by the time between exchanges, so simulated and real
-    time go together when the loop keeps its rate, and two runs of the same goals are equal.
+    Every exchange advances the simulation by the time between exchanges, so that two runs of the
+    same goals are equal when the loop keeps its rate. Where ticks are missed, the next exchange
+    makes up for them: simulated time would fall behind the references, which follow real time.
     """
 
     Options: ClassVar[type[BaseModel] | None] = SimOptions
@@ -52,9 +65,11 @@ class MujocoDriver(Driver):
         self._simulation: Simulation | None = None
         # One thread at a time: MuJoCo's state must not be advanced twice at once.
         self._thread = anyio.CapacityLimiter(1)
+        self._advancing = threading.Lock()
         self._affordable = _AFFORDABLE * (spec.every or 1) / spec.rate
         self._cost = 0.0
-        period = (spec.every or 1) / spec.rate
+        self._period = period = (spec.every or 1) / spec.rate
+        self._behind, self._before = 0.0, math.inf
         self._touch_every = max(1, round(1.0 / (self._options.touch_rate * period)))
         self._touch: TouchReading | None = None
         self._turn = 0
@@ -97,14 +112,16 @@ class MujocoDriver(Driver):
         """Power the actuators where they are."""
         self.simulation.hold()
         self.simulation.power(True)
+        self._behind, self._before = 0.0, math.inf
 
     async def sense(self) -> ActuatorState:
         """Advance by one exchange, then measure."""
         simulation = self.simulation
+        count = self._due(time.monotonic())
         if self._cost < self._affordable:
-            self._advance()
+            self._advance(count)
         else:
-            await anyio.to_thread.run_sync(self._advance, limiter=self._thread)
+            await anyio.to_thread.run_sync(self._advance, count, limiter=self._thread)
         now = time.monotonic()
         extras: dict[str, FloatArray] = simulation.seen
         if not simulation.taxels.sensors:
@@ -122,11 +139,27 @@ class MujocoDriver(Driver):
             touch=self._touch,
         )
 
-    def _advance(self) -> None:
+    def _due(self, now: float) -> int:
+        """Return how many periods to advance by: one, and those that have been missed."""
+        period = self._period
+        late = max(now - self._before, 0.0) - period if self._before < math.inf else 0.0
+        self._before = now
+        # An exchange that comes early makes up for a late one before, no more.
+        self._behind = min(max(self._behind + late, -period), _MOST_BEHIND * period)
+        missed = 0
+        if self._cost < _SPARE * period:
+            missed = max(int(self._behind / period + _ROUNDED), 0)
+        self._behind -= missed * period
+        return 1 + missed
+
+    def _advance(self, count: int) -> None:
         began = time.perf_counter()
-        self.simulation.advance()
+        # An exchange that was given up may still run in its thread.
+        with self._advancing:
+            for _ in range(count):
+                self.simulation.advance()
         # A slow average, so that one preempted step does not send it to the thread.
-        self._cost += 0.05 * (time.perf_counter() - began - self._cost)
+        self._cost += 0.05 * ((time.perf_counter() - began) / count - self._cost)
 
     async def move(self, reference: Reference) -> None:
         """Set references and effort limits."""
