@@ -18,7 +18,7 @@ from rtee.drivers.dynamixel.setup import Found
 from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
-from rtee.errors import CalibrationError, ConfigError, DeviceFault
+from rtee.errors import CalibrationError, ConfigError, DeviceFault, FrameError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -33,6 +33,9 @@ _TRIPPED = 0xFF
 
 _TIME_BASED = 0x04
 """Bit of the drive mode (address 10): the profile velocity is a time, which limits no speed."""
+
+_ATTEMPTS = 4
+"""How often torque is taken away from servos that keep it: nothing answers to a group write."""
 
 
 class ServoCycle:
@@ -191,6 +194,8 @@ class ServoCycle:
         self._temperature = read[:, 1]
         if not self.active:
             return
+        # Nothing answers to a group write: limits that were lost are written again now and then.
+        self._sent, self._limits = {}, None
         # The watchdog first: a tripped one explains a servo that does not follow.
         if self._options.watchdog > 0.0:
             guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
@@ -218,17 +223,28 @@ class ServoCycle:
     def move(self, reference: Reference) -> None:
         """Write changed limits, then the goal positions; raises `BusError`."""
         mask = reference.mask.tolist()
+        # Before the limits: those of an actuator that holds something are its grip.
+        if self._attached:
+            left = self._attached.left(reference, self._measured)
+            mask = [commanded and i not in left for i, commanded in enumerate(mask)]
         asked = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
         if asked != self._limits:
             self._limits = None
             self._write_limits(*asked)
             self._limits = asked
-        if self._attached:
-            left = self._attached.left(reference, self._measured)
-            mask = [commanded and i not in left for i, commanded in enumerate(mask)]
         pulses = self._units.pulses(reference.position)
         columns = zip(self.link.ids, pulses, mask, strict=True)
         self.link.write_group(table.GOAL_POSITION, {n: p for n, p, given in columns if given})
+
+    def release(self) -> None:
+        """Take the torque away, and see that it is gone; raises `BusError`."""
+        link = self.link
+        for _ in range(_ATTEMPTS):
+            link.write_group(table.TORQUE, dict.fromkeys(link.ids, 0))
+            torque, _ = link.read_group(table.TORQUE.address, 1)
+            if not any(data[0] for data in torque.values()):
+                return
+        raise FrameError(link.bus.name, "servos keep their torque")
 
     def hold(self) -> None:
         """Make the present positions the goals; raises `BusError`."""

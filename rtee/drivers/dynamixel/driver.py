@@ -154,8 +154,7 @@ class DynamixelDriver(CalibratesServos):
         if self.connection.is_open:
             cycle = self.connection.link
             cycle.active = False
-            off = dict.fromkeys(cycle.link.ids, 0)
-            await cycle.link.run(partial(cycle.link.write_group, table.TORQUE, off))
+            await cycle.link.run(cycle.release, _ONE_SERVO)
 
     # --- every cycle -------------------------------------------------------------------------
 

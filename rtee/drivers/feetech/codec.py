@@ -113,6 +113,7 @@ def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
         return []
     size = len(next(iter(data.values())))
     entries = [bytes([number]) + values for number, values in data.items()]
+    # The length counts instruction, address, size and checksum; a servo adds its id and values.
     most = (LONGEST - 4) // (size + 1)
     return [
         Frame(
@@ -132,6 +133,7 @@ class _Parser(FramedParser[Frame]):
     LARGEST: ClassVar[int]
 
     def _length(self, at: int) -> int:
+        # A byte above the largest id is part of a header that begins later, or noise.
         device, length = self._buffer[at + 2], self._buffer[at + 3]
         return length + 4 if device <= self.LARGEST and 2 <= length <= LONGEST else 0
 

@@ -27,6 +27,9 @@ set-points has to be faster than they are."""
 
 _QUICK = 30.0
 """Rate of a servo that is not believed [rad/s]: several times that of a free one."""
+_ATTEMPTS = 4
+"""How often goals are written again that servos about to be powered have not taken."""
+
 _JUMP = 0.1
 """Change of a servo's angle that is always believed [rad]: backlash, and a push."""
 
@@ -97,6 +100,7 @@ class ServoCycle:
         options = self._options
         named = dict(zip(self.joints.names, self._servos, strict=True))
         self.found = await setup.find(self.link, self.family, self._device, named, options.port)
+        # The slowest servo counts: the deadline is the same for all.
         self.link.delay = max(servo.return_delay for servo in self.found.values()) * DELAY_UNIT
         for servo, scale in zip(self._servos, self.scales, strict=True):
             found = self.found[servo.id]
@@ -127,6 +131,7 @@ class ServoCycle:
         ends = self.joints.ends(self._actuators)
         for i, (number, name) in enumerate(self.names.items()):
             low, high = self.found[number].limits
+            # A servo may count against its angle, which swaps the ends.
             wanted = sorted(self.scales[i].to_counts(angle) for angle in ends[i])
             # Both limits are 0 where a servo counts turns; it goes anywhere then.
             if low < high and not low <= wanted[0] <= wanted[1] <= high:
@@ -162,12 +167,14 @@ class ServoCycle:
         off = {n: servo for n, servo in self.found.items() if not servo.powered}
         if off:
             await setup.prepare(self.link, self.family, self._device, self._options, off)
+            # The settings have changed what was found, and goals are limited by that.
             await self.find()
             # Before the torque: an old goal would make the servo jump to it.
-            await self.hold(list(off))
+            await self._aim_here(list(off))
             refused = await self.link.set_all(table.TORQUE, dict.fromkeys(off, POWERED))
             if refused:
                 self.refuse(await self.states())
+                # Only where no fault of its own explains it.
                 raise setup.lost(self._device, self.names, list(refused))
         self._goal = self.joints.positions(self._take(await self.states()).angle)
         held = {i for i, number in enumerate(self.ids) if number not in off}
@@ -222,6 +229,7 @@ class ServoCycle:
         current, temperature = measured.current, measured.temperature
         if self.joints.pairs:
             jacobian = self.joints.jacobian(measured.angle)
+            # Power is the same on both sides, so efforts follow by the transpose.
             velocity = np.linalg.inv(jacobian) @ velocity
             effort = jacobian.T @ effort
             for i, j in self.joints.pairs:
@@ -256,6 +264,7 @@ class ServoCycle:
             DeviceFault: if it has not.
             BusError: if the line fails.
         """
+        # Twice: a damaged answer must not pass for a servo that has lost its torque.
         told, marked = POWERED, True
         for _ in range(2):
             told, marked = await setup.condition(self.link, self.family, number)
@@ -304,6 +313,7 @@ class ServoCycle:
                 raise FrameError(
                     self._options.port, f"servo {numbers} cannot have come to where it says it is"
                 )
+        # Also where the jump was told twice: the servo is there, however it came.
         self._seen = stamp, told
 
     async def move(self, reference: Reference) -> None:
@@ -312,6 +322,7 @@ class ServoCycle:
         if self.attached:
             here = self.joints.positions(self._angles)
             mask[list(self.attached.left(reference, here))] = False
+        # Before the pairs are joined: the actuator that was not asked keeps its own goal.
         self._goal = np.where(mask, reference.position, self._goal)
         for i, j in self.joints.pairs:
             mask[[i, j]] = mask[i] or mask[j]
@@ -319,6 +330,7 @@ class ServoCycle:
             return
         angles = self.joints.servos(self._goal)
         self._warnings = self.joints.gave_way(self._goal, angles)
+        # Without signs: at worst, the motions of both actuators add up in one servo.
         jacobian = np.abs(self.joints.jacobian(self._angles))
         limited = np.isfinite(reference.max_velocity)
         speeds = self._speeds(jacobian, np.where(limited, reference.max_velocity, self._fastest))
@@ -327,15 +339,25 @@ class ServoCycle:
         places = np.flatnonzero(mask).tolist()
         await self._write({i: (counts[i], speeds[i], torques[i]) for i in places})
 
-    async def hold(self, numbers: Sequence[int]) -> None:
-        """Make the present positions of servos their goals; raises `BusError`."""
+    async def _aim_here(self, numbers: Sequence[int]) -> None:
+        """As `hold`, and see that the goals have arrived: nothing answers to the frame."""
+        for _ in range(_ATTEMPTS):
+            sent = await self.hold(numbers)
+            if sent == {n: await self.link.value(n, table.GOAL_POSITION) for n in sent}:
+                return
+        raise FrameError(self._options.port, "servos do not take where they are as their goals")
+
+    async def hold(self, numbers: Sequence[int]) -> dict[int, int]:
+        """Make the present positions of servos their goals; return these; raises `BusError`."""
         states = await self.states()
         angles = self._take(states).angle
         speeds = self._speeds(np.abs(self.joints.jacobian(angles)), self._fastest)
         most = self._most()
         chosen = [i for i, number in enumerate(self.ids) if number in numbers]
-        await self._write({i: (states[i].position, speeds[i], most[i]) for i in chosen})
+        # The servos' own counts: by way of the actuators, a pair beyond its limit would be moved.
+        sent = await self._write({i: (states[i].position, speeds[i], most[i]) for i in chosen})
         self._goal = self.joints.positions(angles)
+        return sent
 
     def _speeds(self, jacobian: FloatArray, velocities: FloatArray) -> list[int]:
         """Return the speed counts with which servos let actuators have their velocities."""
@@ -380,9 +402,13 @@ class ServoCycle:
         """Bytes set of each servo in a cycle, from the goal position on."""
         return 8 if self.family.limits_torque == "share" else 6
 
-    async def _write(self, goals: Mapping[int, tuple[int, int, int]]) -> None:
-        """Set goals, by the servos' places: position, speed and torque limit [counts]."""
-        family, data = self.family, {}
+    async def _write(self, goals: Mapping[int, tuple[int, int, int]]) -> dict[int, int]:
+        """Set goals, by the servos' places: position, speed and torque limit [counts].
+
+        Returns:
+            The positions as sent, by id.
+        """
+        family, data, sent = self.family, {}, {}
         by_current = family.limits_torque == "current"
         for i, (position, speed, torque) in goals.items():
             low, high = self.found[self.ids[i]].limits
@@ -393,8 +419,9 @@ class ServoCycle:
             values += family.pack(table.GOAL_SPEED, speed)
             if family.limits_torque == "share":
                 values += family.pack(table.TORQUE_LIMIT, torque)
-            data[self.ids[i]] = values
+            data[self.ids[i]], sent[self.ids[i]] = values, position
         await self.link.write_all(table.GOAL_POSITION.address, data)
+        return sent
 
     def calibrated(self) -> list[Calibrated]:
         """Return the servos with the zeros that they have now."""

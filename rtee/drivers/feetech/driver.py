@@ -82,6 +82,7 @@ class FeetechDriver(CalibratesServos):
                 options.port,
                 owner=self.connection.owner,
                 baudrate=options.baudrate,
+                # A reply does not name its request: a late one would pass for the next answer.
                 fresh=True,
                 emulator=emulator_of(self.spec, "feetech"),
             ),

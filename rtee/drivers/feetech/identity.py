@@ -27,6 +27,7 @@ T = TypeVar("T")
 def recognise(data: bytes) -> Model | None:
     """Return the model that the two bytes of a model number tell, in its family's order."""
     for family in FAMILIES.values():
+        # In the other order the same bytes may be the number of another family's model.
         found = MODELS.get(int.from_bytes(data, family.order))
         if found is not None and found.family == family.name:
             return found
@@ -54,6 +55,7 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
     """
     bus = await pool.serial(port, owner=_OWNER, baudrate=baudrate, fresh=True)
     try:
+        # Any family will do here: only whether somebody answers counts.
         link = FeetechLink(bus, FAMILIES["sts"], _DEADLINE, 2)
         if await _heard(lambda: link.model(new)) is not None:
             raise ConfigError(f"there is a servo {new} at {port} already; take it off the line")
@@ -67,6 +69,7 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
             await link.write_all(table.ID.address, {old: bytes([new])})
             await asyncio.sleep(_SETTLES)
             if await link.model(new) is not None:
+                # It answers to the new id at once, so the lock is set under that one.
                 await patiently(lambda: link.set_all(family.lock, {new: 1}))
                 return model
         await patiently(lambda: link.set_all(family.lock, {old: 1}))

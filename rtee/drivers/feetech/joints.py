@@ -74,6 +74,7 @@ class Differential:
             tilt: Position of the tilt [rad].
         """
         (a, b), (c, d) = self._matrix.tolist()
+        # The flexion gets the whole range, the tilt what is left of it.
         most = self.limit / max(abs(a), abs(c), 1e-9)
         bent = min(max(self._flexion.inverse(flexion), -most), most)
         lean = self._tilt.inverse(tilt / self._share_at(bent)[0])

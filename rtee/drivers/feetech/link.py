@@ -68,6 +68,7 @@ class FeetechLink:
         return wire_time(OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
 
     def _longest(self, size: int, count: int = 1) -> float:
+        # Every attempt may take its whole time on the line.
         return self.deadline + (self._retries + 1) * self.read_time(size, count)
 
     async def read(self, number: int, address: int, size: int) -> Frame:

@@ -90,6 +90,7 @@ class DifferentialOptions(BaseModel):
                 raise ValueError(f"the first numbers of the points of '{name}' must rise")
             if name != "tilt_share" and any(there[1] <= here[1] for here, there in steps):
                 raise ValueError(f"the second numbers of the points of '{name}' must rise")
+        # The tilt is divided by its share.
         if any(share <= 0.0 for _, share in self.tilt_share):
             raise ValueError("the shares of 'tilt_share' must be above 0")
         return self

@@ -155,6 +155,7 @@ class Servo:
         """Write bytes as a host may, and act on them."""
         touched = range(address, address + len(data))
         self.memory.write(address, data)
+        # Published clients end an overload by writing the torque register.
         if table.TORQUE.address in touched:
             self._latched = Status(0)
             if self.get(table.TORQUE) == _MAKE_MIDDLE and self._family.offset is not None:
@@ -245,6 +246,7 @@ class Servo:
         fastest = _FASTEST[self._family.name] * self.properties.haste
         axis.max_velocity = min(abs(asked) * unit, fastest) if asked else fastest
         if self._family.offset is not None and self.get(table.MODE) == _SPEED_MODE:
+            # So far away that it is never reached: only the speed counts.
             axis.target = math.copysign(1e9, asked) if asked else axis.position
         elif self._turns and self._family.offset is None:
             axis.target = axis.position  # it turns without end; nothing here asks it to

@@ -96,6 +96,7 @@ async def find(
         HandshakeError: if some are missing, or not what is expected.
         BusError: if the line fails.
     """
+    # All are asked before any is refused, so that one message names all that are missing.
     models = {servo.id: await link.model(servo.id) for servo in servos.values()}
     expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
     check_present(device, port, expected, models, model_name)

@@ -259,5 +259,6 @@ class State:
             get(PRESENT_TEMPERATURE),
             bool(get(MOVING) & 1),
             get(PRESENT_CURRENT) if family.has_current else 0,
+            # Bits 4, 6 and 7 stand for no error.
             Status(status & 0x2F),
         )

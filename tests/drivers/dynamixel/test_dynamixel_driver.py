@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from rtee.errors import (
     NotConnected,
 )
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
-from tests.drivers.use import connecting
+from tests.drivers.use import connecting, lose
 
 pytestmark = pytest.mark.anyio
 WRITES = {Instruction.WRITE, Instruction.SYNC_WRITE, Instruction.REBOOT}
@@ -446,3 +447,65 @@ def test_units_have_inverses(direction: int, gear: float) -> None:
     assert counts * table.VELOCITY_UNIT / gear == pytest.approx(1.0, rel=0.02)
     assert scale.to_effort(scale.to_current_counts(0.2)) * direction == pytest.approx(0.2, rel=0.01)
     assert math.isnan(Scale(0.0).to_effort(1.0))
+
+
+def _group_write(address: int) -> Callable[[bytes], bool]:
+    """Return what finds a sync write to an address."""
+    return lambda data: (
+        len(data) > 10
+        and data[7] == Instruction.SYNC_WRITE
+        and int.from_bytes(data[8:10], "little") == address
+    )
+
+
+def _length(data: bytes) -> int:
+    return 7 + int.from_bytes(data[5:7], "little")
+
+
+async def test_torque_is_taken_away_though_a_frame_is_lost() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        lost = lose(
+            pool.simulation("leap_hand/line").wire, _group_write(table.TORQUE.address), _length
+        )
+        await made.disable()
+        assert lost
+        assert [each.get(table.TORQUE) for each in line(pool).servos.values()] == [0, 0]
+
+
+async def test_a_limit_that_is_lost_is_written_again() -> None:
+    async with BusPool() as pool, connected(pool, device(health_every=5)) as made:
+        await made.activate()
+        await made.sense()
+        await made.move(Reference.at([0.6, 0.6]))
+        lost = lose(
+            pool.simulation("leap_hand/line").wire,
+            _group_write(table.GOAL_CURRENT.address),
+            _length,
+        )
+        weak = Reference.at([0.6, 0.6], max_effort=[0.03, 0.03])
+        for _ in range(12):
+            await made.sense()
+            await made.move(weak)
+        assert lost
+        assert all(each.get(table.GOAL_CURRENT) < 200 for each in line(pool).servos.values())
+
+
+async def test_what_is_left_alone_keeps_its_limits() -> None:
+    def limits(pool: BusPool) -> list[tuple[int, int]]:
+        servos = line(pool).servos.values()
+        return [(s.get(table.GOAL_CURRENT), s.get(table.PROFILE_VELOCITY)) for s in servos]
+
+    async with BusPool() as pool:
+        async with connected(pool, device()) as first:
+            await first.activate()
+            weak = {"max_effort": [0.03, 0.03], "max_velocity": [1.0, 1.0]}
+            await settle(first, [0.5, 0.5], **weak)
+            before = limits(pool)
+        async with connected(pool, device()) as second:
+            await second.activate()
+            state = await second.sense()
+            await second.move(Reference.at(list(state.position)))
+            assert limits(pool) == before, "its grip"
+            await second.move(Reference.at([0.7, 0.7]))
+            assert limits(pool) != before

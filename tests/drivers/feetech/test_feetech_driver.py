@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ import pytest
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import Frame, Instruction, RequestParser
 from rtee.errors import (
+    BusError,
     BusTimeout,
     CalibrationError,
     ConfigError,
@@ -29,6 +31,7 @@ from rtee.sample import ActuatorState
 from rtee.testing import DeviceCase, Session, actuator
 from rtee.types import Reference
 from tests.drivers.feetech.test_feetech_contract import CASE, DIFFERENTIAL, NAMES, PAIRED, TORQUE
+from tests.drivers.use import lose
 
 pytestmark = pytest.mark.anyio
 
@@ -683,3 +686,27 @@ def test_names_stay_those_of_the_actuators() -> None:
     joints = driver.driver._joints  # type: ignore[attr-defined]
     assert joints.names == ("z", "a")
     assert NAMES == ("j0", "j1", "j2")
+
+
+async def test_servos_do_not_jump_to_a_goal_of_before_though_a_frame_is_lost() -> None:
+    async with Session(case(family="sts")) as session:
+        await session.start()
+        await session.reach([0.9] * 3)
+        await session.driver.deactivate()
+        for servo in session.emulator.ordered:
+            session.wire.call(
+                lambda axis=servo.axis: setattr(axis, "position", axis.position - 1000)
+            )
+        for _ in range(3):  # a change that is too fast is doubted at first
+            with contextlib.suppress(BusError):
+                await session.sense()
+        before = (await session.sense()).position
+        lost = lose(
+            session.wire.wire,
+            lambda data: len(data) > 6 and data[4:6] == bytes([0x83, 42]),
+            lambda data: data[3] + 4,
+        )
+        await session.driver.activate()
+        assert lost
+        await anyio.sleep(0.3)
+        assert (await session.sense()).position == pytest.approx(before, abs=0.05)
