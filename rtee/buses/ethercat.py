@@ -223,12 +223,15 @@ class EthercatBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        ring = self._make()
+        # Kept before it is open: what fails, is late or is cancelled is closed all the same.
+        ring = self._ring = self._make()
         try:
             self.slaves = await self._worker.run(ring.open, _OPENING)
-        except (OSError, TimeoutError) as error:
-            raise BusBroken(self.name, f"cannot be opened: {error}") from error
-        self._ring = ring
+        except BaseException as error:
+            await self._close()
+            if isinstance(error, OSError):  # a `TimeoutError` is one
+                raise BusBroken(self.name, f"cannot be opened: {error}") from error
+            raise
 
     async def _close(self) -> None:
         ring, self._ring = self._ring, None

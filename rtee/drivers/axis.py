@@ -152,6 +152,7 @@ class Axis:
         """Let time pass up to ``now`` [s]; the first call only sets the clock."""
         if self._now is not None:
             self.advance(now - self._now)
+        # A time that went back must not let the same seconds pass twice.
         self._now = now if self._now is None else max(now, self._now)
 
     def advance(self, dt: float) -> None:
@@ -197,6 +198,7 @@ class Axis:
         else:
             direction = math.copysign(1.0, error)
             pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)
+            # An infinitely stiff servo that is held pushes with all it has.
             if math.isinf(self.gain) and (self.velocity == 0.0 or self.stuck):
                 pull = self.max_effort
         if self.velocity != 0.0:

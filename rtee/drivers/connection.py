@@ -99,6 +99,7 @@ class Connection(Generic[L]):
 
     async def close(self) -> None:
         """Detach from the bus; idempotent."""
+        # Cleared before waiting: a second call meanwhile must not detach again.
         bus, self._bus, self._link = self._bus, None, None
         if bus is not None:
             await bus.detach(self.owner)

@@ -130,6 +130,7 @@ class Player:
             return str(error)
 
     def _do(self, verb: str, rest: str) -> str:
+        # The simulation's thread steps the emulator, so nothing else may touch it at the same time.
         call = self.simulation.call
         if verb == "fault":
             call(lambda: self.emulator.inject(rest))

@@ -29,6 +29,7 @@ class Attached:
 
     def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
         spans = [a.upper - a.lower for a in actuators]
+        # An actuator that turns without end has no range: shares of 1 rad are used instead.
         self._spans = [span if math.isfinite(span) else 1.0 for span in spans]
         self._left: set[int] = set()
         self._first: dict[int, float] = {}

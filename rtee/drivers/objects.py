@@ -204,6 +204,7 @@ def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulat
         ConfigError: if it cannot use the options.
     """
     properties = dict(options.get("emulator") or {})
+    # Taken out: the object is no property of the device, which would refuse the name.
     given = properties.pop(OPTION, None)
     if given is None:
         return kind.from_options(options)

@@ -192,6 +192,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
         if registers is None:
             return
         blocks = self.connection.link
+        # Its answer is kept for the next sense: one frame in a cycle instead of two.
         block = await blocks.exchange(registers)
         self._note(self._decoded(block))
         self._accepted()

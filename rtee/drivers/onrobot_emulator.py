@@ -60,6 +60,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
     def __init__(self, properties: OnRobotProperties) -> None:
         made = self._made = properties
         super().__init__(made.unit, made.framing, baudrate=made.baudrate)
+        # Over TCP, too: behind a Compute Box the unit tells the tools of a dual changer apart.
         self.any_unit = False
         self.moves = 0
         self._now: float | None = None
@@ -119,6 +120,7 @@ def identity(product: int, serial: str) -> dict[int, int]:
 def fitting(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
     """Return the properties that follow from a driver's options: ``names`` and the framing."""
     found = {name: options[name] for name in names if options.get(name) is not None}
+    # Without a port, the driver reaches the Compute Box by its host, which is Modbus TCP.
     port = str(options.get("port") or "tcp://")
     return {**found, "framing": "tcp" if port.startswith("tcp://") else "rtu"}
 

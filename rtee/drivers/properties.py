@@ -45,6 +45,7 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
     """
     given = {**defaults, **dict(options.get("emulator") or {})}
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    # Pydantic ignores names that a plain dataclass does not have: a misspelt one would go unseen.
     for name in given:
         if name not in known:
             raise ConfigError(

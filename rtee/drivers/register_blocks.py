@@ -181,6 +181,7 @@ class BlocksDriver(Driver):
 
     async def _insist(self, registers: Sequence[int]) -> bool:
         """Write registers that must arrive; return whether they did."""
+        # A stop may come before the connection is open or after it was closed, and must not raise.
         for _ in range(_TRIES if self.connection.is_open else 0):
             with contextlib.suppress(BusError):
                 await self.connection.link.write(registers)

@@ -203,6 +203,8 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         except BusTimeout:
             raise
         except TimeoutError:
+            # It must not go on moving by itself once the fault is told and fingers are freed.
+            await self._end_activation()
             raise DeviceFault(
                 self.spec.name,
                 0x0D,
@@ -210,11 +212,15 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
                 hint="free the fingers, then `rtee recover`",
             ) from None
         except asyncio.CancelledError:
-            with contextlib.suppress(BusError):
-                await self._write(self.RESET)
+            # The gripper would go on with its activation by itself; only a reset ends that.
+            await self._end_activation()
             raise
         finally:
             self.doing = ""
+
+    async def _end_activation(self) -> None:
+        with contextlib.suppress(BusError):
+            await self._write(self.RESET)
 
     async def _until(self, done: Callable[[S], bool]) -> None:
         missed = 0
@@ -296,6 +302,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     def _refuse(self, status: S) -> None:
         """Raise the fault that the gripper reports, unless it is only a warning."""
         fault = self.FAULTS.get(status.fault)
+        # Code 7 must not keep callers from activating it; they see by `ready` that it is needed.
         if fault is not None and not fault.warning and status.fault != NOT_ACTIVATED:
             raise self._fault(status.fault)
 

@@ -221,6 +221,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         if not command.activate:
             self._progress = Progress.RESET
             self._releasing = False
+            # A reset cannot clear a fault whose cause is still there.
             if not any(self.CODES.get(fault) == self._fault for fault in self.faults):
                 self._fault = 0
             self._halt()
@@ -285,6 +286,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self.activations += self._progress is Progress.ACTIVATING
             self._progress = Progress.DONE
             self._halt()
+            # A target that came meanwhile is followed only from here on.
             self._obey(self._command())
 
 

@@ -61,6 +61,7 @@ class ServoLine(Emulator, Generic[S]):
     @property
     def servos(self) -> dict[int, S]:
         """The servos by id."""
+        # Made anew for every call, since a write may change a servo's id.
         return {servo.number: servo for servo in self.ordered}
 
     def listening(self, numbers: Iterable[int], now: float) -> list[S]:

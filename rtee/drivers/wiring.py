@@ -69,6 +69,7 @@ def motors_of(
         ConfigError: if an actuator has none, or two have the same.
     """
     if given:
+        # Without this, a misspelt name would go unseen and its actuator would get the guess.
         check_names(spec, option, given)
     named = {a.name: given.get(a.name) or guess(a.name) for a in spec.actuators}
     found = {name: known.index(motor) for name, motor in named.items() if motor in known}

@@ -41,3 +41,19 @@ async def cycled(session: Session, goal: float, times: int = 100, **limits: Any)
         await session.cycle(Reference.at([goal], **limits))
         await asyncio.sleep(0.005)
     return await session.sense()
+
+
+def lose(wire: Any, wanted: Callable[[bytes], bool], length: Callable[[bytes], int]) -> list[bytes]:
+    """Have the first frame that is wanted lost on its way to the servos; return the lost ones."""
+    lost: list[bytes] = []
+    receive = wire.receive
+
+    def received(data: bytes, now: float) -> None:
+        if not lost and wanted(data):
+            lost.append(data[: length(data)])
+            data = data[length(data) :]
+        if data:
+            receive(data, now)
+
+    wire.receive = received
+    return lost

@@ -86,6 +86,7 @@ def checksum(data: bytes) -> int:
 
 def stuffed(frame: bytes) -> bytes:
     """Return a frame as it goes over the wire."""
+    # The escape byte first: the escape of a flag contains it.
     out = frame.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
     return b"\x7e" + out + b"\x7e"
 

@@ -75,6 +75,7 @@ class MotorControl:
         errors = [target - at for target, at in zip(self.targets, here, strict=True)]
         if self.header is Header.VELOCITY:
             return tuple(
+                # Without the feed, a joint would trail a moving target by a constant error.
                 codec.rate_counts(_within(self.approach * error + feed, most))
                 for error, feed, most in zip(errors, self._feed, self._speeds, strict=True)
             )

@@ -194,6 +194,7 @@ class AbilityHandDriver(Driver):
         """Send a command and return what the hand measures; raises `BusError`."""
         command = Command(self.options.address, header + self.options.variant - 1, words)
         if words:
+            # Before the exchange: the hand may take a command whose reply is lost.
             self._in_api = True
         reply = await self.connection.link.transact(
             command.to_bytes(),
@@ -234,6 +235,7 @@ class AbilityHandDriver(Driver):
             before, self._waiting = self._reply, False
             reply = await self._read()
             self._in_api = False
+            # Its own control may hold something: nothing is commanded until a reference asks.
             self._attached.begin(range(len(self._motors)))
             if before is not None:
                 pairs = zip(before.positions, reply.positions, strict=True)
@@ -295,6 +297,7 @@ class AbilityHandDriver(Driver):
                     float(reference.max_velocity[i]),
                     float(reference.max_effort[i]),
                 )
+        # Velocities and currents depend on where the fingers are.
         known = self._reply or await self._read()
         await self._exchange(self._control.header, self._control.words(known))
         self._waiting = True
@@ -316,6 +319,7 @@ class AbilityHandDriver(Driver):
     async def disable(self) -> None:
         """Give the motors no voltage."""
         with contextlib.suppress(RteeError, OSError):
+            # The next command powers all motors again, so it waits until a reference asks for it.
             self._attached.begin(range(len(self._motors)))
             with self._unhurried():
                 await patiently(lambda: self._exchange(Header.DUTY, (0,) * COUNT))

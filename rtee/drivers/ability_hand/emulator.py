@@ -107,6 +107,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         self.turnaround = made.turnaround
         self.axes = []
         for (low, high), speed, effort in zip(_RANGES, SPEEDS, EFFORTS, strict=True):
+            # Open is the end at 0; the thumb's rotator closes towards negative angles.
             opened, closed = sorted((low, high), key=abs)
             axis = Axis(
                 opened + made.start * (closed - opened),
@@ -202,6 +203,7 @@ class AbilityHandEmulator(Emulator, Grasps):
                 self._collided[motor] = onward
         else:
             self._blocked[motor] = 0.0
+            # A collision limits only motion further that way; a command back ends it.
             if onward != self._collided[motor] or axis.target == axis.position:
                 self._collided[motor] = 0.0
         self._limit()
@@ -233,12 +235,14 @@ class AbilityHandEmulator(Emulator, Grasps):
     def _form(self, header: int) -> int:
         """Return the variant of the reply to a command."""
         asked = header & 0x0F
+        # A header without a form of its own is answered in the form used last.
         known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < codec.NO_TOUCH
         before, self._variant = self._variant, asked + 1 if known else self._variant
         return before if self.properties.fast else self._variant
 
     def _obey(self, command: Command, now: float) -> bool:
         """Act on a command; return whether it is answered."""
+        # Reading, too, keeps the hand in API mode.
         self._heard = now
         if command.header == Header.LEAVE:
             self.api = False
@@ -260,6 +264,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         if kind == Header.POSITION:
             axis.target = min(max(codec.angle(word), low), high)
             return
+        # An axis knows only positions: a velocity or torque aims at the end it leads to.
         axis.target = axis.position if word == 0 else (high if word > 0 else low)
         if kind == Header.VELOCITY:
             axis.max_velocity = min(abs(codec.rate(word)) * self.properties.haste, fastest)

@@ -124,6 +124,7 @@ class HandInfo:
         if len(data) < cls._FORM.size:
             raise AllegroFrameError(f"hand information is seven bytes, not {len(data)}")
         hardware, firmware, handedness, temperature, status = cls._FORM.unpack_from(data)
+        # No source gives the other bits a meaning.
         return cls(hardware, firmware, handedness, temperature, Status(status & 0x07))
 
 

@@ -59,6 +59,7 @@ class JointControl:
         self.stamp = -math.inf
         self.sets = 0
         self._smoothing = smoothing
+        # Nine tenths: a set that is only a little early keeps its own time.
         self._least = 0.9 * period
         self._most_integral = most_integral
         self._integral = [0.0] * JOINTS
@@ -107,6 +108,7 @@ class JointControl:
             dt = self._least
         self._period = dt if 0.0 < dt < _GAP else 0.0
         if self._period and self.sets:
+            # By the time that has passed, since sets come unevenly and some are lost.
             share = dt / (dt + self._smoothing)
             for i, angle in enumerate(measured):
                 rate = (angle - self.position[i]) / dt

@@ -106,6 +106,7 @@ class AllegroDriver(Driver):
 
     async def configure(self) -> None:
         """Open the bus, identify the hand and have it send its positions; no torque is sent."""
+        # Opening closes the bus as well, but only this makes a hand that still hears go limp.
         await self.close()
         options = self.options
         link = await self.connection.open(
@@ -120,6 +121,7 @@ class AllegroDriver(Driver):
         )
         info, serial = await self._identify(link)
         version = info.version if options.version is None else options.version
+        # Made anew, so that no position of an earlier connection counts as measured.
         self.control = self._controller(version)
         link.listen(self._take)
         await link.set_periods(Periods(self._period(version)))
@@ -170,6 +172,7 @@ class AllegroDriver(Driver):
         self._hold()
         await self.connection.link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)
+        # Before the check: only then does it notice motors that have stayed off.
         self._driving = True
         self._refuse(await self.connection.link.info(patient=True))
         # Again: a limp hand may have sunk while its motors were switched on.
@@ -190,6 +193,7 @@ class AllegroDriver(Driver):
         self.control.limp()
         if self.connection.is_open:
             link = self.connection.link
+            # The hand may keep its last torques and apply them when it is switched on again.
             link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
             await link.order(Command.SYSTEM_OFF)
 
@@ -211,6 +215,7 @@ class AllegroDriver(Driver):
     def _take(self, finger: int, counts: Sequence[int], stamp: float) -> None:
         torques = self.control.receive(finger, counts, stamp)
         if torques is not None and self._driving and self.connection.is_open:
+            # The bus calls this and could do nothing about it; `sense` reports a broken bus.
             with contextlib.suppress(BusError):
                 self.connection.link.torques(torques)
 
@@ -296,6 +301,7 @@ class AllegroDriver(Driver):
         link = self.connection.link
         await link.order(Command.SYSTEM_OFF)
         await asyncio.sleep(_PAUSE)
+        # A hand whose supply was cut has forgotten them and sends nothing.
         await link.set_periods(Periods(self._period(self.control.scale.version)))
         await link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)

@@ -68,6 +68,7 @@ class AllegroLink:
         """Send the torques of all fingers; raises `BusError`."""
         for finger, four in enumerate(counts):
             number = identifier(Command.SET_TORQUE + finger, self.hand)
+            # At once, since this runs in a callback, where nothing can be awaited.
             self.bus.send_now(CanFrame(number, codec.pack_counts(four)))
 
     def listen(self, take: Take) -> None:

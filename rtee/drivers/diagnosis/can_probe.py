@@ -41,6 +41,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     def hear(frame: CanFrame) -> None:
         if not frame.remote:  # some interfaces hand back what was sent
             heard.setdefault(frame.id, frame.data)
+            # All answers of a LinkerHand have one id, so only their forms tell them apart.
             forms.add((frame.id, frame.data[:1], len(frame.data)))
 
     undo = bus.subscribe(hear)
@@ -66,6 +67,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     ]
     for unit in (linker.RIGHT, linker.LEFT):
         if (unit, b"\x01", 7) in forms:
+            # Ten positions take a second frame, which a hand with six does not send.
             model = "l10" if (unit, b"\x04", 5) in forms else "o6"
             options = {**where, "model": model, "unit": unit}
             found.append(Found("linkerhand", f"LinkerHand {model.upper()}, unit {unit}", options))

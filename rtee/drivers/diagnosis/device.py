@@ -89,6 +89,7 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         reasons = await check_address(address)
         if any(check.verdict is Verdict.WRONG for check in reasons):
             return reasons
+        # The address accepts connections, yet not the driver's: another program may hold the one.
         busy = "end the other program that is connected; many devices serve one connection"
         return [*reasons, *(replace(check, remedy=busy) for check in found)]
     return found
@@ -148,6 +149,7 @@ async def _fit(driver: Driver) -> Check:
 
 async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
     """Look for what answers where a device does not, and say how to reach it."""
+    # The scan has to open the same port.
     await driver.close()
     [result] = await scan([plan], pool)
     if result.problem:

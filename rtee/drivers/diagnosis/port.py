@@ -90,6 +90,7 @@ def _permission(path: Path) -> Check:
     except (KeyError, OSError):
         pass
     try:
+        # In a container a process may run under a number that has no name.
         user = getpass.getuser()
     except (KeyError, OSError):
         user = "$USER"

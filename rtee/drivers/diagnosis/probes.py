@@ -68,6 +68,7 @@ async def _slaves(
             found.append(Found(one.driver, f"{one.what}, {line}", options))
         elif one is not None:
             found.append(one)
+    # Over TCP many devices answer to every unit, and would be listed once for each.
     if bus.rtu or len(found) < 2 or await slave(bus, address, _NOBODYS_UNIT) is None:
         return found
     return [_any_unit(found)]
@@ -141,7 +142,8 @@ def softhand(devices: Sequence[int]) -> Probe:
     from rtee.drivers.qb_softhand.link import QbLink
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
-        if await QbLink(bus, 0, 0.1, 1).anybody() is None:
+        # One question for all first: most lines have no SoftHand, and each number costs a wait.
+        if not await QbLink(bus, 0, 0.1, 1).hears_any():
             return []
         there = [n for n in devices if await QbLink(bus, n, 0.03, 0).ping()]
         return [

@@ -118,6 +118,7 @@ async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Addres
         except BusBusy as error:
             return Address(plan.address, plan.about, problem=error.message)
         except BusError as error:
+            # What has been found is worth more than the error of a later question.
             if not found:
                 return Address(plan.address, plan.about, problem=error.message)
             continue

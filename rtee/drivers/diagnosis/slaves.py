@@ -87,6 +87,7 @@ async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found 
         report = Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
     except (BusTimeout, FrameError, ModbusRefusal, Rh56FrameError):
         return None
+    # Registers full of zeros would pass for a report, but no motor is at 0 °C.
     if not all(report.temperatures):
         return None
     protocol = {"protocol": "modbus"} if bus.rtu else {}
@@ -99,6 +100,7 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
 
     try:
         Status3.from_registers(registers)
+        # Behind its three registers, a two-finger gripper tells zeros.
         three = bool(registers[6] >> 8 or registers[4] or registers[5])
         if three:
             return Found("robotiq_3f", f"Robotiq 3-Finger, unit {unit}", options)

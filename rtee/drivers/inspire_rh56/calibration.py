@@ -68,6 +68,7 @@ def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
         ) from None
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise CalibrationError(device, f"{path} is not a calibration: {error}") from error
+    # Every hand has sensors of its own, so another number's zeros are wrong here.
     if zeros.unit != unit:
         raise CalibrationError(
             device, f"{path} was made with unit {zeros.unit}, not {unit}; calibrate again"
@@ -104,6 +105,7 @@ async def calibrate(
         await patiently(lambda: link.write(Register.ANGLE_SET, table(angles)))
         await _opened(measured, device, angles)
     finally:
+        # Also when a finger did not open: the hand would keep the slow speed.
         await patiently(lambda: link.write(Register.SPEED_SET, before))
     await patiently(lambda: link.write(Register.FORCE_CALIBRATION, b"\x01"))
     await asyncio.sleep(_LASTS)
@@ -113,6 +115,7 @@ async def calibrate(
         sums = [total + grams for total, grams in zip(sums, report.forces, strict=True)]
     zeros = ForceZeros(unit, tuple(round(total / _SAMPLES) for total in sums))
     for finger, grams, angle in zip(FINGERS, zeros.grams, angles, strict=True):
+        # A finger that was not told to open may rest on something, so its force proves nothing.
         if angle != KEEP and abs(grams) > _IDLE:
             raise CalibrationError(
                 device,

@@ -119,6 +119,7 @@ class InspireRh56Driver(Driver):
         if options.calibration is not None:
             self._zeros = read_zeros(options.calibration, self.spec.name, options.unit)
         link = await self._open()
+        # The supply may have been cut: the hand then has its initial limits again.
         self._forces = self._speeds = None
         self._angles = [KEEP] * COUNT
         try:
@@ -175,6 +176,7 @@ class InspireRh56Driver(Driver):
 
     async def _identify(self, link: Rh56Link) -> None:
         """Read what the hand measures, and find out whether one exchange is enough for it."""
+        # Two exchanges first: what fails then is the hand, and not its reading of the block.
         self._block = False
         await self._read(link)
         if self.options.reading == "separate":
@@ -204,6 +206,7 @@ class InspireRh56Driver(Driver):
         with link.unhurried():
             self._check(await self._read(link))
             await self._read_back(link)
+        # Its set-points may hold a grip, which a reference at the measured pose would end.
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
@@ -281,12 +284,14 @@ class InspireRh56Driver(Driver):
         angles, forces = words(data[:WORDS]), words(data[WORDS : 2 * WORDS])
         self._forces, self._speeds = list(forces), list(words(data[-WORDS:]))
         pairs = zip(self._angles, angles, strict=True)
+        # KEEP stands for unknown here, so that the next reference writes the set-point again.
         self._angles = [sent if here in (sent, KEEP) else KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""
         left = self._attached.left(reference, self._here) if self._attached else ()
         most = self.options.most
+        # A table sets all six motors, so those that nobody asks get what they have.
         forces = list(self._forces or (most,) * COUNT)
         speeds = list(self._speeds or (most,) * COUNT)
         angles = [KEEP] * COUNT
@@ -318,6 +323,7 @@ class InspireRh56Driver(Driver):
             self._speeds = None
             await link.write(Register.SPEED_SET, table(speeds))
             self._speeds = list(speeds)
+        # Angles last, so that no motion begins under the limits of the one before.
         changed = [
             KEEP if new == sent else new for new, sent in zip(angles, self._angles, strict=True)
         ]
@@ -340,6 +346,7 @@ class InspireRh56Driver(Driver):
 
     async def _hold(self, report: Report, motors: Sequence[int]) -> None:
         """Make the measured angles of some motors their set-points."""
+        # A count beyond the ends may be refused, and -1 would mean to keep the old set-point.
         here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(report.angles)]
         self._angles = [KEEP] * COUNT
         await self.connection.link.write(Register.ANGLE_SET, table(here))
@@ -357,6 +364,7 @@ class InspireRh56Driver(Driver):
                 await link.write(Register.CLEAR_ERROR, b"\x01")
                 report = await self._cleared()
                 self._check(report)
+                # Again, since a motor with an error may have refused it.
                 await self._hold(report, faulty)
         self._attached.begin(range(len(self._motors)))
 

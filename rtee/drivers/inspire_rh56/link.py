@@ -101,6 +101,7 @@ class FrameLink(Rh56Link):
 
     async def _ask(self, command: Command, address: int, data: bytes, size: int) -> bytes:
         def answers(reply: Frame) -> bool:
+            # The size, too: the block and the angles alone are read from the same address.
             wanted = (self._hand, command, address, size)
             return (reply.hand, reply.command, reply.address, len(reply.data)) == wanted
 
@@ -147,6 +148,7 @@ class ModbusLink(Rh56Link):
 
     async def write(self, address: int, data: bytes) -> None:
         """Set registers from ``address`` on; raises `BusError`."""
+        # Flags have one byte, a register has two.
         padded = data + bytes(len(data) % 2)
         values = struct.unpack(f"<{len(padded) // 2}H", padded)
         await self._bus.write(

@@ -255,6 +255,7 @@ class Memory:
         if register is Register.ANGLE_SET:
             # An example frame of the manual writes 2000, so it is taken for as open as can be.
             least, most = KEEP, 2 * OPEN
+        # Limits of current are in mA, with a range of their own.
         if register is not Register.CURRENT_LIMIT and not all(least <= v <= most for v in values):
             return False
         before = words(self._get(register, WORDS))

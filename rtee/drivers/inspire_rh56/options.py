@@ -135,6 +135,7 @@ def _finger_of(name: str) -> str:
     if "thumb" in lowered:
         turns = any(word in lowered for word in _ROTATES)
         return "thumb_rotate" if turns else "thumb_bend"
+    # The maker says little finger, many models of hands say pinky.
     if "pinky" in lowered:
         return "little"
     return next((finger for finger in FINGERS[:4] if finger in lowered), "")
@@ -150,6 +151,7 @@ def scales_of(
     """
     found = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
+        # Written with `not`, so that limits which are not numbers are refused, too.
         if not actuator.upper - actuator.lower < float("inf"):
             raise ConfigError(f"device '{spec.name}': actuator '{actuator.name}' has no limits")
         finger = FINGERS[motor]

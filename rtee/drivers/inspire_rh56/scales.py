@@ -110,11 +110,13 @@ class Scale:
     def speed(self, velocity: float) -> int:
         """Return the speed count for a velocity limit [rad/s], which may be infinite."""
         share = min(velocity / self._fastest, 1.0)
+        # 1 at least: at speed 0 a finger would never arrive.
         return max(round(MOST * share), 1)
 
     @property
     def grip(self) -> GripForce:
         """The force at the fingertip by effort limit."""
         force = self._force
+        # From LEAST on: below, nothing was measured, so no force is promised there.
         low, high = force.newtons(LEAST), force.newtons(self._most)
         return GripForce((low * force.arm, high * force.arm), (low,), (high,))

@@ -124,6 +124,7 @@ class TactileReader:
         """
         turn = self._turn
         address, count = self.blocks[turn]
+        # Before the request: values must not seem newer than they are.
         stamp = time.monotonic()
         data = await link.read(address, 2 * count)
         raw = np.frombuffer(data, dtype="<u2").astype(np.float64)
@@ -133,5 +134,6 @@ class TactileReader:
         self._values[begin : begin + count] = np.where(raw <= FULL, raw, math.nan)
         self._stamps[turn] = stamp
         self._turn = (turn + 1) % len(self.blocks)
+        # The whole is as old as its oldest part.
         oldest = min(self._stamps)
         return TouchReading(self._values, oldest) if math.isfinite(oldest) else None

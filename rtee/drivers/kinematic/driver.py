@@ -143,6 +143,7 @@ class KinematicDriver(Driver):
 
     def fail(self, name: str) -> None:
         """Make the device report a fault and lose its power until it is recovered."""
+        # First: up to this moment it moves with power.
         self._advance()
         self._fault = name
         self._powered = False

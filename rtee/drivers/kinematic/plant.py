@@ -55,6 +55,7 @@ class Plant:
             full_effort_at: Distance behind the target that gives full effort [rad | m].
             powered: Whether the motor is on; else it stays and exerts nothing.
         """
+        # Most actuators rest in most cycles, and at rest only an object takes effort.
         if not powered or (self.obstacle is None and self.target == self.position):
             self.velocity = self.effort = 0.0
             return

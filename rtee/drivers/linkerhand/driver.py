@@ -235,7 +235,9 @@ class LinkerHandDriver(Driver):
             if not asked[i]:
                 continue
             most = self.spec.actuators[i].effort
-            torques[motor] = _share(float(reference.max_effort[i]) / most)
+            # Without a limit in the model there is nothing that 255 could count as.
+            limited = math.isfinite(most)
+            torques[motor] = _share(float(reference.max_effort[i]) / most) if limited else MOST
             fastest = abs(scale.gain) * MOST / self.options.travel_time
             speeds[motor] = _share(float(reference.max_velocity[i]) / fastest)
             targets[motor] = scale.to_count(float(reference.position[i]))

@@ -170,6 +170,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     def _stopping(self) -> Sequence[int]:
         force = round(self._follower.force or 0.0)
+        # A measured width may be negative, and the register of the target has no sign.
         return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
 
     async def recover(self) -> None:
@@ -177,6 +178,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         await super().recover()
         for i, pushed in enumerate(self._status.pushed):
             if pushed:
+                # The code is the number of the switch's bit in the status.
                 raise self._fault(2 + 2 * i, f"safety switch {i + 1} is pushed", "release it")
 
     def _refuse(self, status: Status) -> None:

@@ -152,6 +152,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         """Return how far the fingers are closed at a width between the fingertips [m]."""
         reach = self.model.stroke - 2.0 * self.properties.fingertip
         if width > reach:
+            # Not a part of the way, so the caller refuses the object.
             return -1.0
         angle = self.model.angle(width + 2.0 * self.properties.fingertip)
         return (angle - self._opened) / (self._closed - self._opened)

@@ -179,6 +179,7 @@ class Encoders:
         """Return the joints' angles ``(17,)`` [rad]; ``NaN`` where an encoder reports an error."""
         found = np.frombuffer(self.data, dtype="<u2").astype(np.int64)
         ones = np.array([bin(word).count("1") for word in found.tolist()])
+        # Bit 14 tells an error of the encoder, bit 15 makes the number of ones even.
         bad = (found & 0x4000 != 0) | (ones % 2 != 0)
         return np.where(bad, math.nan, (found & _ANGLE) * _TURN)
 

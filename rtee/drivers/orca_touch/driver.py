@@ -159,6 +159,7 @@ class OrcaTouchDriver(Driver):
             },
             touch=sensors,
         )
+        # The rest of a frame of the connection before would spoil the first one of this.
         self._stream.reset()
         bus.listen(self._hear)
         await self._arm(bus)
@@ -166,6 +167,7 @@ class OrcaTouchDriver(Driver):
 
     def _best_rate(self) -> float:
         """Return how often the line carries a frame [Hz]."""
+        # Around the data: header, zero, length, error and check.
         size = codec.data_size(self._content, self._counts) + 7
         # The board sends every millisecond at the most.
         return 1.0 / max(1e-3, wire_time(size, self.options.baudrate))
@@ -197,6 +199,7 @@ class OrcaTouchDriver(Driver):
 
     async def _arm(self, bus: SerialBus) -> None:
         """Start the stream, as the hand's own client does it; raises `BusError`."""
+        # First, so that a failure, too, is not repeated before its time.
         self._armed = time.monotonic()
         await self._write(bus, Register.STREAM, 0)
         await self._write(bus, Register.CONTENT, int(self._content))
@@ -256,6 +259,7 @@ class OrcaTouchDriver(Driver):
         try:
             forces = Forces.from_bytes(frame.data, self._content, self._counts)
         except OrcaFrameError:
+            # The board has no such code: the frame does not fit what it told when it was connected.
             self._error = 0xFF
             return
         if self._content & Content.RESULTANTS:

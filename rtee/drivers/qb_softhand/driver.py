@@ -39,6 +39,7 @@ _CURRENT_LIMIT = 1.5
 _ACTIVATION = 0.5
 """Longest time from ACTIVATE until the motors are active [s]."""
 
+# What published hosts send, also to a hand with one motor.
 _BOTH = b"\x03"
 
 
@@ -137,6 +138,7 @@ class QbSoftHandDriver(Driver):
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
         )
         if not await link.ping():
+            # By broadcast: a hand with another number can then be named in the message.
             found = await link.anybody()
             if found is not None:
                 raise HandshakeError(
@@ -183,6 +185,7 @@ class QbSoftHandDriver(Driver):
                 lower = TwoMotors().lower
             upper = reported[0].upper if reported else TwoMotors().upper
             if options.closure_ticks is not None:
+                # The common travel, upper + lower, is then the one that was given.
                 upper = options.closure_ticks - lower
             self.mapping = TwoMotors(lower, upper)
 
@@ -205,6 +208,7 @@ class QbSoftHandDriver(Driver):
 
     async def _all_active(self) -> bool:
         every = (1 << self.options.motors) - 1
+        # Firmware differs: with one motor, some reports both bits and some the true mask.
         return await self.connection.link.active() & every == every
 
     async def _confirm(self) -> None:

@@ -130,6 +130,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self.watchdog = 0.0
         self._references = [0.0, 0.0]
         self._text = bytearray()
+        # Off first: only a motor that becomes active takes its position for its reference.
         self._activate(0)
         self._activate(0x03 if self.options.startup_active else 0)
 
@@ -187,6 +188,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         if "silent" in self.faults or now - self._boot < self.options.boot_time:
             return []
         replies: list[bytes] = []
+        # The request has no frame and may come in pieces, so the last bytes are kept.
         self._text = (self._text + data)[-len(_TEXT_REQUEST) :]
         if self._text.endswith(_TEXT_REQUEST):
             replies.append(self.options.text.encode("ascii"))
@@ -268,12 +270,14 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     def _inputs(self, data: bytes) -> None:
         self._references = [float(v) for v in codec.read_int16(data)]
+        # A command always has two references; a hand with one motor ignores the second.
         for axis, reference in zip(self.axes, self._references, strict=False):
             axis.target = min(max(reference, axis.lower), axis.upper)
 
     @staticmethod
     def _by_encoder(values: Sequence[float]) -> list[float]:
         """Return the motors' values in the places of the encoders."""
+        # Three encoders with one motor and four with two, as the firmware reports them.
         if len(values) == 1:
             return [values[0], 0.0, 0.0]
         first, second = values

@@ -72,10 +72,22 @@ class QbLink:
         """Return the number of the hand that answers, or ``None``; several garble each other."""
         ping = Frame(BROADCAST, Command.PING).to_bytes()
         try:
+            # Without `accept`: which number answers is the question.
             reply: Frame = await self.bus.transact(ping, self._parser, self.deadline, self.retries)
         except (BusTimeout, FrameError):
             return None
         return reply.device
+
+    async def hears_any(self) -> bool:
+        """Return whether any hand answers; several garble each other, which is an answer, too."""
+        ping = Frame(BROADCAST, Command.PING).to_bytes()
+        try:
+            await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+        except BusTimeout:
+            return False
+        except FrameError:
+            return True
+        return True
 
     async def parameters(self) -> dict[int, Parameter]:
         """Return the hand's parameters by index, or nothing where it does not answer."""

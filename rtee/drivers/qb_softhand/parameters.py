@@ -111,6 +111,7 @@ class ListParser:
         while True:
             start = buffer.find(head)
             if start < 0:
+                # The last two bytes may begin a header that is still coming.
                 del buffer[:-2]
                 return []
             del buffer[:start]
@@ -133,6 +134,7 @@ class ListParser:
     def _read(slots: bytes) -> dict[int, Parameter]:
         """Return the parameters in the slots that are whole; raises `QbFrameError`."""
         whole = len(slots) - len(slots) % SLOT
+        # Refused early: after a false header, slots would be waited for that never come.
         if whole < len(slots) and slots[whole] not in _FORMS:
             raise QbFrameError("a parameter begins with its type")
         return {

@@ -74,9 +74,12 @@ class TwoMotors:
 
     def to_closure(self, positions: tuple[int, ...]) -> tuple[float, ...]:
         """Return synergy and manipulation from the encoders [ticks]."""
+        # The motors' sum is 2 s R and their difference m (2 s R - 2 L), which gives s and m.
         first, second = positions[0], positions[2]
         total = first + second
+        # Where both stand at their lower limit no manipulation is possible, and none is measured.
+        reach = total - 2.0 * self.lower
         return (
             total / (2.0 * self.half),
-            (first - second) / (total - 2.0 * self.lower),
+            (first - second) / reach if abs(reach) >= 1.0 else 0.0,
         )

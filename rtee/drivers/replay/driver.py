@@ -115,6 +115,7 @@ class ReplayDriver(Driver):
 
     def _reading(self, states: Mapping[str, TouchState]) -> TouchReading | None:
         """Return what touch sensors measured, of all recorded devices together."""
+        # The same mapping means that no message came since, and the reading stands.
         if states is not self._felt:
             self._felt = states
             values = [states[name].values for name in self._devices if name in states]
@@ -166,6 +167,7 @@ class ReplayDriver(Driver):
         wanted = self._first + played
         while self._block is not None:
             stamps = self._block.stamp
+            # Before the first stamp, too, there must be a state to show.
             self._row = max(0, int(np.searchsorted(stamps, wanted, side="right")) - 1)
             if self._row < len(stamps) - 1 or self.ended:
                 return

@@ -105,6 +105,7 @@ class RecordedStates:
         return topics[0]
 
     def _find(self, actuators: tuple[str, ...]) -> list[int]:
+        # A channel may be declared without messages, and only a message names its actuators.
         first = next(self._messages(), None)
         if first is None:
             raise LogError(f"holds no states in {self._topic}", path=self.path)
@@ -127,6 +128,7 @@ class RecordedStates:
             if topic not in kinds:
                 name = TYPES[topic.rpartition("/")[2]]
                 text = schema.data.decode("utf-8", "replace") if schema else ""
+                # By the recording's own schema, which may be of another version.
                 kinds[topic] = recorded_type(name, text) if text else message_type(name)
             fields = kinds[topic].decode(message.data)
             if topic == self._topic:
@@ -137,6 +139,7 @@ class RecordedStates:
                         sensors |= sensors_of(fields)
                     else:
                         state = touch_of(fields, sensors)
+                        # A new mapping, since states that were yielded before hold the old one.
                         touch = {**touch, state.device: state}
             else:
                 channels = {**channels, **_channels(fields)}  # a message holds those that changed

@@ -80,9 +80,11 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     ACTIVATE: ClassVar[Sequence[int]] = Command(activate=True).to_registers()
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
+        # Before the base class, whose constructor asks for the status and the identity.
         self.options = read_options(Robotiq2FOptions, spec)
         only_actuator(spec, "a two-finger gripper")
         self._grip = Grip()
+        # Unlike every echo, so the first one counts as that of a new request.
         self._requested = -1
         super().__init__(spec, buses, self.options)
         self.scale = self._scaled(self.options.open_count, self.options.closed_count)
@@ -249,6 +251,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:
+            # Right after the write, the status may still be about the request before.
             there = status.requested == request and status.going
             return there and status.grasp is not Grasp.MOVING
 
@@ -256,6 +259,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             async with asyncio.timeout(self.options.activation_timeout):
                 await self._write(command.to_registers())
                 await self._until(arrived)
+        # It is a `TimeoutError` too, but means a lost gripper and not a blocked one.
         except BusTimeout:
             raise
         except TimeoutError:

@@ -46,6 +46,7 @@ class Channel:
     @property
     def rad_per_tick(self) -> float:
         """Signed gearing [rad/tick]."""
+        # Homing opens a channel and angles grow while it closes, so they have opposite signs.
         return self.range / (self.max_offset - self.min_offset) * -self.direction
 
     def soft_limits(self, stop: int) -> tuple[int, int]:

@@ -343,6 +343,7 @@ class FirmwareInfo:
 
 def targets(positions: tuple[int, ...] | list[int]) -> bytes:
     """Return the data that sets the targets [ticks] of all channels."""
+    # Clipped only where packing fails: almost all targets fit, and this runs every cycle.
     try:
         return _TARGETS.pack(*positions)
     except struct.error:

@@ -160,6 +160,7 @@ class SchunkSvhDriver(Driver):
         homed = set(self._index) <= set(self.stops)
         if homed and self._health.enabled & wanted == wanted:
             await self._seed()
+            # Enabled before, it may hold something that a reference to stay would let go.
             self._attached.begin(range(len(self._index)))
             self.connection.link.patient = False
             return
@@ -185,6 +186,7 @@ class SchunkSvhDriver(Driver):
         """
         self._answer = None
         self._health.off()
+        # The old zeros end here, so that homing that fails does not leave them behind.
         self._adopt_stops({})
         await power.disable(self.connection.link)
         # Homing needs the current limits: against the stop they are all that protects the gears.
@@ -256,14 +258,15 @@ class SchunkSvhDriver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send changed limits, then the targets of all channels, which brings the state back."""
-        waiting: Collection[int] = ()
-        if not self._limits.settled(reference):
-            waiting = await self._limits.update(self.connection.link, self._used(), reference)
         if self._attached:
             # One packet sets the targets of all channels, and what those were cannot be read.
+            # Nor are its limits touched: a smaller current would loosen what it holds.
             if len(self._attached.left(reference, self._here)) == len(self._index):
                 return
             self._attached.begin()
+        waiting: Collection[int] = ()
+        if not self._limits.settled(reference):
+            waiting = await self._limits.update(self.connection.link, self._used(), reference)
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
         for index, target, known, asked in zip(
@@ -292,10 +295,12 @@ class SchunkSvhDriver(Driver):
         """
         self.connection.link.patient = True
         await power.disable(self.connection.link)
+        # Switched off on purpose: channels without power are no fault now.
         self._health.off()
         state = await self.connection.link.state()
         self._health.cleared(state)
         self._check(state)
+        # The user asked for recovery, which is the consent to the motion of homing.
         self._home_asked = not set(self._index) <= set(self.stops)
         if not self._home_asked:
             await self._enable()

@@ -277,6 +277,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
             if "driver_fault" in self.faults:
                 self._fault |= 0x01
             self._hot &= ~state.pwm_otw
+            # A driver fault keeps everything off until it is cleared.
             self._state = ControllerState() if self._fault else state
             self._apply()
         state = self._state

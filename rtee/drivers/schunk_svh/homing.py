@@ -57,6 +57,7 @@ async def home(
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
     await link.set_position_settings(channel.index, slow)
     here = (await link.feedback(channel.index)).position
+    # Before the power comes: with an old target the channel would run off at once.
     await link.set_target(channel.index, here)
     try:
         await enable(link, [channel.index])
@@ -131,6 +132,7 @@ def read_stops(path: Path | None) -> dict[int, int]:
     try:
         stored = json.loads(path.read_text("utf-8"))
         found = {int(channel): int(ticks) for channel, ticks in stored["stops"].items()}
+    # Not an error: without a file that can be used, homing finds the stops.
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
     return found if all(0 <= channel < codec.CHANNELS for channel in found) else {}

@@ -101,6 +101,7 @@ class Limits:
         Raises:
             BusError: if an exchange fails.
         """
+        # If an exchange below fails, the next cycle must not take the limits for sent.
         self._settled = None
         waiting: set[int] = set()
         budget = _PER_CYCLE

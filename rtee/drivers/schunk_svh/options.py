@@ -39,6 +39,7 @@ class ChannelOptions(BaseModel):
         changes = self.model_dump(exclude_none=True, exclude={"current_limit"})
         per_ampere = changes.pop("effort_per_ampere", None)
         if per_ampere is not None:
+            # With a lever of 1 m, force and effort are the same number.
             changes |= {"force_slope": per_ampere / 1000.0, "force_offset": 0.0, "lever": 1.0}
         return replace(channel, **changes)
 

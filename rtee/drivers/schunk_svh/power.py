@@ -41,6 +41,7 @@ async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) ->
         channels: Which, in any order.
         already: Mask of those that are on and stay on.
     """
+    # In the vendor's steps: clear the latches, switch the 12 V on, start the controllers.
     if not already:
         await link.set_state(ControllerState(_CLEAR, _CLEAR))
         await asyncio.sleep(_SETTLING)

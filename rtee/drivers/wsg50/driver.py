@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
@@ -117,6 +118,7 @@ class Wsg50Driver(Driver):
         self._home_asked = False
         self._moving_to: float | None = None
         self._force = float("nan")
+        # The usual limits, until the gripper tells its own.
         self._adopt(Limits(), {})
 
     def _adopt(self, limits: Limits, identity: Mapping[str, str]) -> None:
@@ -204,6 +206,7 @@ class Wsg50Driver(Driver):
                     self._refuse(report)
                     if report.state & State.REFERENCED and not report.state & State.MOVING:
                         return
+        # It is a `TimeoutError` too, but means a lost gripper and not a slow one.
         except BusTimeout:
             raise
         except TimeoutError:
@@ -250,6 +253,7 @@ class Wsg50Driver(Driver):
 
     @property
     def _busy(self) -> bool:
+        # A grasp still builds up its force when the fingers have come to rest.
         return bool(self._report.state & State.MOVING) or self._report.grasping in _AT_WORK
 
     async def move(self, reference: Reference) -> None:
@@ -270,8 +274,13 @@ class Wsg50Driver(Driver):
                 await link.ask(Frame(Command.STOP))
                 self._follower.sent()
             elif order is Order.GO or self._meets(width):
+                # Before the motion, which takes over the limit as it begins.
                 await self._limit_force(link, force)
-                if await link.begin(self._motion(width, speed)):
+                motion = self._motion(width, speed)
+                if motion.command == Command.RELEASE:
+                    # Before it is sent: a stop that comes ahead of the next report must end it.
+                    self._report = replace(self._report, grasping=Grasping.RELEASING)
+                if await link.begin(motion):
                     self._follower.sent()
         except WsgRefusal as refusal:
             # Such as a width beyond the soft limits that were set on its page.
@@ -303,6 +312,7 @@ class Wsg50Driver(Driver):
     def _forget(self) -> None:
         self._follower.forget()
         self._moving_to = None
+        # Not equal to any force, so the next one is sent.
         self._force = float("nan")
 
     # --- stop and faults ---------------------------------------------------------------------

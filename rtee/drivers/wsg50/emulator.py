@@ -210,6 +210,7 @@ class Wsg50Emulator(Emulator, Grasps):
                 # The newest 64: a run of hours must not fill the memory.
                 self.requests = [*self.requests[-63:], frame]
             self._announced = False
+            # A stop is answered before the result of the motion that it has ended.
             answers += [self._answer(frame, now), *self._aborted]
             self._aborted.clear()
         return [one.to_bytes() for one in answers]
@@ -336,6 +337,7 @@ class Wsg50Emulator(Emulator, Grasps):
         flags, payload = 0, frame.payload
         if command is Command.MOVE:
             flags, payload = int.from_bytes(payload[:1], "little"), payload[1:]
+        # Read like an answer's numbers, which stand behind a status of two bytes.
         width, speed = numbers(Frame(command, b"\0\0" + payload), 2)
         width += self.axis.position if flags & 1 else 0.0
         low, high = self.limits.speed
@@ -413,6 +415,7 @@ class Wsg50Emulator(Emulator, Grasps):
         return Status.OK if there else Status.AXIS_BLOCKED
 
     def _grasped(self, there: bool, dt: float) -> Status | None:
+        # The whole way without contact means that there is no part.
         if there or self.axis.stuck:
             self._running = None
             self._grasping = Grasping.NO_PART

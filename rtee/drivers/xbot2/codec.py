@@ -91,6 +91,7 @@ class State:
 
 
 def _given(values: Sequence[float], n: int) -> tuple[float, ...]:
+    # A list that the server does not fill is empty.
     return tuple(values) if len(values) == n else ()
 
 
@@ -160,6 +161,7 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
         raise XBot2FrameError(f"{len(raw)} bytes are too many")
     try:
         found = yaml_reader().load(raw.decode("utf-8"))
+    # Text from a network may be nested so deeply that the stack does not suffice.
     except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise XBot2FrameError("this is not YAML") from error
     if not isinstance(found, dict):

@@ -101,6 +101,7 @@ class XBot2Driver(Driver):
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
         }
+        # The emulated server has one range for all joints, so it gets the widest.
         ends = [end for scale in self._commanded for end in scale.raw]
         bus = await self.connection.open(
             self.buses.zmq(
@@ -161,6 +162,7 @@ class XBot2Driver(Driver):
             state = State.from_bytes(message)
             if state is None:
                 return
+            # Each message names its joints, so their places are not taken for granted.
             self._index = [state.names.index(name) for name in self._names]
         except (XBot2FrameError, ValueError):
             self.connection.link.counters.checksum_errors += 1
@@ -174,6 +176,7 @@ class XBot2Driver(Driver):
             self._undo()
             self._undo = None
         self._state = None
+        # After connecting again, a joint that holds must be left alone again.
         self._touched = False
         await super().close()
 
@@ -191,6 +194,7 @@ class XBot2Driver(Driver):
                     await self._arrived.wait()
         state = self._state
         if state is None or time.monotonic() - self._stamp > _STALE:
+            # States come unasked, so the bus cannot know that one is missing.
             bus.counters.timeouts += 1
             raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
         fresh, self._seen = self._stamp != self._seen, self._stamp
@@ -253,6 +257,7 @@ class XBot2Driver(Driver):
         if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
             return 0.0
         size = min(float(reference.max_effort[i]), actuator.effort)
+        # An effort without bound cannot be sent, so the position drives the joint.
         if not math.isfinite(size):
             return 0.0
         return math.copysign(size, error) * self._signs[i]

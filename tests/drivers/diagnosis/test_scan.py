@@ -85,6 +85,14 @@ async def test_two_slaves_on_a_line_are_both_found() -> None:
     assert [one.options["unit"] for one in found.found] == [9, 10]
 
 
+async def test_two_softhands_that_answer_at_once_are_both_found() -> None:
+    both = [device("qb_softhand", device=1), device("qb_softhand", device=2)]
+    with SimulatedLine(both, wire_time=False) as line:
+        async with BusPool() as pool:
+            [found] = await scan([Plan(line.address, probes=[probes.softhand([1, 2, 3])])], pool)
+    assert [one.options["device"] for one in found.found] == [1, 2]
+
+
 async def test_a_compute_box_on_the_network_is_found() -> None:
     gripper = make_emulator("onrobot_3fg", {"host": "x"})
     with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import struct
 import time
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import anyio
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtee.buses.ethercat import PysoemRing, State
+from rtee.buses.ethercat import EthercatBus, PysoemRing, Ring, State
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.heri_ethercat import codec
@@ -324,3 +325,23 @@ def test_a_network_interface_that_is_not_there_is_told() -> None:
     pytest.importorskip("pysoem")
     with pytest.raises(OSError, match="raw sockets"):
         PysoemRing("no-such-interface").open()
+
+
+@pytest.mark.anyio
+async def test_a_ring_that_cannot_be_opened_is_closed() -> None:
+    class Dead:
+        closed = 0
+
+        def open(self) -> int:
+            raise OSError("no slaves")
+
+        def close(self) -> None:
+            self.closed += 1
+
+    ring = Dead()
+    bus = EthercatBus("eth9", cast("Callable[[], Ring]", lambda: ring))
+    for attempt in range(3):
+        with pytest.raises(BusBroken, match="no slaves"):
+            await bus.connect()
+        assert ring.closed == attempt + 1
+    await bus.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -273,3 +274,13 @@ async def test_on_can_an_l10_is_set_and_read_in_parts() -> None:
         state = await session.reach(goal, max_effort=[1.0] * 10)
         assert state.position.tolist() == pytest.approx(goal, abs=0.02)
         assert session.emulator.table(Table.TORQUE) == [128] * 10
+
+
+async def test_a_model_without_effort_limits_gets_all_torque() -> None:
+    boundless = tuple(replace(one, effort=math.inf) for one in CASE.actuators)
+    async with Session(replace(case(), actuators=boundless)) as session:
+        await session.start()
+        goal = [0.3] * len(boundless)
+        await session.driver.move(Reference.at(goal))
+        await session.driver.move(Reference.at(goal, max_effort=[5.0] * len(boundless)))
+        assert set(session.driver._torques) == {255}

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.serial import SerialBus
 from rtee.drivers.qb_softhand import codec, parameters
 from rtee.drivers.qb_softhand.codec import Command, Frame, Parser, QbFrameError
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
+from rtee.drivers.qb_softhand.link import QbLink
 from rtee.drivers.qb_softhand.synergy import OneMotor, TwoMotors
+from rtee.errors import BusTimeout, FrameError
 
 SHEET = [
     ("3A 3A 01 02 00 00", Frame(1, Command.PING)),
@@ -173,3 +177,26 @@ def test_synergies_of_two_motors_have_an_inverse(synergy: float, manipulation: f
     back = mapping.to_closure((first, first, second, second))
     assert back == pytest.approx((synergy, manipulation), abs=3e-4)
     assert mapping.lower - 1 <= first <= mapping.upper + 1
+
+
+def test_two_motors_pushed_to_their_lower_limit_are_measured() -> None:
+    mapping = TwoMotors()
+    synergy, manipulation = mapping.to_closure((mapping.lower,) * 4)
+    assert synergy < 0.0
+    assert manipulation == 0.0
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("error", "heard"), [(FrameError, True), (BusTimeout, False), (None, True)]
+)
+async def test_hands_that_garble_each_other_are_heard(
+    error: type[FrameError | BusTimeout] | None, heard: bool
+) -> None:
+    class Line:
+        async def transact(self, *_: object) -> Frame:
+            if error is not None:
+                raise error("/dev/line", "what came")
+            return Frame(1, Command.PING)
+
+    assert await QbLink(cast("SerialBus", Line()), 0, 0.1, 1).hears_any() is heard

@@ -220,6 +220,15 @@ async def test_an_activation_can_be_cancelled() -> None:
         assert not session.emulator.status().activated
 
 
+async def test_an_activation_that_takes_too_long_is_ended() -> None:
+    slow = {"emulator": {"activation_time": 60.0}, "activation_timeout": 0.3}
+    async with Session(replace(RTU, options={**RTU.options, **slow})) as session:
+        await session.connect()
+        with pytest.raises(DeviceFault, match="activation not done in time"):
+            await session.driver.activate()
+        assert not session.emulator.status().activated
+
+
 async def test_the_best_rate_is_that_of_the_wire() -> None:
     async with BusPool() as pool:
         driver = Robotiq2FDriver(RTU.spec(), pool)

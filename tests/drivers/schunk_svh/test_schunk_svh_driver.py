@@ -141,9 +141,15 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
             limits = {Command.SET_POSITION_SETTINGS, Command.SET_CURRENT_SETTINGS}
             assert not changed & {*MOTION, *limits, Command.SET_CONTROLLER_STATE}
             for _ in range(3):
-                await second.move(Reference.at(state.position))
+                weak = np.full(2, 0.05)
+                await second.move(Reference.at(state.position, max_effort=weak))
                 await second.sense()
             assert (axis.effort, axis.target) == (grip, target)
+            changed = {c for c, n in hand(pool).packets.items() if n != before.get(c, 0)}
+            assert not changed & limits, "a smaller current would let go"
+            await second.move(Reference.at(state.position - 0.1, max_effort=weak))
+            changed = {c for c, n in hand(pool).packets.items() if n != before.get(c, 0)}
+            assert Command.SET_CURRENT_SETTINGS in changed
 
 
 async def test_stops_of_another_power_up_are_not_believed(tmp_path: Path) -> None:

@@ -214,3 +214,20 @@ def test_options_are_checked() -> None:
     two = (FINGER, replace(FINGER, name="other"))
     with pytest.raises(ConfigError, match="a WSG 50 has one actuator, not 2"):
         Wsg50Driver(replace(CASE, actuators=two).spec(), BusPool())
+
+
+async def test_a_stop_right_behind_a_release_is_sent() -> None:
+    case = replace(CASE, options={**CASE.options, "emulator": {"haste": 1.0}})
+    async with Session(case) as session:
+        await session.before(lambda emulator: emulator.grip_object())
+        assert (await session.start()).grasped == (True,)
+        begun = session.emulator.moves
+        while session.emulator.moves == begun:
+            await session.sense()
+            await session.driver.move(Reference.at([0.0]))
+            await asyncio.sleep(0.005)
+        await session.driver.stop()
+        assert Command.STOP in heard(session)
+        stopped = session.emulator.axis.position
+        await asyncio.sleep(0.3)
+        assert session.emulator.axis.position == pytest.approx(stopped, abs=3.0)
