@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -58,12 +59,14 @@ def teleop(
 
     efforts = read_efforts(effort or [])
     with contextlib.ExitStack() as stack:
+        # The keyboard is a context: the terminal shows what is typed again, however this ends.
         source: Input = (
             open_gamepad(device) if gamepad else stack.enter_context(Keyboard(len(actions)))
         )
         by_axis = assigned(actions, source.axes)
         for axis, action in by_axis.items():
             print(f"{axis}: {action}", file=sys.stderr)
+        # Ctrl-C and Escape are how a person ends it, which is no failure.
         with contextlib.suppress(KeyboardInterrupt):
             with_hand(
                 hand,
@@ -109,10 +112,13 @@ def play(
     from rtee.teleop.drive import rate_of, recorded
 
     samples, efforts = recorded(file), read_efforts(effort or [])
+    if not 0.0 < speed < math.inf:
+        raise ConfigError(f"the speed must be above 0, not {speed:g}")
 
     async def run(remote: RemoteHand) -> None:
         rate = rate_of(samples) * speed
         limits = await effort_limits(remote, efforts)
+        # A sample or two that come late must not make the hand brake.
         async with remote.stream(rate, deadline=max(0.1, 3.0 / rate), effort=limits) as stream:
             await play_samples(samples, stream, speed)
             await anyio.sleep(_PASS)

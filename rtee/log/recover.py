@@ -59,8 +59,8 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
         output: Where to write the repaired file; unless given it replaces the old one.
 
     Raises:
-        LogError: if the file is being written, cannot be read or is not an MCAP file, or if the
-            repaired one cannot be written.
+        LogError: if the file is being written, cannot be read or is not an MCAP file, if it has
+            messages outside of chunks, or if the repaired one cannot be written.
     """
     path = Path(path)
     if being_written(path):
@@ -75,6 +75,11 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
                 if target != path:
                     shutil.copyfile(path, target)
                 return _report(found, target, 0, untouched=True)
+            if found.loose:
+                raise LogError(
+                    "has messages outside of chunks, as rtee never writes them; they would be lost",
+                    path=path,
+                )
             folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".recover."))
             temporary = folder / target.name
             file = McapFile(temporary, _preamble(found), sync=False)

@@ -338,8 +338,10 @@ class Executor:
 
     def _progress(self, run: _Run, error: tuple[float, float]) -> float:
         left = 0.0
-        for now, first in zip(error, run.first_error, strict=True):
-            if first > run.angle:
+        # Angles and lengths have tolerances of their own.
+        least = (run.angle, run.length)
+        for now, first, tolerance in zip(error, run.first_error, least, strict=True):
+            if first > tolerance:
                 left = max(left, now / first)
         done = 1.0 - left
         # NaN: an actuator has no measured position yet.

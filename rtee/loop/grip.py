@@ -311,7 +311,8 @@ class Grip:
         if not touch or max(*self.fingers, *self.others) >= len(touch):
             return math.nan
         one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
-        return one + other if self.around else min(one, other) if one == one else one
+        # A side that is not measured is `NaN`, which `min` would lose as its second argument.
+        return one + other if self.around else min(one, other) if other == other else other
 
     def force(
         self,

@@ -64,6 +64,10 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
     return reasons[0] if reasons else "the run ended"
 
 
+_END_WITHIN = 2.0
+"""Time that a program beside the run has to end by itself [s]: the GUI needs some tenths."""
+
+
 async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
     """Run a program until it ends; when this is cancelled, the program is terminated.
 
@@ -87,6 +91,11 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
     finally:
         if process.returncode is None:
             process.terminate()
+            with anyio.move_on_after(_END_WITHIN, shield=True):
+                await process.wait()
+        if process.returncode is None:  # it did not listen; the hand must not wait for it
+            with suppress(ProcessLookupError):
+                process.kill()
         with anyio.CancelScope(shield=True):
             await process.aclose()
 

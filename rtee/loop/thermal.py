@@ -155,7 +155,7 @@ class Thermal:
     def _factor(self, level: Level, celsius: float, before: float) -> float:
         if level in (Level.OK, Level.WARN):
             return 1.0
-        if level is Level.INVALID:
+        if level is Level.INVALID or not PLAUSIBLE[0] <= celsius <= PLAUSIBLE[1]:
             # Without a temperature, neither more effort nor less is justified.
             return before
         span = self._settings.disable - self._settings.derate

@@ -30,6 +30,11 @@ _LONGEST_GAP: Final = 0.08
 did there was to stay."""
 
 
+_PAUSE: Final = 1.5
+"""Periods of a recording's samples without a sample that count as a gap: fewer are jitter, and
+`rtee stream play` has the hand wait for three."""
+
+
 class Sink(Protocol):
     """What takes samples: a `rtee.remote.stream.Stream`."""
 
@@ -91,6 +96,7 @@ async def samples_of(
         moved = source.read()
         if any(axis in moved for axis in actions):
             yield {action: moved.get(axis, 0.0) for axis, action in actions.items()}
+        # After a stall, samples that were missed are not made up for: they would come in a burst.
         due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
         await anyio.sleep(max(0.0, due - time.monotonic()))
 
@@ -156,6 +162,7 @@ def _of_table(path: Path) -> list[Played]:
             if len(row) != len(rows[0]):
                 raise ValueError(f"{len(row)} cells for {len(rows[0])} names")
             when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
+            # NaN stands for an empty cell; a cell that itself says nan is a mistake.
             for cell, value in zip(row, (when, *values), strict=True):
                 if cell.strip() and not math.isfinite(value):
                     raise ValueError(f"'{cell.strip()}' is not a finite number")
@@ -171,6 +178,7 @@ def _of_table(path: Path) -> list[Played]:
 def rate_of(samples: Sequence[Played]) -> float:
     """Return the rate of recorded samples [Hz]: from the median time between them."""
     steps = sorted(b.time - a.time for a, b in pairwise(samples))
+    # The median, since the mean would count pauses, in which nothing was sent.
     return 1.0 / steps[len(steps) // 2] if steps else RATE
 
 
@@ -188,13 +196,18 @@ async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> N
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
     begin = time.monotonic()
+    # A slow recording has no pauses only because its samples are far apart.
+    longest = max(_LONGEST_GAP, _PAUSE / (rate_of(samples) * speed))
     before: Played | None = None
     for sample in samples:
         stamp = begin + sample.time / speed
         while (left := stamp - time.monotonic()) > 0.0:
-            await anyio.sleep(min(left, _LONGEST_GAP))
-            if before is not None and left > _LONGEST_GAP:
-                await stream.send(before.targets, {}, time.monotonic())
+            await anyio.sleep(min(left, longest))
+            now = time.monotonic()
+            # After a late wake-up the sample itself is due: its stamp would be the older one.
+            if before is not None and left > longest and now < stamp:
+                # Without the recorded velocity, which would carry the hand on during the pause.
+                await stream.send(before.targets, {}, now)
         velocity = {name: speed * value for name, value in sample.velocity.items()}
         await stream.send(sample.targets, velocity, stamp)
         before = sample

@@ -11,10 +11,14 @@ import sys
 import termios
 import tty
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 from rtee.errors import ConfigError, needing_extra
+
+EV_SYN, SYN_DROPPED = 0, 3
+"""Type and code of evdev's event that says that others before it were lost."""
 
 EV_KEY: Final = 1
 """Type of evdev's events of buttons (linux/input-event-codes.h)."""
@@ -26,7 +30,7 @@ TRIGGERS: Final[Mapping[str, tuple[int, ...]]] = {"rt": (5, 9), "lt": (2, 10)}
 """Triggers by name, with the codes they may have: ABS_RZ or ABS_GAS, ABS_Z or ABS_BRAKE."""
 
 STICKS: Final[Mapping[str, tuple[int, int]]] = {
-    "up": (1, -1),
+    "up": (1, -1),  # evdev's y grows downwards
     "right": (0, 1),
     "right_up": (4, -1),
     "right_right": (3, 1),
@@ -78,7 +82,19 @@ class EventDevice(Protocol):
         """Return the events since the last call; raises `BlockingIOError` if there are none."""
 
     def absinfo(self, axis_num: int) -> Any:
-        """Return the range of an axis, with ``min`` and ``max``."""
+        """Return an axis: its range, ``min`` and ``max``, and where it is now, ``value``."""
+
+    def active_keys(self) -> Iterable[Any]:
+        """Return the codes of the buttons that are pressed now."""
+
+
+@dataclass(slots=True)
+class _Seen:
+    """Where an axis is, as an event would tell it."""
+
+    type: int
+    code: int
+    value: int
 
 
 class Gamepad:
@@ -97,12 +113,25 @@ class Gamepad:
 
     def read(self) -> Mapping[str, float]:
         """See `Input.read`."""
+        lost = False
         try:
             for event in self._device.read():
+                lost |= (event.type, event.code) == (EV_SYN, SYN_DROPPED)
                 self._take(event)
         except BlockingIOError:
             pass
+        if lost:
+            self._look()
         return self._moved
+
+    def _look(self) -> None:
+        """Take where all is that was moved before: what was let go may be among what was lost."""
+        for code in tuple(self._ranges):
+            self._take(_Seen(EV_ABS, code, self._device.absinfo(code).value))
+        pressed = set(self._device.active_keys())
+        for name, code in BUTTONS.items():
+            if name in self._moved:
+                self._moved[name] = float(code in pressed)
 
     def _take(self, event: InputEvent) -> None:
         if event.type == EV_KEY:
@@ -120,6 +149,7 @@ class Gamepad:
 
     def _share(self, event: InputEvent) -> float:
         """Return where an axis is in its range, 0 to 1."""
+        # A range never changes, and asking for it is a system call.
         if event.code not in self._ranges:
             info = self._device.absinfo(event.code)
             self._ranges[event.code] = (float(info.min), float(info.max))
@@ -146,7 +176,9 @@ def open_gamepad(path: str | None = None) -> Gamepad:
         for each in [path] if path else sorted(evdev.list_devices()):
             device = evdev.InputDevice(each)
             axes = {axis for axis, _ in device.capabilities().get(EV_ABS, ())}
+            # Touchpads and tablets have axes, too; what has a trigger is taken for a gamepad.
             if path or axes.intersection(code for codes in TRIGGERS.values() for code in codes):
+                # Reading must not wait for an event: samples are due while nothing moves, too.
                 os.set_blocking(device.fd, False)
                 return Gamepad(device)
             device.close()
@@ -195,8 +227,10 @@ class Keyboard:
         """See `Input.read`."""
         while select.select([self._file], [], [], 0.0)[0]:
             keys = os.read(self._file, 256)
+            # Escape only if it came alone: the codes of arrow keys begin with it.
             if not keys or keys == b"\x1b" or b"\x04" in keys:  # closed, Escape or Ctrl-D
                 raise KeyboardInterrupt
+            # What was read may end within a character; the keys of axes are all ASCII.
             for key in keys.decode("utf-8", "ignore"):
                 self._press(key)
         return self._moved

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from log.samples import Log, recorded, settings
@@ -147,3 +148,19 @@ def test_a_killed_process_loses_at_most_a_second(tmp_path: Path, after: float) -
     if len(ticks):
         assert np.isfinite(recording.reference.position).all()
         opens_elsewhere(path)
+
+
+def test_messages_outside_of_chunks_are_not_thrown_away(tmp_path: Path) -> None:
+    """A foreign file that was never closed."""
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start("ros1")
+        schema = writer.register_schema("x", "ros2msg", b"")
+        channel = writer.register_channel("/x", "cdr", schema)
+        for number in range(100):
+            writer.add_message(channel, number + 1, b"abcdefgh", number + 1)
+    before = path.read_bytes()
+    with pytest.raises(LogError, match="outside of chunks"):
+        recover(path)
+    assert path.read_bytes() == before

@@ -14,6 +14,7 @@ from rtee.hand.load import load_configured
 from rtee.loop.configure import loop_settings
 from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.grip import Grip
 from rtee.loop.plan import make_plan
 from rtee.types import Event, Goal, OnContact, Result
 
@@ -212,3 +213,12 @@ def test_an_opening_is_judged_in_millimetres(off: float, reached: bool) -> None:
     assert result.opening == pytest.approx(0.04 + off, abs=1.5e-4)
     assert result.reached == reached
     assert result.succeeded == reached
+
+
+def test_the_force_between_the_tips_needs_both_sides() -> None:
+    grip = Grip(
+        (0,), (0.0,), (1.0,), (0.0, 1.0), (0.1, 0.0), ((0.1,), (0.1,)), (0.0,), (1.0,), (0,), (1,)
+    )
+    assert grip.tip_force([5.0, 4.0]) == 4.0
+    for missing in ([math.nan, 5.0], [5.0, math.nan], [5.0]):
+        assert math.isnan(grip.tip_force(missing))

@@ -403,3 +403,13 @@ async def test_execute_returns_the_result_and_cancels_when_cancelled(hand: Hand)
             await rig.loop.execute(Goal("open"))
         await rig.run(0.01)
         assert rig.watcher.results[-1].cancelled
+
+
+async def test_the_progress_of_a_short_way_of_a_slide_is_its_own(hand: Hand) -> None:
+    async with running(hand, LoopSettings(rate=100)) as rig:
+        rig.loop.submit(Goal("slide", intensity=0.2))  # 8 mm, less than 0.01 rad as a number
+        result = await rig.result()
+        assert result.reached
+        progress = [feedback.progress for feedback in rig.watcher.feedback]
+        assert progress == sorted(progress)
+        assert len([share for share in progress if 0.01 < share < 0.9]) >= 2

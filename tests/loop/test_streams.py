@@ -649,3 +649,17 @@ class TestIntake:
             rig.loop.streams.begin("s", 50.0)
             with pytest.raises(GoalRejected, match="not active"):
                 rig.loop.streams.sample(StreamTargets("s", 1.0, {"index_base": 0.5}))
+
+
+@pytest.mark.anyio
+async def test_stamps_nearer_than_clocks_resolve_are_one(hand: Hand) -> None:
+    async with running(hand, LoopSettings(rate=100)) as rig:
+        streams = rig.loop.streams
+        streams.begin("s", 50.0)
+        await rig.run(0.02)
+        streams.sample(StreamTargets("s", 0.0, {"index_base": 0.0}))
+        await rig.run(0.01)
+        # The slope between them is not finite; it ended the loop once both had been played.
+        streams.sample(StreamTargets("s", 1e-200, {"index_base": 0.0}))
+        await rig.run(0.3)
+        assert rig.loop.snapshot() is not None

@@ -124,3 +124,17 @@ def test_settings_of_older_recordings_are_read_by_their_new_names() -> None:
     assert '"release": 77.0' in text
     assert '"on_exit": "release"' in text
     assert from_json(text, LoopSettings) == settings
+
+
+@pytest.mark.parametrize("broken", [-60.0, 200.0])
+def test_a_sensor_that_breaks_changes_no_effort_before_it_counts_as_broken(broken: float) -> None:
+    settings = ThermalSettings()
+    thermal = Thermal(settings, 1)
+    hot = settings.derate + 0.75 * (settings.disable - settings.derate)
+    for k in range(20):
+        thermal.step(0.1 * k, [hot])
+    assert thermal.factor == [pytest.approx(0.25)]
+    for k in range(20, 40):
+        thermal.step(0.1 * k, [broken])
+        assert thermal.factor == [pytest.approx(0.25)]
+    assert thermal.level == [Level.INVALID]

@@ -7,7 +7,9 @@ import pty
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import anyio
 import pytest
@@ -18,7 +20,15 @@ from rtee.errors import ConfigError, LogError
 from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings
 from rtee.teleop.drive import Played, assigned, play, rate_of, recorded, samples_of
-from rtee.teleop.inputs import EV_ABS, EV_KEY, Gamepad, Keyboard
+from rtee.teleop.inputs import (
+    BUTTONS,
+    EV_ABS,
+    EV_KEY,
+    EV_SYN,
+    SYN_DROPPED,
+    Gamepad,
+    Keyboard,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -46,6 +56,7 @@ class Moved:
 class Range:
     min: int
     max: int
+    value: int = 0
 
 
 class Pad:
@@ -54,6 +65,8 @@ class Pad:
     def __init__(self) -> None:
         self.waiting: list[Moved] = []
         self.gone = False
+        self.values: dict[int, int] = {}
+        self.pressed: list[int] = []
 
     def read(self) -> Iterator[Moved]:
         if self.gone:
@@ -64,7 +77,22 @@ class Pad:
         return iter(waiting)
 
     def absinfo(self, axis_num: int) -> Range:
-        return Range(0, 255) if axis_num in (2, 5, 9, 10) else Range(-32768, 32767)
+        low, high = (0, 255) if axis_num in (2, 5, 9, 10) else (-32768, 32767)
+        return Range(low, high, self.values.get(axis_num, 0))
+
+    def active_keys(self) -> list[int]:
+        return self.pressed
+
+
+def test_what_was_let_go_while_events_were_lost_is_asked_for() -> None:
+    pad = Pad()
+    gamepad = Gamepad(pad)
+    pad.waiting = [Moved(EV_ABS, 5, 255), Moved(EV_KEY, BUTTONS["a"], 1)]
+    assert dict(gamepad.read()) == {"rt": 1.0, "a": 1.0}
+    # The kernel's buffer was full: this event alone tells that others are gone.
+    pad.waiting = [Moved(EV_SYN, SYN_DROPPED, 0)]
+    pad.values, pad.pressed = {5: 0}, []
+    assert dict(gamepad.read()) == {"rt": 0.0, "a": 0.0}
 
 
 def test_a_gamepads_axes() -> None:
@@ -221,12 +249,30 @@ def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None
 
 async def test_a_gap_is_filled(hand: Hand) -> None:
     """A pause of the person is not a pause of the stream."""
-    samples = [Played(0.0, {"near": 0.1}, {}), Played(0.4, {"near": 0.2}, {})]
+    times = (0.0, 0.02, 0.04, 0.06, 0.46)
+    samples = [Played(time, {"near": 0.1}, {}) for time in times]
     async with (
         serving(hand, make_library(hand)) as served,
         rtee.connect("small") as remote,
         remote.stream(rate=50, deadline=0.25) as stream,
     ):
         await play(samples, stream)
-        assert (await stream.status()).samples > 4
+        assert (await stream.status()).samples >= 8
     assert "stream_paused" not in [event.kind for event in served.watcher.events]
+
+
+async def test_slow_samples_are_no_gaps() -> None:
+    sent: list[tuple[dict[str, float], float]] = []
+
+    class Kept:
+        async def send(
+            self, targets: Any, velocity: Any = None, stamp: float | None = None
+        ) -> None:
+            assert stamp is not None
+            sent.append((dict(targets), stamp))
+
+    samples = [Played(k / 20, {"near": k / 10}, {}) for k in range(4)]
+    await play(samples, Kept(), speed=0.4)
+    assert [targets for targets, _ in sent] == [each.targets for each in samples]
+    steps = [after[1] - before[1] for before, after in pairwise(sent)]
+    assert steps == pytest.approx([0.125] * 3)

@@ -18,6 +18,11 @@ CHANNEL = "stream/lag"
 """The channel of the state that has lag and jitter of a stream [s], while it plays."""
 
 
+_SAME = 1e-6
+"""Stamps nearer than this are the same [s]: clocks resolve no less, and slopes between samples must
+stay finite."""
+
+
 class StreamPlayer:
     """Plays one stream; pure: the same samples and ticks give the same references.
 
@@ -77,7 +82,7 @@ class StreamPlayer:
             sample: The sample.
             positions: Its positions by actuator [rad | m].
         """
-        if sample.stamp == self._newest:
+        if abs(sample.stamp - self._newest) < _SAME:
             self._duplicates += 1
         elif sample.stamp < self._newest:
             self._out_of_order += 1
