@@ -11,7 +11,7 @@ from typing import Any
 
 import anyio
 
-from rtee.errors import GoalRejected, NoHand
+from rtee.errors import GoalRejected, MessageError, NoHand
 from rtee.ros2.actions import NO_GOAL, GoalState, Outcome, Refusal, names, time_fields, versions
 from rtee.ros2.keys import Kind
 from rtee.ros2.message import Message
@@ -161,6 +161,7 @@ class ActionClient:
         """Wait for the end of a goal; see `ClientGoal.result`."""
         gone = NoHand(f"the server of {self.name} has gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
+        # The query has no timeout and may outlive its server: the graph is watched, too.
         asked = asyncio.ensure_future(self._result.call(request, math.inf))
         watch = asyncio.ensure_future(self._graph.wait_until(lambda: not self._result.available))
         try:
@@ -178,7 +179,9 @@ class ActionClient:
             for task in (asked, watch):
                 task.cancel()
             await asyncio.gather(asked, watch, return_exceptions=True)
+        # Only here: after a timeout the goal goes on, and its feedback still counts.
         self._goals.pop(goal.id, None)
+        # Servers of others may send states that are not defined.
         with suppress(ValueError):
             goal.state = GoalState(answer.status)
         if goal.state is GoalState.UNKNOWN:
@@ -200,12 +203,16 @@ class ActionClient:
 
         Raises:
             TimeoutError: if the server does not answer.
+            MessageError: if its answer is none of those that there are.
         """
         stamp = self._time(**time_fields(until))
         info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)
         answer = await self._cancel.call(self.type.cancel_goal.request(goal_info=info), timeout)
         ids = [one.goal_id.uuid for one in answer.goals_canceling]
-        return Refusal(answer.return_code), ids
+        try:
+            return Refusal(answer.return_code), ids
+        except ValueError:
+            raise MessageError(f"{answer.return_code} is not an answer to a cancellation") from None
 
     def _on_feedback(self, message: Any) -> None:
         found = self._goals.get(message.goal_id.uuid)

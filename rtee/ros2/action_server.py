@@ -136,6 +136,7 @@ class _Offered:
         for version in versions(offer.type, node.context.interfaces.distro):
             publisher = node.publisher(called.feedback, version.feedback_message)
             self.feedback.append((publisher, version.feedback))
+        # Room for all who may wait for results, and for one more, who is refused at once.
         at_once = _MOST_ACTIVE * _MOST_WAITING + 1
         self._services = (
             node.service(called.send_goal, offer.type.send_goal, self._send),
@@ -151,6 +152,7 @@ class _Offered:
 
     async def _result(self, request: Any) -> Message:
         goal = self._server.find(request.goal_id.uuid)
+        # Under another type the result would have other fields.
         if goal is None or goal.offered is not self:
             return self.type.get_result.response(status=GoalState.UNKNOWN)
         if goal.waiting >= _MOST_WAITING:
@@ -229,6 +231,7 @@ class ActionServer:
         if active + len(self._looked_at) >= _MOST_ACTIVE:
             self._refused("too many goals are under way")
             return False
+        # Known from here on: the same goal may come again while the hand looks at this one.
         self._looked_at.add(goal_id)
         try:
             job = await self._accepted(offered, message)
@@ -268,8 +271,10 @@ class ActionServer:
 
     async def _run(self, goal: ServerGoal) -> None:
         goal.task = asyncio.current_task()
+        # It may have been cancelled before its task began.
         if goal.state is GoalState.ACCEPTED:
             self._change(goal, GoalState.EXECUTING)
+        # What counts if this task is cancelled.
         outcome = Outcome(GoalState.ABORTED, goal.offered.type.result(), "the server has ended")
         try:
             outcome = await goal.job.run(goal)
@@ -314,6 +319,7 @@ class ActionServer:
     def _forget(self) -> None:
         """Forget goals that ended long ago, and the oldest beyond the number that is kept."""
         now = time.monotonic()
+        # In the order of acceptance, so that the oldest come first.
         ended = [goal for goal in self._goals.values() if goal.state.ended]
         for place, goal in enumerate(ended):
             if now >= goal.forget_at or place < len(ended) - _MOST_KEPT:
@@ -353,6 +359,7 @@ class ActionServer:
         try:
             await goal.job.cancel()
         except RteeError as error:
+            # It may have ended while the hand was asked to cancel it.
             if goal.state is GoalState.CANCELING:
                 self._change(goal, GoalState.EXECUTING)
             self._context.log.warning("a goal of %s is not cancelled: %s", self.name, error)
@@ -377,6 +384,7 @@ class ActionServer:
                     with suppress(RteeError):
                         await goal.job.cancel()
             await self._ended(under_way)
+        # Those that did not end in time; their clients get a result, too.
         self._abort()
         with anyio.move_on_after(_LONGEST_END, shield=True):
             await self._ended(under_way)

@@ -90,6 +90,7 @@ def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     if distro != "humble":
         for other in ("jazzy", "rolling"):
             version = interfaces(other).action(kind.name)
+            # The robot's own version stays where the hash is the same.
             found.setdefault(version.feedback_message.hash, version)
     return tuple(found.values())
 

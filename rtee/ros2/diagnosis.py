@@ -25,6 +25,7 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
         ConfigError: if a setting or variable of rmw_zenoh cannot be used.
     """
     try:
+        # Insecure is harmless here: nothing is published or asked that could move a hand.
         async with Context.open(settings, insecure=True, router_needed=True) as context:
             await context.graph.ready()
             rows = listed(context.graph.entities())

@@ -45,6 +45,7 @@ class Diagnostics:
         self._array = face.message("diagnostic_msgs/msg/DiagnosticArray")
         self._status = face.message("diagnostic_msgs/msg/DiagnosticStatus")
         self._pair = face.message("diagnostic_msgs/msg/KeyValue")
+        # Absolute, whatever the namespace: tools listen to one topic for the whole robot.
         self._publisher = face.node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
         self._missed = self._dropped = 0
 
@@ -89,6 +90,7 @@ class Diagnostics:
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics
+        # As differences: a tick that was missed hours ago must not warn for ever.
         missed, self._missed = clock.missed - self._missed, clock.missed
         dropped, self._dropped = clock.dropped - self._dropped, clock.dropped
         level, said = Level.OK, status.action or "ready"

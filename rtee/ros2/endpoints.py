@@ -59,8 +59,10 @@ class Publisher:
             # Told rather than asked for: asking takes as long as encoding a message.
             self._heard = False
             self._listener = self._publisher.declare_matching_listener(direct(self._matched))
+            # Asked once the listener is there: nobody who subscribes in between is missed.
             if getattr(self._publisher.matching_status, "matching", True):
                 self._heard = True
+        # Last: whoever sees it in the graph can hear it already.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _matched(self, status: Any) -> None:
@@ -68,6 +70,7 @@ class Publisher:
 
     @staticmethod
     def _declared(session: zenoh.Session, key: str, qos: Qos) -> Any:
+        # All others drop messages: a slow subscriber must not hold up the hand's node.
         block = qos.reliable and qos.history == History.KEEP_ALL
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
         if not qos.transient_local:
@@ -148,6 +151,7 @@ class Subscription:
         if entity.qos.history == History.KEEP_ALL:
             depth = _MOST_KEPT
         self._inbox: Inbox[_Received] = Inbox(self._take, depth)
+        # The inbox is emptied at once: the newest messages wait here while a callback is awaited.
         self._waiting: deque[_Received] = deque(maxlen=max(depth, 1))
         self._busy = False
         self._subscriber = self._declared(participant.session, key, entity.qos)
@@ -157,6 +161,8 @@ class Subscription:
         handler = direct(self._on_sample)
         if not qos.transient_local:
             return session.declare_subscriber(key, handler)
+        # rmw_zenoh's publishers repeat the number of their last message, which shows what is
+        # missing: nothing has to be asked for periodically.
         recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
         return ext.declare_advanced_subscriber(
             session,
@@ -175,6 +181,7 @@ class Subscription:
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:
             attachment = attachments.decode(sample.attachment)
+            # Before `bytes` copies it: anybody may send anything.
             if len(sample.payload) > self._longest:
                 raise MessageError(f"of {len(sample.payload)} bytes")
         except MessageError as error:
@@ -210,6 +217,7 @@ class Subscription:
             log.exception("a message on %s could not be handled", self.name)
         finally:
             self._busy = False
+        # Not in `finally`: this task is cancelled only when the context closes.
         self._next()
 
     def close(self) -> None:

@@ -54,6 +54,7 @@ class Graph:
     def _start(self) -> None:
         if self._subscriber is None:
             liveliness = self._session.liveliness()
+            # With history: the tokens of those who were there before count, too.
             self._subscriber = liveliness.declare_subscriber(
                 self._keys, direct(self._on_sample), history=True
             )
@@ -64,6 +65,7 @@ class Graph:
         with self._lock:
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(key, None)
+            # `ready` has told again what the subscriber knows, which may be parsed already.
             elif key not in self._tokens:
                 if len(self._tokens) >= MOST or len(key) > LONGEST_TOKEN:
                     self._complaints.tell("entities of the ROS graph are left out", "too many")
@@ -77,6 +79,7 @@ class Graph:
     def _wake(self) -> None:
         with self._lock:
             self._due = False
+        # Replaced rather than cleared: whoever waits holds the old event, which stays set.
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -92,6 +95,7 @@ class Graph:
                 if entity is None:
                     self._complaints.tell("a token of the ROS graph is not understood", key[:200])
                 with self._lock:
+                    # Its entity may have left the graph while it was parsed.
                     if key in self._tokens:
                         self._tokens[key] = entity
             if entity is not None:
@@ -155,6 +159,7 @@ class Graph:
         """Wait until something holds of the graph; it is looked at after each change."""
         self._start()
         while True:
+            # Taken before looking, so that no change in between is missed.
             changed = self._changed
             if holds():
                 return

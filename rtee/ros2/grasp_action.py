@@ -47,6 +47,7 @@ class Grasp:
         kind = self._type.result
         given = {one.name for one in kind.STRUCTURE.members}
         fields = {name: getattr(result, name) for name in given if hasattr(result, name)}
+        # ROS 2 has no optional fields: a sequence of one value or none stands for one.
         for name in ("opening", "force", "force_error"):
             fields[name] = [] if fields[name] is None else [fields[name]]
         fields |= {

@@ -146,6 +146,7 @@ class Gripper:
         if names in ([], [""]):
             joint = self._configured_joint
         else:
+            # An actuator of that name comes before the gap.
             joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
         command = Command(
             joint,
@@ -244,6 +245,7 @@ class Gripper:
     def _ended(self, joint: str, result: Result) -> dict[str, Any]:
         """Return the fields of the result."""
         position, effort = self._measured(joint)
+        # The result's values are those of the end; the newest state here may be from before.
         if joint:
             position = result.position.get(joint, position)
         else:
@@ -313,6 +315,7 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
     found: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]
     for action in actions:
+        # A timed action has no intensity that could stop it in between.
         if isinstance(action, Timed) or actuator.name not in action.posture.involved:
             continue
         end = action.posture.position[actuator.name]

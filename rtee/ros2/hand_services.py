@@ -123,6 +123,7 @@ class Services:
             found |= {gain_name(device.name, gain): value for gain, value in pairs}
         parameters = self._face.parameters
         known = parameters.values
+        # A gain unknown at the start has no parameter, and NaN would count as a change each time.
         parameters.update({n: v for n, v in found.items() if n in known and not math.isnan(v)})
 
     # --- what moves the hand
@@ -160,6 +161,7 @@ class Services:
             kind=kind,
             tolerance=face.number(TOLERANCE),
             speed=face.number(SPEED),
+            # Opening is complete, whatever intensity is set for other goals.
             intensity=face.number(INTENSITY) if kind is not None else 1.0,
         )
         return result.succeeded, sentence(result, elements)
@@ -176,6 +178,7 @@ class Services:
             self._face.node.discard(self._offered.pop(name)[1])
         for name, action in wanted.items():
             same = self._offered.get(name)
+            # Made anew only if it means another action: closing it loses the answer of its goal.
             if same is not None and _reference(same[0]) == _reference(action):
                 continue
             if same is not None:
@@ -206,6 +209,7 @@ class Services:
             await self._face.hand.add_generic(
                 request.name, where, store=request.store, replace=request.replace
             )
+        # That the hand has gone is not a refusal: no service of it answers then.
         except NoHand:
             raise
         except RteeError as error:

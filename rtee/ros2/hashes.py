@@ -31,8 +31,10 @@ def describe(structure: Structure) -> Description:
     fields = []
     for member in structure.members:
         number = PRIMITIVES.get(member.base, _NESTED)
+        # The bound is not part of the base's name, so that PRIMITIVES cannot have this number.
         if member.longest:
             number = _BOUNDED_STRING
+        # Without default values: rosidl leaves them out of what it hashes.
         fields.append(
             {
                 "name": member.name,

@@ -44,6 +44,7 @@ class Complaints:
                 self.count[what] = told + 1
             else:
                 return
+        # Outside the lock, for which Zenoh's threads wait: a log handler may block.
         if not told:
             self._log.warning(
                 "%s%s; further ones are not told", what, f": {detail}" if detail else ""
@@ -112,7 +113,9 @@ class Inbox(Generic[T]):
                 self._waiting.popleft()
             if not full or self._keep_newest:
                 self._waiting.append(thing)
+            # One wake-up for all that wait: one for each would flood the event loop.
             wake, self._due = not self._due, True
+        # Outside the lock, for which the event loop waits: this may log.
         if full and self._dropped is not None:
             self._dropped()
         if wake:
@@ -125,6 +128,8 @@ class Inbox(Generic[T]):
         for _ in range(self._BATCH):
             with self._lock:
                 if not self._waiting or self._closed:
+                    # Under the lock: a thing that is put at this moment either is seen above or
+                    # wakes the loop again.
                     self._due = False
                     return
                 thing = self._waiting.popleft()

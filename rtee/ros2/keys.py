@@ -15,6 +15,7 @@ GRAPH = "@ros2_lv"
 LONGEST_TOKEN = 2048
 """Longest token that is read [characters]: ROS limits names to 255."""
 
+# Without re.ASCII, \w takes letters and digits that ROS does not.
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LONGEST_NAME = 255
 """Longest fully qualified name [characters], as rmw has it."""
@@ -113,10 +114,12 @@ def key_expression(domain: int, name: str, kind: str, type_hash: str) -> str:
         kind: Full name of the type.
         type_hash: Its hash.
     """
+    # Zenoh refuses keys with empty chunks, such as the one before a leading slash.
     return f"{domain}/{name.strip('/')}/{dds_type(kind)}/{type_hash}"
 
 
 def _mangled(name: str) -> str:
+    # A slash would split the name into chunks of the key, and no chunk may be empty.
     return name.replace("/", "%") or "%"
 
 

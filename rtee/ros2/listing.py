@@ -65,6 +65,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
         keys = [(sort, one.topic, one.type, one.type_hash)]
         if _PARTS in one.topic and not parts:
             keys = []
+        # Of an action's five parts, one counts: it would be listed five times.
         if sort is Sort.SERVICE and one.topic.endswith(_GOALS):
             name, kind = one.topic.removesuffix(_GOALS), one.type.removesuffix(_GOAL_TYPE)
             keys.append((Sort.ACTION, name, kind, one.type_hash))

@@ -59,6 +59,7 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Message) or other.STRUCTURE != self.STRUCTURE:
             return NotImplemented
+        # Compared by bytes: a list and an array of the same numbers are the same field.
         return self.encode() == other.encode()
 
     __hash__ = None  # type: ignore[assignment]  # it can be changed
@@ -120,6 +121,7 @@ class Message:
 
     @classmethod
     def _read(cls, reader: Reader) -> Any:
+        # Without `__init__`, whose defaults would all be replaced.
         message = cls.__new__(cls)
         for name, read in cls._READERS:
             setattr(message, name, read(reader))
@@ -133,6 +135,7 @@ def write_fields(kind: Message | type[Message], writer: Writer, message: Any) ->
         for name, write in kind._WRITERS:  # noqa: SLF001 - of the same module
             write(writer, getattr(message, name))
     except MessageError:
+        # It names the innermost field already.
         raise
     except (TypeError, ValueError, AttributeError, OverflowError, struct.error) as error:
         raise MessageError(f"{kind.STRUCTURE.name}.{name}: {error}") from error
@@ -159,6 +162,7 @@ def message_class(structure: Structure, find: Find) -> type[Message]:
     members = structure.members
     space: dict[str, Any] = dict(structure.constants)
     space |= {
+        # Without a dictionary, a misspelt field raises instead of being left out of the bytes.
         "__slots__": tuple(one.name for one in members),
         "__module__": __name__,
         "__doc__": f"A message ``{structure.name}``.",
@@ -175,6 +179,7 @@ def _default(member: Member, inner: type[Message] | None) -> Callable[[], Any]:
     """Return what makes the value of a field that is not given."""
     given, base, count = member.default, member.base, member.capacity
     if given is not None:
+        # A list of its own for each message, since fields may be changed.
         return (lambda: list(given)) if isinstance(given, (list, tuple)) else (lambda: given)
     if member.many is not Many.ONE:
         count = count if member.many is Many.ARRAY else 0
@@ -220,6 +225,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
         kind = _KINDS[member.base]
         if member.many is not Many.ONE:
             return _numbers_writer(member, kind)
+        # Most numbers of a hand are doubles: their own method saves a look-up for each.
         if kind == "float64":
             return Writer.double
         return lambda writer, value: writer.scalar(kind, value)
@@ -227,6 +233,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
         return one
 
     def many(writer: Writer, values: Any) -> None:
+        # Both are sequences, too: their elements would be written one by one.
         if isinstance(values, (str, bytes)):
             raise TypeError("a list expected")
         _sized(member, values)
@@ -240,6 +247,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
 
 def _numbers_writer(member: Member, kind: str) -> Write:
     def write(writer: Writer, values: Any) -> None:
+        # Octets are read as bytes, which NumPy takes for one value instead of a sequence.
         if isinstance(values, (bytes, bytearray)):
             values = np.frombuffer(values, np.uint8)
         _sized(member, values)

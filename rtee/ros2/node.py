@@ -172,6 +172,7 @@ class Node:
         """Leave the graph with all that belongs to the node."""
         while self._open:
             self._open.pop().close()
+        # Last, so that no endpoint is in the graph without its node.
         self._token.undeclare()  # type: ignore[no-untyped-call]
 
 
@@ -234,6 +235,7 @@ class Context:
             f"no router of ROS 2 at {settings.router}: nobody is found until it runs"
             " (ros2 run rmw_zenoh_cpp rmw_zenohd, or rtee ros2 router)"
         )
+        # A client's session needs its router to open: whoever must not fail waits for it.
         session = await _opened(config, attempts if router_needed else 0, missing)
         try:
             context = cls(settings, Participant(session, domain, settings.distro.value))
@@ -244,6 +246,7 @@ class Context:
             try:
                 yield context
             finally:
+                # When cancelled, too: otherwise the nodes stay in the graph with the process.
                 with anyio.CancelScope(shield=True):
                     await context._close()
         finally:

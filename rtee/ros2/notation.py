@@ -117,9 +117,11 @@ def _value(text: str, base: str) -> Any:
     """Return a constant or default as written in a definition."""
     if base == "bool":
         return text.lower() in {"true", "1"}
+    # Definitions write texts without quotes, too.
     if base == "string" and text[:1] not in {'"', "'"}:
         return text
     value = ast.literal_eval(text)
+    # Definitions write whole numbers where a float is meant: `float64 w 1`.
     return float(value) if base.startswith("float") and isinstance(value, int) else value
 
 
@@ -207,6 +209,7 @@ def definitions(distro: str = "jazzy") -> dict[str, str]:
     found = dict(DEFINITIONS)
     folder = files("rtee.ros2").joinpath("interfaces")
     for file in sorted(folder.iterdir(), key=lambda one: one.name):
+        # Files of newer distributions would replace the definitions of Jazzy.
         if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in differing:
             found |= _read(file.read_text("utf-8"))
     if distro in _NEWER:

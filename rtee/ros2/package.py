@@ -31,6 +31,7 @@ def _needed(files: dict[str, str]) -> list[str]:
 
 
 def _package_xml(needed: list[str]) -> str:
+    # No definition names action_msgs, but the code that is generated for actions needs it.
     depends = "".join(f"  <depend>{one}</depend>\n" for one in needed)
     return f"""\
 <?xml version="1.0"?>

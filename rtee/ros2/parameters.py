@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import math
 import time
@@ -105,6 +106,7 @@ class Parameter:
         upper = math.inf if self.upper is None else self.upper
         if not (math.isfinite(number) and lower <= number <= upper):
             return False
+        # The ends of a range are valid whatever its step, as in rclcpp.
         if not self.step or number in {lower, upper}:
             return True
         steps = (number - lower) / self.step if math.isfinite(lower) else number / self.step
@@ -212,6 +214,7 @@ class Parameters:
                         )
                     ]
                 else:
+                    # The fields are int64, which has no infinity.
                     most = (1 << 63) - 1
                     made.integer_range = [
                         self._message("IntegerRange")(
@@ -252,6 +255,7 @@ class Parameters:
         """Change all of some parameters or none; return a ``SetParametersResult``."""
         result = self._message("SetParametersResult")
         wanted: dict[str, Value] = {}
+        # All are checked before any is told, so that a change rarely has to be undone.
         for each in asked:
             value = self._taken(each.name, _content(each.value))
             declared = self._declared.get(each.name)
@@ -267,7 +271,9 @@ class Parameters:
                 await self._tell(name, value)
             except RteeError as error:
                 for done, old in before.items():
-                    await self._tell(done, old)
+                    # A hand that has gone refuses this, too; the client still gets its answer.
+                    with contextlib.suppress(RteeError):
+                        await self._tell(done, old)
                 return _result(result, str(error))
             before[name] = self._values[name]
         self.update(wanted)

@@ -126,6 +126,7 @@ class Player:
         """Send set-points until there have been none for a while."""
         period = 1.0 / self._face.number(STREAM_RATE)
         while True:
+            # A new event before anything is awaited: no motion that comes from here on is missed.
             play, self._wake = self._current, anyio.Event()
             if play is None:
                 with anyio.move_on_after(LINGER) as waiting:
@@ -136,7 +137,9 @@ class Player:
                 continue
             now = time.monotonic()
             targets, velocity = play.motion.at(now)
+            # Stamped with the time it is meant for: if it is sent late, the motion keeps its shape.
             await stream.send(targets, velocity, stamp=now)
+            # While the sample was sent, another motion may have taken its place.
             if now >= play.until and play is self._current:
                 self._current = None
                 continue

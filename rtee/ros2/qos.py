@@ -68,6 +68,7 @@ class Qos:
         durability = "" if self.durability == Durability.VOLATILE else str(int(self.durability))
         history = "" if self.history == History.KEEP_LAST else str(int(self.history))
         depth = "" if self.depth == _DEPTH else str(self.depth)
+        # After the history: deadline, lifespan and liveliness. Empty means the default.
         return f"{reliability}:{durability}:{history},{depth}:,:,:,,"
 
 
@@ -98,6 +99,7 @@ def parse_chunk(chunk: str) -> Qos:
         # Few digits: nothing in a QoS is longer, and int() of long texts is slow.
         return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else default
 
+    # Padded, so that a chunk that is too short has empty fields instead of missing ones.
     fields = [*chunk.split(":"), "", "", ""]
     history, _, depth = fields[2].partition(",")
     return Qos(

@@ -232,7 +232,7 @@ def _described(known: Interfaces, action: Action) -> Message:
 
 
 def _counted(known: Interfaces, postures: Iterable[Posture]) -> Message:
-    """Return how many of some postures move each actuator."""
+    """Return 1 for each actuator that any of some postures moves, and 0 for the others."""
     counts: dict[str, int] = {}
     for one in postures:
         for name in one.position:

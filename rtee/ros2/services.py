@@ -77,9 +77,11 @@ class Service:
         self._inbox: Inbox[_Asked] = Inbox(
             self._take, _MOST_WAITING, keep_newest=False, dropped=self._too_many
         )
+        # Complete, since clients of rmw_zenoh ask only queryables that say so.
         self._queryable = participant.session.declare_queryable(
             key, direct(self._on_query), complete=True
         )
+        # Last: whoever sees the service in the graph can ask it already.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _tell(self, why: str) -> None:
@@ -91,6 +93,7 @@ class Service:
         )
 
     def _on_query(self, query: zenoh.Query) -> None:
+        # Before anything is read: refusing a flood should cost as little as it can.
         if not self._limit.passes():
             self._too_many()
             return
@@ -139,6 +142,7 @@ class Service:
             log.exception("the service %s failed", self.name)
         finally:
             self._under_way.discard(number)
+            # A loop, since a request that `_begin` refuses leaves its place to the next one.
             while self._waiting and len(self._under_way) < self._most:
                 self._begin(self._waiting.popleft())
 
@@ -148,6 +152,7 @@ class Service:
         attachment = attachments.encode(
             asked.attachment.sequence, time.time_ns(), asked.attachment.gid
         )
+        # Leaving the context ends the query at once instead of when it is collected.
         with asked.query as query:
             query.reply(self._key, response.encode(), attachment=attachment)
 
@@ -215,6 +220,7 @@ class Client:
         answer: asyncio.Future[bytes] = loop.create_future()
 
         def settle(payload: bytes | None) -> None:
+            # Given up meanwhile, or the end of the query that has been answered.
             if answer.done():
                 return
             if payload is None:
@@ -240,6 +246,7 @@ class Client:
             self._key,
             direct(on_reply, lambda: hand_over(None)),
             target=zenoh.QueryTarget.ALL_COMPLETE,
+            # Otherwise Zenoh would hold the response back until the query ends.
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=min(timeout, FOREVER),
             payload=payload,
@@ -251,6 +258,7 @@ class Client:
                 return self.type.response.decode(await answer)
             raise TimeoutError(f"the service {self.name} does not answer")
         finally:
+            # A query that nobody waits for would stay open until its timeout: up to a year.
             token.cancel()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:

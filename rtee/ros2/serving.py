@@ -173,6 +173,7 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
                     group.start_soon(part.run)
         except* (RemoteError, MessageError) as errors:
             log.warning("%s has left ROS 2: %s", hand.name, _first(errors))
+        # A wrong setting does not mend itself: the command ends with the reason.
         except* UserError:
             raise
         except* Exception:  # the nodes of other hands go on
@@ -195,6 +196,7 @@ async def shown(
     Yields:
         The parts of the node, which are to run.
     """
+    # All is asked before the node is made: a hand that goes meanwhile never shows in the graph.
     model = await model_of(remote, hand.configured)
     info, openings, latest = await remote.info(), await remote.openings(), await remote.state()
     actions, status = await remote.actions(), await remote.status()
@@ -217,6 +219,7 @@ async def shown(
             for gain, value in zip(device.gains, device.gain_values, strict=False)
         }
         parts.append(Services(face, actions, gains, status.grip_effort))
+        # The node keeps the services of both, and they have nothing to run.
         RosEndEffector(node, remote)
         TypeDescriptions(node)
         face.declare(one for part in parts for one in part.parameters())

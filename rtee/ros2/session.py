@@ -34,12 +34,14 @@ _CONNECT_WITHIN = 1000
 """Time until a router must answer a client [ms]; then it is tried again."""
 
 _SETTINGS: dict[str, Any] = {
+    # Nodes find each other through the router, by gossip.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
     "scouting/gossip/multihop": False,
     "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
     "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
     "scouting/gossip/autoconnect_strategy": {
+        # Of two peers only one connects: otherwise they could have two links.
         "peer": {"to_router": "always", "to_peer": "greater-zid"}
     },
     # The samples kept for those who come later are told apart by their time.
@@ -81,7 +83,7 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
     text = environment.get(DOMAIN, "").strip()
     if not text:
         return settings.domain
-    if not (text.isascii() and text.isdigit() and int(text[:9]) <= _LARGEST_DOMAIN):
+    if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _LARGEST_DOMAIN):
         raise ConfigError(f"{DOMAIN}={text} is not a domain: a number, 0 to {_LARGEST_DOMAIN}")
     return int(text)
 
@@ -136,6 +138,7 @@ def configuration(
             found |= identity().settings()
         for key, value in found.items():
             _insert(config, key, json.dumps(value), f"the router '{settings.router}'")
+    # After the file, since it overrides this, too.
     for entry in environment.get(CONFIG_OVERRIDE, "").split(";"):
         if entry.strip():
             key, equals, value = entry.partition("=")
@@ -148,6 +151,7 @@ def configuration(
 def _from_file(file: str) -> zenoh.Config:
     path = Path(file.removeprefix("file://"))
     try:
+        # Read first: Zenoh's error does not say plainly why a file cannot be opened.
         path.read_bytes()
         return zenoh.Config.from_file(str(path))
     except (OSError, zenoh.ZError) as error:
@@ -174,6 +178,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         words = str(error).partition(" at /")[0]
+        # Zenoh has one exception for everything: only its words tell the reasons apart.
         if words.startswith("Unable to connect"):
             raise NoRouter(words) from None
         raise ConfigError(f"the ROS 2 session cannot be opened: {words}") from None

@@ -74,6 +74,7 @@ class Setpoints:
         except MessageError as error:
             self._refuse(topic, str(error))
             return
+        # A posture is sent once: when its sender falls silent, the stream's deadline applies.
         until = motion.end if isinstance(motion, Posture) else motion.end + SETTLED
         self._player.play(
             Play(motion, f"a message on {topic}", until, partial(self._refuse, topic))

@@ -84,6 +84,7 @@ class JointStates:
         self._transmission = model.transmission
         self._encoder = JointStateEncoder(model.joint_names)
         self._rows = np.array([model.joint_index(name) for name in model.actuator_names], np.intp)
+        # Joints that follow others keep NaN: only the rows of actuators are written later.
         self._effort = np.full(len(model.joint_names), math.nan)
 
     def encode(self, state: State) -> bytes:
@@ -188,6 +189,7 @@ class Topics:
 
     def _publish_forces(self, state: State) -> None:
         felt = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+        # One header serves all tips: a message is encoded before the next one changes it.
         header = stamped(self._face, state.wall_ns)
         wrench = self._face.message("geometry_msgs/msg/WrenchStamped")
         for (frame, publisher), force in zip(self._tips, tip_forces(felt), strict=False):
@@ -220,6 +222,7 @@ class TouchTopics:
                 before = known.get(state.device)
                 known[state.device] = state
                 now = self._face.latest
+                # By identity: a device's states share their sensors until it is another device.
                 if before is None or before.sensors is not state.sensors:
                     fields = sensors_fields(known.values(), now.wall_ns)
                     self._sensors.publish(TOUCH_SENSORS.encode(fields))

@@ -102,6 +102,7 @@ def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
 def checked_position(name: str, value: float, limits: Range) -> float:
     """Return a position inside the limits; raises `MessageError` if it is none, or far beyond."""
     slack = limits.upper - limits.lower
+    # In a range with one limit only, an infinite slack would lift that limit, too.
     slack = _BEYOND * slack if math.isfinite(slack) else 0.0
     if not limits.lower - slack <= value <= limits.upper + slack:  # NaN compares as false
         raise MessageError(
@@ -266,6 +267,7 @@ def trajectory_of(
     if begin + times[first] <= start:  # a single point for now: as fast as the limits allow
         start = begin + times[first] - 1e-3
     moments = [start, *(begin + time for time in times[first:])]
+    # A joint may be measured slightly outside its limits, where no set-point may be.
     here = [joints[name].clamped(where(name)) for name in names]
     rest = [0.0] * len(names)
     return Trajectory(
@@ -306,6 +308,7 @@ class Jog:
         for name, start in self._start.items():
             limits, wanted = self._joints[name], start + self._velocity[name] * time
             position[name] = limits.clamped(wanted)
+            # At a limit the velocity is zero, else the stream would extrapolate beyond it.
             inside = moving and position[name] == wanted
             velocity[name] = self._velocity[name] if inside else 0.0
         return SetPoint(position, velocity)

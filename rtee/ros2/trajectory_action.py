@@ -106,12 +106,14 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
             )
         values = float(one.position), float(one.velocity)
         for value in values:
+            # Written so that NaN is refused, too.
             if not (value >= 0.0 or value == _ERASED):
                 raise _refusal(
                     Code.INVALID_GOAL,
                     f"a tolerance of '{one.name}' is {value:g}; it should be positive, 0 for the"
                     " default, or -1 for none",
                 )
+        # 0 asks for the default, which is not to enforce any, as in ros2_control.
         if max(values) > 0.0:
             found[one.name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
     return found
@@ -154,6 +156,7 @@ class TrajectoryAction:
             one.fail(reason)
         with anyio.move_on_after(_ANSWERED_WITHIN, shield=True):
             for goal in self._server.goals:
+                # Shielded: the time limit must not cancel the future for which clients wait.
                 await asyncio.shield(goal.ended)
             await anyio.sleep(_TOLD_WITHIN)
         self._server.close()
@@ -270,6 +273,7 @@ class _Following:
     async def run(self, goal: ServerGoal) -> Outcome:
         """Follow it until it ends, one way or the other."""
         try:
+            # The hand may have gone, or the goal been cancelled, before this task began.
             if self._outcome is None:
                 self._action.player.play(self._play)
                 async with anyio.create_task_group() as group:
@@ -280,6 +284,7 @@ class _Following:
                 raise RuntimeError("a goal has ended without an outcome")
             return self._outcome
         finally:
+            # Otherwise the player would repeat the last set-point for ever and keep the lease.
             if math.isinf(self._play.until):
                 self._play.until = time.monotonic()
             self._action.forget(self)
@@ -328,6 +333,7 @@ class _Following:
                 desired, actual = self._motion.at(at), self._action.measured(state)
                 if for_feedback() % _EVERY == 0 and goal.heard:
                     self._tell(goal, at, desired, actual)
+                # Without a lag no stream plays yet, and there is nothing to compare.
                 if lag is not None or now > self._motion.end:
                     self._judge(now, at, desired, actual)
         except RteeError as error:
@@ -342,6 +348,7 @@ class _Following:
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
             return
         outside = _outside(limits.goal, desired, actual)
+        # Without goal tolerances nothing tells that it arrived: it has the time to settle.
         if not outside and (limits.goal or now >= end + SETTLED):
             self._play.until = end + SETTLED
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
@@ -384,6 +391,7 @@ def _outside(
     for name, tolerance in tolerances.items():
         position, velocity = actual[name]
         error = abs(desired.position[name] - position)
+        # `not <=` rather than `>`: NaN must count as outside.
         if not error <= tolerance.position:
             return f"'{name}' was off by {error:.3g}, more than {tolerance.position:g}"
         error = abs(desired.velocity.get(name, 0.0) - velocity)

@@ -138,6 +138,8 @@ class Interfaces:
 
     def _add_service(self, name: str, request: Structure, response: Structure) -> None:
         self._structures |= {request.name: request, response.name: response}
+        # Service events are never sent here, but they are part of the service's hash: without them
+        # no client would find the service.
         self._add(
             f"{name}_Event",
             Member("info", _EVENT_INFO),
@@ -172,6 +174,8 @@ class Interfaces:
             ),
         )
         self._add(f"{name}_FeedbackMessage", goal_id, Member("feedback", f"{name}_Feedback"))
+        # The service that cancels and the topic of states are the same for all actions, so that
+        # rosidl leaves them out of an action's type.
         self._add(
             name,
             Member("goal", f"{name}_Goal"),
@@ -233,6 +237,7 @@ class Interfaces:
         return self._actions[name]
 
 
+# One object for each distribution: services check requests and responses by their class.
 @cache
 def interfaces(distro: str = "jazzy") -> Interfaces:
     """Return the interfaces of a distribution."""

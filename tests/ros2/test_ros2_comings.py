@@ -17,6 +17,7 @@ import rtee.ros2.serving
 from rtee.actions.library import ActionLibrary
 from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
+from rtee.loop import shutdown_signals
 from rtee.loop.shutdown_signals import companion
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.actions import GoalState
@@ -171,3 +172,17 @@ async def test_a_run_that_is_killed_leaves_nothing(settings: Ros2Settings, tmp_p
         # Read to its end: the companion has ended, too, or it would hold the pipe open.
         said = b"".join([part async for part in run.stderr]).decode()
     assert "ROS 2 knows no identities" in said
+
+
+async def test_a_companion_that_does_not_listen_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(shutdown_signals, "_END_WITHIN", 0.2)
+    ready = tmp_path / "ready"
+    code = f"import signal, time; signal.signal(15, signal.SIG_IGN); open({str(ready)!r}, 'w')"
+    with anyio.fail_after(60):
+        async with anyio.create_task_group() as group:
+            group.start_soon(companion, (sys.executable, "-c", f"{code}; time.sleep(600)"))
+            while not ready.exists():  # noqa: ASYNC110
+                await anyio.sleep(0.01)
+            group.cancel_scope.cancel()

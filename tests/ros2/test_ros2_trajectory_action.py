@@ -162,7 +162,8 @@ async def test_preempted(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         assert (await robot.call("/small/open", "std_srvs/srv/Trigger")).success
         state, code, text = told(await third.result(20.0))
         assert (state, code) == (GoalState.ABORTED, Code.INVALID_GOAL)
-        assert "the stream ended" in text
+        # A sample on its way may learn of it before the goal does.
+        assert "the stream ended" in text or "it may have ended" in text
         third = await client.send_goal(LONG)
         await until(lambda: bool(served.loop.streams.stream))
         async with connect("small") as other:
