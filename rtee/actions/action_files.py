@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from rtee.actions.comments import rewritten
@@ -110,7 +111,9 @@ class ActionFiles:
         """
         if isinstance(action, Primitive):
             primitive_changes(self._writable(), self.hand, index.primitives).write()
+            self._remember()
             return
+        # An action whose parts have no files could not be read again.
         for use in action.uses:
             inner = index.find(use.action, use.elements, None)
             if not isinstance(inner, Primitive) and not self.holds(inner.name):
@@ -130,8 +133,9 @@ class ActionFiles:
             primitives = primitive_changes(folder, self.hand, index.primitives)
             custom = custom_changes(folder, index.custom.values())
             files = {**primitives.files, **custom.files}
-            return Changes(files, primitives.gone, primitives.folders)
+            return Changes(files, [*primitives.gone, *custom.gone], primitives.folders)
 
+        # Compared first: the hand is copied only where there is something to change.
         found = changes(self.folder)
         if found.files or found.gone:
             found = changes(self._writable())
@@ -163,12 +167,17 @@ class ActionFiles:
         if not self.holds(action.name):
             return
         new = normalise(new_name)
-        self._write_custom([a for a in changed if normalise(a.name) == new or self.holds(a.name)])
+        # The old file goes last: an error in between leaves a file too many, not too few.
+        before = _custom_path(self._writable(), action)
+        stored = [a for a in changed if normalise(a.name) == new or self.holds(a.name)]
+        self._write_custom(stored, {new: before})
         if new != normalise(action.name):
             self.delete(action)
 
-    def _write_custom(self, actions: Sequence[CustomAction]) -> None:
-        custom_changes(self._writable(), actions).write()
+    def _write_custom(
+        self, actions: Sequence[CustomAction], before: Mapping[str, Path] | None = None
+    ) -> None:
+        custom_changes(self._writable(), actions, before or {}).write()
         self._remember(normalise(action.name) for action in actions)
 
     def _remember(self, stored: Iterable[str] = ()) -> None:
@@ -217,6 +226,7 @@ def stamps(folder: Path) -> dict[Path, int]:
             try:
                 found[path] = path.stat().st_mtime_ns
             except OSError:
+                # Deleted since it was listed: that it is missing here shows as a change.
                 continue
     return found
 
@@ -313,6 +323,7 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
         ActionError: if a file that is there cannot be read.
     """
     named: dict[str, list[Primitive]] = {}
+    # In the index's order, so that the same primitives give the same text.
     for primitive in Index(hand, tuple(primitives)).primitives:
         named.setdefault(primitive.name, []).append(primitive)
     changed: dict[Path, str] = {}
@@ -326,7 +337,9 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
     return Changes(changed, [path for path in _files(room) if path not in kept], [room])
 
 
-def custom_changes(folder: Path, actions: Iterable[CustomAction]) -> Changes:
+def custom_changes(
+    folder: Path, actions: Iterable[CustomAction], before: Mapping[str, Path] = MappingProxyType({})
+) -> Changes:
     """Return what is to change so that a folder holds these composed, timed or generic actions.
 
     Comments in their files are kept.
@@ -335,24 +348,39 @@ def custom_changes(folder: Path, actions: Iterable[CustomAction]) -> Changes:
         ActionError: if a file that is there cannot be read.
     """
     changed: dict[Path, str] = {}
+    gone: list[Path] = []
     for action in actions:
-        changed |= _change(_custom_path(folder, action), custom_document(action))
-    return Changes(changed)
+        former = before.get(normalise(action.name))
+        changed |= _change(_custom_path(folder, action), custom_document(action), former=former)
+        # One that replaces an action of another kind: two files would define the name.
+        gone += [
+            path
+            for kind in CUSTOM
+            if kind != kind_of(action)
+            for path in _files(folder / kind)
+            if normalise(path.stem) == normalise(action.name)
+        ]
+    return Changes(changed, gone)
 
 
 def _custom_path(folder: Path, action: Action) -> Path:
     room = folder / kind_of(action)
+    # A file with another spelling is kept, as a second one would define the action twice.
     same = (path for path in _files(room) if normalise(path.stem) == normalise(action.name))
     return next(same, room / f"{action.name}.yaml")
 
 
-def _change(path: Path, data: dict[str, Any], comments: Sequence[str] = ()) -> dict[Path, str]:
+def _change(
+    path: Path, data: dict[str, Any], comments: Sequence[str] = (), former: Path | None = None
+) -> dict[Path, str]:
     """Return a file with its new text, comments kept; nothing if it is the same."""
     text = emit(data, comments)
-    if path.exists():
-        old = read_text(path, WHAT, ActionError)
-        if old == text:
+    source = path if former is None or path.exists() else former
+    if source.exists():
+        old = read_text(source, WHAT, ActionError)
+        if source == path and old == text:
             return {}
+        # What reads as emitted, under the same header, nobody has edited: no comments to keep.
         if read_emitted(old) is None or _header(old) != _header(text):
             text = rewritten(old, data) or text
     return {path: text}

@@ -67,6 +67,7 @@ def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
     """
     if not involved:
         raise ActionError("an action must involve at least one actuator")
+    # Raises for an unknown name, which the mapping below would leave out.
     for name in involved:
         hand.actuator_index(name)
     position = {
@@ -86,6 +87,7 @@ def _inside(spec: ActuatorSpec, value: float) -> float:
             f"the set-point {value:g} {unit} of '{spec.name}' is outside its {side} limit "
             f"{limit:g} {unit}"
         )
+    # Outside by less than `SLACK`, the limit itself is meant.
     return min(max(value, spec.lower), spec.upper)
 
 
@@ -95,6 +97,7 @@ def scaled(hand: Hand, posture: Posture, scale: float) -> Posture:
     for name in posture.involved:
         index = hand.actuator_index(name)
         spec, rest = hand.actuators[index], float(hand.rest[index])
+        # At scale 1, rest + (set-point - rest) could differ in the last bit.
         value = position[name] if scale == 1.0 else from_rest(rest, position[name], scale)
         position[name] = min(max(value, spec.lower), spec.upper)
     return Posture(position, posture.involved)
@@ -253,8 +256,10 @@ def _resolve(
     what = label(use.action, use.elements)
     check_scale(use.scale, f"{what} in {where}")
     found = find(use.action, use.elements)
+    # A timed action has no single posture that could be scaled or averaged.
     if isinstance(found, Timed):
         raise ActionError(f"{where} cannot contain the timed action '{found.name}'")
+    # In the action's own spelling, since it goes into files and to users.
     reference = ActionReference(found.name, found.elements, use.scale)
     return reference, scaled(hand, found.posture, use.scale)
 
@@ -264,12 +269,14 @@ _PRIMITIVE_NAMES = tuple(normalise(kind) for kind in PrimitiveKind)
 
 def is_primitive_name(name: str) -> bool:
     """Return whether a name is, or may become, that of a primitive."""
+    # Whatever the count: a later extraction may find one that does not exist yet.
     return normalise(name).rstrip("0123456789") in _PRIMITIVE_NAMES
 
 
 def check_custom_name(name: str) -> None:
     """Raise `UserError` unless a name can be that of a composed, timed or generic action."""
     check_name(name, "action")
+    # Names are compared without underscores and hyphens: nothing of it would be left.
     if not normalise(name):
         raise ActionError(f"the name '{name}' has no letter or digit")
     if is_primitive_name(name):

@@ -41,9 +41,11 @@ def read_step(word: str) -> StepPlan:
     Raises:
         ActionError: if the word is not like that.
     """
+    # From the end: elements follow a colon as well, but have no equals sign.
     body, colon, options = word.rpartition(":")
     if not colon or "=" not in options:
         return StepPlan(read_use(word))
+    # A scale behind the options still belongs to the action.
     options, star, factor = options.partition("*")
     alias, margins = "", {"before": 0.0, "after": 0.0}
     for option in options.split(","):

@@ -27,6 +27,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
 
     yaml = yaml_reader(keep_comments=True)
     yaml.preserve_quotes = True
+    # Long lines would be folded, though nothing in them has changed.
     yaml.width = 4096
     try:
         fresh = yaml_reader().load(emit(data))
@@ -44,6 +45,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
 
 def _merged(old: Any, new: Any) -> Any:
     if isinstance(old, dict) and isinstance(new, Mapping):
+        # A list of its own, since the loop deletes keys.
         for key in [key for key in old if key not in new]:
             del old[key]
         for key, value in new.items():
@@ -51,6 +53,7 @@ def _merged(old: Any, new: Any) -> Any:
         return old
     if isinstance(old, list) and isinstance(new, list):
         return _merged_list(old, new)
+    # Equal values keep their old form, such as 0.50; but in Python, True equals 1.
     return old if old == new and isinstance(old, bool) == isinstance(new, bool) else new
 
 
@@ -64,6 +67,7 @@ def _merged_list(old: list[Any], new: list[Any]) -> list[Any]:
     for index, item in enumerate(new):
         same = known.get(_identity(item, index))
         merged.append(_styled(item) if same is None else _merged(same, item))
+    # Only then, since replacing the items drops the comments between them.
     if len(merged) != len(old) or any(a is not b for a, b in zip(old, merged, strict=True)):
         old[:] = merged
     return old

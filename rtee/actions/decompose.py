@@ -26,7 +26,9 @@ def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> f
         return None
     rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
     whole = {name: posture.position[name] - rest[name] for name in set_points}
+    # On the longest way, the rounding of stored set-points matters least.
     widest = max(whole, key=lambda name: abs(whole[name]))
+    # A posture that is at rest is the same at every scale.
     scale = 1.0
     if abs(whole[widest]) > SLACK:
         scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)

@@ -62,6 +62,7 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
 
 
 def _finite(value: float) -> float | None:
+    # JSON has no infinity.
     return float(value) if math.isfinite(value) else None
 
 

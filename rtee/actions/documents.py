@@ -142,7 +142,7 @@ def _primitive_kind(text: str) -> tuple[PrimitiveKind, int | None]:
     for kind in PrimitiveKind:
         if kind.counted:
             if normalise(base) == normalise(kind) and digits.isascii() and digits.isdigit():
-                return kind, int(digits[:6])
+                return kind, int(digits[:6])  # int() refuses thousands of digits
         elif normalise(text) == normalise(kind):
             return kind, None
     names = [f"{kind}_3" if kind.counted else str(kind) for kind in PrimitiveKind]
@@ -437,8 +437,9 @@ def _sentence(model: type[BaseModel], location: Location, error: Mapping[str, An
         cause = limits["error"]
         return cause.message if isinstance(cause, UserError) else str(cause)
     what = _called(location)
-    if error["loc"][-1:] == ("[key]",):
+    if error["loc"][-1:] == ("[key]",):  # pydantic's mark, which `location` leaves out
         return f"the key {value} in {_called(location[:-1])} must be a name"
+    # An integer that is too large for a float is of the wrong type for pydantic.
     if kind == "finite_number" or (kind == "float_type" and type(value) is int):
         return f"{what} must be a finite number"
     if kind == "greater_than_equal":
@@ -470,7 +471,7 @@ def _kind(value: Any) -> str:
     match value:
         case None:
             return "empty"
-        case bool():
+        case bool():  # before int: True is one
             return "true or false"
         case int() | float():
             return "a number"

@@ -54,6 +54,7 @@ class Index:
             for names in (hand.finger_names, hand.actuator_names)
         )
         self._spelling: Callable[[str], str] = str if ambiguous else normalise
+        # Reversed, so that a finger keeps its place where an actuator has the same name.
         self._place = {name: index for index, name in reversed(list(enumerate(order)))}
         primitives = [action for action in actions if isinstance(action, Primitive)]
         self.primitives = tuple(sorted(primitives, key=self._primitive_order))
@@ -87,6 +88,7 @@ class Index:
             what = label(primitive.name, primitive.elements)
             raise ActionError(f"the primitive {what} is there twice")
         group[key] = primitive
+        # Also without its count: the elements say which one is meant.
         if primitive.kind.counted:
             self._named.setdefault(normalise(primitive.kind), {}).setdefault(key, primitive)
 
@@ -113,6 +115,7 @@ class Index:
             return next(iter(group.values()))
         key = self._key(elements)
         found = group.get(key)
+        # The key is a set, in which an element that is given twice would count once.
         if found is None or len(key) != len(elements):
             raise self._wrong_elements(name, elements, group)
         return found
@@ -231,6 +234,7 @@ class Index:
                 raise ActionError(f"the action '{inner}' would contain itself: {chain}")
             if key not in done:
                 under_way.append(key)
+                # It asks `find` for its parts, so these are rebuilt before it.
                 fresh[key] = rebuilt(self.hand, find, fresh[key])
                 under_way.pop()
                 done.add(key)

@@ -59,6 +59,7 @@ class ActionLibrary:
         self._index = Index(hand, tuple(actions))
         self._stored = None if folder is None else _files_in(hand, folder)
         self._openings: tuple[int | None, Openings] | None = None
+        # A missing part is reported here, not by the first goal that needs it.
         for action in self._index.custom.values():
             for use in action.uses:
                 self.find(use.action, use.elements)
@@ -75,6 +76,7 @@ class ActionLibrary:
         return library
 
     def _read(self, keep: Sequence[Action] = ()) -> None:
+        # Swapped in once all is read: a mistake in a file leaves the library as it was.
         self._index = self._files.read(keep)
         self.version += 1
         for action in self._index.custom.values():
@@ -102,6 +104,7 @@ class ActionLibrary:
         try:
             stamp: int | None = os.stat(home / FILE_NAME).st_mtime_ns
         except OSError:
+            # No file is a state like any other: one that appears later is read.
             stamp = None
         if self._openings is None or self._openings[0] != stamp:
             self._openings = stamp, read_openings(home, self.hand)
@@ -224,6 +227,7 @@ class ActionLibrary:
             if normalise(use.action) == normalise(action.name):
                 raise ActionError(f"the action '{action.name}' would contain itself")
             index.find(use.action, use.elements, None)
+        # Its users hold postures that were computed from the action before.
         index = index.rebuilt() if replace_same else index
         if store:
             self._files.write(index, action)
@@ -254,6 +258,7 @@ class ActionLibrary:
         if users:
             raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
         if self._stored is not None:
+            # The file first: if it cannot be deleted, it would bring the action back.
             self._stored.delete(action)
         self._index = Index(self.hand, self._index.without(action))
         self.version += 1
@@ -270,6 +275,7 @@ class ActionLibrary:
             raise ActionError(f"'{action.name}' is a primitive; its name cannot change")
         check_custom_name(new_name)
         old, new = normalise(action.name), normalise(new_name)
+        # Another spelling of its own name is free.
         if new != old and new in self._index.custom:
             raise ActionError(f"there already is an action '{new_name}'")
 
@@ -285,6 +291,7 @@ class ActionLibrary:
                 changed.append(other.with_uses(renamed))
             else:
                 kept.append(other)
+        # As in `add`: first checked, then written, then swapped in.
         index = Index(self.hand, (*kept, *changed))
         if self._stored is not None:
             self._stored.rename(action, new_name, changed)
@@ -321,6 +328,7 @@ class ActionLibrary:
         """
         if not (force or self.changed()):
             return False
+        # Actions that have no file would be lost with the old index.
         volatile = [
             action for action in self._index.custom.values() if not self.is_stored(action.name)
         ]

@@ -24,7 +24,7 @@ from rtee.actions.types import Action, Primitive, Timed
 from rtee.errors import ActionError, ConfigError
 from rtee.hand.files import write_atomically
 from rtee.hand.model import Hand
-from rtee.hand.yamlfile import parse_yaml, read_emitted, read_text
+from rtee.hand.yamlfile import parse_yaml, read_text
 from rtee.hand.yamlwrite import emit
 from rtee.sample import FloatArray
 from rtee.types import readonly
@@ -120,6 +120,7 @@ class Opening:
 
     def intensity_at(self, width: float) -> float:
         """Return the intensity of an opening [m]; beyond the table, that at its end."""
+        # np.interp needs rising abscissae, and the width falls.
         return float(np.interp(-width, -self.width, self.intensity))
 
     def levers_at(self, intensity: float) -> dict[str, float]:
@@ -140,6 +141,7 @@ class Opening:
         """
         levers = {name: abs(lever) for name, lever in self.levers_at(intensity).items()}
         most = max(levers.values())
+        # A lever is the effort that one newton takes: the weakest actuator limits the force.
         forces = [
             hand.actuator(name).effort / lever
             for name, lever in levers.items()
@@ -161,11 +163,13 @@ class Opening:
             return self
         at = [pair[0] for pair in measured]
         off = [width - self.at(intensity) for intensity, width in measured]
+        # The measured intensities become points of the table, so that it is exact there.
         grid = np.unique(np.concatenate([self.intensity, at]))
         grid = grid[(grid >= self.intensity[0]) & (grid <= self.intensity[-1])]
         width = np.interp(grid, self.intensity, self.width) + np.interp(grid, at, off)
         keep = [0]
         for i in range(1, len(grid)):
+            # Only a falling table has one intensity for each width, and no width is below 0.
             if width[i] < width[keep[-1]] and width[keep[-1]] > 0.0:
                 keep.append(i)
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
@@ -210,8 +214,10 @@ def suitability(
     """
     at = opening.intensity_at(width)
     angle = opening.angle_at(at)
+    # A tip that moves at more than a right angle to the line of closing does not press.
     force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
     force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
+    # A logarithm, so that a class is a ratio of forces, whatever their size.
     strength = math.log(force) / math.log(_STRONGER)
     return (
         doubtful(action),
@@ -226,6 +232,7 @@ def fingerprint_of(hand: Hand, action: Action) -> str:
     """Return a word that changes with the way of an action: its posture, or the hand's rest."""
     digest = hashlib.sha256()
     for name, rest in zip(hand.actuator_names, hand.rest.tolist(), strict=True):
+        # To the decimals that files keep: what is read again has the same fingerprint.
         digest.update(f"{name} {rest:.9f}\n".encode())
     for posture in action.waypoints:
         for name in posture.involved:
@@ -348,7 +355,7 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
     if not path.is_file():
         return Openings(hand, made=False)
     text = read_text(path, _WHAT)
-    data = read_emitted(text) or parse_yaml(text, path, _WHAT).data
+    data = parse_yaml(text, path, _WHAT).data
     try:
         if data["format"] != FORMAT:
             raise ConfigError(
@@ -380,6 +387,7 @@ def _table(entry: Mapping[str, Any]) -> Opening:
     )
     if not shaped or not all(map(math.isfinite, (*intensity, *width, *lever.ravel(), *angle))):
         raise ValueError(f"the columns of '{entry['action']}' do not fit each other")
+    # Both are looked up by interpolation, which silently fails on what is not monotonic.
     if not (np.all(np.diff(intensity) > 0.0) and np.all(np.diff(width) < 0.0)):
         raise ValueError(f"the opening of '{entry['action']}' does not fall")
     return Opening(

@@ -75,8 +75,10 @@ class Builder:
     def _find(self, name: str, elements: tuple[str, ...]) -> Action:
         key = normalise(name)
         if key not in self.definitions:
+            # A misspelled name may be meant for a custom action, made or not.
             known = [*self.primitives.names, *(d.name for d in self.definitions.values())]
             return self.primitives.find(name, elements, None, known)
+        # Without this, a cycle would end at Python's recursion limit, with no names.
         if key in self.under_way:
             chain = [*self.under_way[self.under_way.index(key) :], key]
             names = " > ".join(self.definitions[k].name for k in chain)
@@ -96,5 +98,6 @@ class Builder:
             count += 1
             return self._find(name, elements)
 
+        # `at` is looked at when an error comes: the line is that of the part at fault.
         with located(document, at):
             return content.make(self.hand, find, document)

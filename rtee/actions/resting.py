@@ -38,6 +38,7 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     if not closed:
         return ""
     opened = {name: bound for _, way in ways for name, bound in way.items()}
+    # The line replaces the one in hand.yaml, so the rests given there are repeated.
     given = {
         spec.name: opened.get(spec.name, spec.rest)
         for spec in hand.actuators
@@ -88,6 +89,7 @@ def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
     opposed = np.abs(parting) >= APART * speeds
     first = np.array([name in own for name in hand.actuator_names]) & (moved >= OWN * moved.max())
     farthest = int(np.argmax(np.where(first, moved, 0.0) if first.any() else moved))
+    # The largest motion slides the tips along each other: they lie side by side.
     if moved[farthest] == 0.0 or not opposed[farthest]:
         return {}
     found = {}
@@ -111,6 +113,7 @@ def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
         tip = hand.finger(name).tip
         assert tip is not None  # noqa: S101 - a finger without a fingertip has no pinch
         pose, jacobian = tip_pose_and_jacobian(hand, tip, hand.rest)
+        # Velocities at the point of contact, not at the frames' origins: v + ω x r.
         arm = point - pose[:3, 3]
         velocities.append(jacobian[:3] + np.cross(jacobian[3:], arm, axis=0))
     past: FloatArray = velocities[1] - velocities[0]

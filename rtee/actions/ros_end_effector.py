@@ -181,6 +181,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     entries: list[_Found] = []
     for path in paths:
         document = read_document(path)
+        # A folder may also hold YAML files of other programs.
         if not isinstance(document.data, dict):
             continue
         entries += _entries(document)
@@ -190,6 +191,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
         why = f"; {_EARLY}" if reader.imported.notes else ""
         raise ActionError(f"holds no action files of ROS End-Effector{why}", path=folder)
     reader.imported.files = len({found.document.path for found in entries})
+    # Parts are recognised among the actions that were read before.
     for stage in (None, _GENERIC, _COMPOSED, _TIMED):
         for found in entries:
             with located(found.document, (found.key,)):
@@ -217,6 +219,7 @@ def _type_of(found: _Found) -> int | None:
     if "PrimitiveType" in found.data:
         return None
     kind = found.data["Type"]
+    # In Python, True equals 1.
     if kind not in (_GENERIC, _COMPOSED, _TIMED) or isinstance(kind, bool):
         raise ActionError(f"the type {kind!r} is unknown; there are 1, 2 and 3")
     return int(kind)
@@ -275,15 +278,17 @@ class _Reader:
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
     def _states(self, found: _Found, what: str) -> list[Posture]:
-        numbers = [
-            int(key.removeprefix("ActionState_"))
+        keys = [
+            key
             for key in found.data
             if isinstance(key, str) and re.fullmatch("ActionState_[0-9]{1,9}", key)
         ]
-        if not numbers:
+        if not keys:
             raise ActionError(f"{what} has no ActionState_1")
         counts = found.read(_Counted).joints_involved_count
-        places = [found.joints(f"ActionState_{number}") for number in sorted(numbers)]
+        # By number, as the first is executed: by text, 10 would come before 2.
+        keys.sort(key=lambda key: int(key.removeprefix("ActionState_")))
+        places = [found.joints(key) for key in keys]
         return [self._posture(found, *place, counts, what) for place in places]
 
     # --- custom actions
@@ -298,6 +303,7 @@ class _Reader:
         names = entry.inner_actions_names
         parts = find_parts(
             self.hand,
+            # `find_parts` wants parts with the same choices side by side.
             [self._called(n) for n in sorted(names, key=names.index)],
             set_points,
             self._fingers(entry.fingers_involved),
@@ -340,6 +346,7 @@ class _Reader:
             posture = self._posture(found, at, positions[alias], counts[alias], what)
             use = self._use(name, alias, _involved(posture))
             before, after = margins[alias].margin_before, margins[alias].margin_after
+            # Aliases there may have characters that names do not have here.
             plans.append(StepPlan(use, safe_name(alias, "step"), before, after))
         return self.library.sequence(name, plans)
 
@@ -384,6 +391,7 @@ class _Reader:
                 with located(found.document, (*at, name)):
                     hint = suggestion(name, actuators)
                     raise ActionError(f"the hand has no actuator '{name}'; {hint}")
+        # Joints that are not the hand's may have any values, even ones that are not numbers.
         own = {name: value for name, value in joints.items() if name in actuators}
         values: dict[str, float] = {}
         for name, value in validated(_Positions, found.document, at, own).root.items():

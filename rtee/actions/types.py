@@ -46,6 +46,7 @@ class PrimitiveKind(StrEnum):
     ) -> PrimitiveKind:
         """Make a kind; see the attributes."""
         kind = str.__new__(cls, name)
+        # Set here, since the enumeration would make the value of all the arguments.
         kind._value_ = name
         kind.label, kind.noun, kind.elements = label, noun, elements
         kind.counted, kind.pinch = counted, pinch
@@ -88,6 +89,7 @@ class Posture:
     involved: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        # A copy behind a read-only view: whoever made the mapping may still change it.
         object.__setattr__(self, "position", MappingProxyType(dict(self.position)))
 
 
@@ -167,6 +169,7 @@ class _WithPosture(Protocol):
 class _Action:
     """What all kinds of actions have in common: most are made of no other ones."""
 
+    # A base without `__slots__` would give every action a dictionary all the same.
     __slots__ = ()
 
     @property

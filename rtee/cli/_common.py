@@ -26,6 +26,7 @@ def complete_hand(incomplete: str) -> list[str]:
 
     try:
         return [name for name in hand_names() if name.startswith(incomplete)]
+    # Completions say nothing of errors: the text would get into the line that is being typed.
     except (RteeError, OSError):
         return []
 
@@ -168,6 +169,7 @@ class _Command(TyperCommand):
             return args
         from rtee.remote.monitoring import READY_WITHIN
 
+        # Words after -- are arguments, even if they look like the option.
         end = args.index("--") if "--" in args else len(args)
         # From the end, so that an insertion does not shift what is still to be looked at.
         for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
@@ -191,6 +193,7 @@ def app_of(command: Callable[..., None] | typer.Typer) -> typer.Typer:
         app = typer.Typer()
         app.command()(command)
     for made in app.registered_commands:
+        # Here, since it has to hold for commands of groups, too.
         made.cls = _Command
     app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
     # With rich's own markup, units in brackets would be taken for tags and vanish.
@@ -211,6 +214,7 @@ def check_files() -> None:
     import resource
 
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    # Without a limit it is -1, which would look like too few.
     if limit != resource.RLIM_INFINITY and limit < _FILES:
         raise ConfigError(
             f"only {limit} files may be open at once; raise the limit with 'ulimit -n 1024'"
@@ -235,6 +239,7 @@ def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]
         name, equals, text = word.partition("=")
         if not (name and equals):
             raise ConfigError(f"{option} {word}: should be NAME=VALUE")
+        # Where messages name the file, they name the option.
         found |= parse_yaml(f"{name}: {text}\n", Path(option), what).data
     return found
 
@@ -285,6 +290,7 @@ def report_copy(before: Path | None, after: Path | None) -> None:
         return
     from rtee.hand.own_copy import copy_notice
 
+    # A library knows the folder of its actions only; people know the hand's.
     if before.name == after.name == "actions":
         before, after = before.parent, after.parent
     print(copy_notice(before, after), file=sys.stderr)

@@ -69,6 +69,7 @@ def result_json(result: Result) -> str:
 
 def _plain(values: Any) -> Any:
     if isinstance(values, float):
+        # JSON has no NaN, but Python's module would write it.
         return values if math.isfinite(values) else None
     if isinstance(values, dict):
         return {str(key): _plain(value) for key, value in values.items()}
@@ -83,5 +84,6 @@ async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float
     for name, share in efforts.shares.items():
         limits |= await remote.effort_limits(share, only=[name])
     if efforts.share is not None:
+        # What is said of one actuator counts before what is said of all.
         limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
     return limits

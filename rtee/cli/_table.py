@@ -110,6 +110,7 @@ class Table:
             cells = [(first, *rest) for first, rest in zip(firsts, cells, strict=True)]
         flat = [[", ".join(cell.split("\n")) or _NOTHING for cell in row] for row in cells]
         widths = [
+            # The heading always counts: all cells below it may be exceptions.
             max(len(cell) for cell in column if len(cell) <= _PADDED or cell is column[0])
             for column in zip(*flat, strict=True)
         ]
@@ -143,6 +144,7 @@ class Table:
         left = width - _GAP * (len(natural) - 1) - (_INDENT if self.heading else 0)
         left -= sum(n for n, column in zip(natural, self.columns, strict=True) if column.whole)
         flexible = [i for i, column in enumerate(self.columns) if not column.whole]
+        # Narrow ones first: what they do not need is left to the wide ones.
         for count, i in zip(
             range(len(flexible), 0, -1), sorted(flexible, key=lambda i: natural[i]), strict=True
         ):
@@ -161,9 +163,11 @@ class Table:
                 Text(column.name, style="dim"),
                 width=width,
                 justify="right" if column.right else "left",
+                # Folded, not cut with an ellipsis as usual.
                 overflow="fold",
             )
         for row in rows:
+            # As Text, since rich would take words in brackets for markup.
             grid.add_row(*map(Text, row.cells), style="dim" if row.faint else "")
         return grid
 

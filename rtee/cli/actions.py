@@ -98,6 +98,7 @@ def remarks(evidence: Evidence, prefix: str = "") -> str:
         pairs = [
             f"{a.removeprefix(prefix)} and {b.removeprefix(prefix)}" for a, b in evidence.colliding
         ]
+        # Not for a single one: its name takes no more room than its number.
         if on_terminal() and len(pairs) > _SHOWN + 1:
             pairs[_SHOWN:] = [f"{len(pairs) - _SHOWN} more"]
         said.append("not clear: " + (", ".join(pairs) or "other links come too near"))

@@ -56,10 +56,12 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
     own_place(folder)  # refused before the work
     library = actions_of(name)
     chosen = _chosen(library, words)
+    # Before the first block, since each pair is stored as soon as it is measured.
     home = own(folder)
     report_copy(folder, home)
 
     async def execute(remote: RemoteHand) -> None:
+        # A person's fingers are at the hand: no other client may move it between blocks.
         async with remote.held():
             for action, opening in chosen:
                 await _Blocks(remote, library, home, action, opening).measure()
@@ -113,8 +115,9 @@ class _Blocks:
             width = await self._width()
             if width is None:
                 return
+            # Open, so that the block fits in.
             await self._go(0.0)
-            await _asked(f"{label}: hold the block between the fingertips, then press Enter. ")
+            await typed_line(f"{label}: hold the block between the fingertips, then press Enter. ")
             intensity = await self._contact()
             await self._go(0.0)
             if intensity is None:
@@ -131,7 +134,9 @@ class _Blocks:
 
         label, widest = self._opening.label, self._opening.widest
         while True:
-            line = await _asked(f"{label}: width of the next block, such as 30mm; Enter to end: ")
+            line = await typed_line(
+                f"{label}: width of the next block, such as 30mm; Enter to end: "
+            )
             if not line:
                 return None
             try:
@@ -167,6 +172,7 @@ class _Blocks:
         except RequestRejected as error:
             if not limits or _UNLIMITED not in str(error):
                 raise
+            # From now on, so that the device is not asked in vain for each block.
             self._limited = False
             print(f"{error}; it closes with its own force, at {_SPEED:.0%} speed", flush=True)
             return await self._go(intensity)
@@ -190,7 +196,7 @@ _typed = bytearray()
 """What was typed, and not asked for yet."""
 
 
-async def _asked(text: str) -> str:
+async def typed_line(text: str) -> str:
     """Return a line that was typed; the end of the input is an empty line.
 
     No thread waits for it: one that reads the terminal would keep Ctrl-C from ending the command.
@@ -205,6 +211,7 @@ async def _asked(text: str) -> str:
         _typed.extend(read)
     line, _, rest = bytes(_typed).partition(b"\n")
     _typed[:] = rest
+    # A byte that is no text makes a width that is refused, and the question is repeated.
     return line.decode(errors="replace").strip()
 
 

@@ -147,6 +147,7 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
 
     if replace and not action.description:
         action = dataclasses.replace(action, description=_description(library, action.name))
+    # Adding may copy a shipped hand, and the library then follows to the copy.
     before = library.folder
     library.add(action, store=True, replace_same=replace)
     report_copy(before, library.folder)
@@ -189,6 +190,7 @@ def _reload_running(hand: str, action: str) -> None:
             return
         from rtee.cli._online import with_hand
 
+        # By its own list, since a hand of this name may run from another folder.
         known = with_hand(hand, None, "define", lambda remote: remote.actions())
         if action not in {each.name for each in known}:
             raise RteeError(f"it was started from other files; end it, then 'rtee run {hand}' here")

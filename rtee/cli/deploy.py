@@ -88,8 +88,11 @@ def uninstall(hand: Hand, root: Root = THIS_SYSTEM) -> None:
     installation = Installation(root)
     _check_rights(installation, f"uninstall {hand}")
     check_name(hand, "hand")
-    if hand in {each for hands in installation.manifest.hands.values() for each in hands}:
-        installation.stop(hand)
+    # A service that `uninstall` is going to refuse must go on.
+    known = {each for hands in installation.manifest.hands.values() for each in hands}
+    # The files go even so: who asks for that must know that the hand runs on.
+    if hand in known and (problem := installation.stop(hand)):
+        print(f"! {problem}")
     _print_states(installation, installation.uninstall(hand))
     for problem in (installation.remove_user(), *installation.reload()):
         if problem:
@@ -120,6 +123,7 @@ def _wanted(
 def _check_rights(installation: Installation, command: str) -> None:
     from rtee.errors import ConfigError
 
+    # The folder of an image may be anybody's.
     if installation.live and os.geteuid() != 0:
         raise ConfigError(f"the system's files are root's; type: sudo rtee deploy {command}")
 

@@ -91,6 +91,7 @@ def doctor(
         found = {"computer": check_machine()}
         if hand:
             found[_MODEL] = check_model(hand)
+        # Only Linux has systemd, whose services these are.
         if hand and sys.platform.startswith("linux"):
             checks, service = _service(hand)
             found["computer"] += checks
@@ -98,6 +99,7 @@ def doctor(
                 found["network"] = certificates
         if ros2:
             found["ROS 2"] = await _graph(hand)
+        # A device that is asked for has to be there; a hand without devices is no mistake.
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):
@@ -185,6 +187,7 @@ def locate(
             for spec in specs:
                 made = _with_options(spec, home="on_connect") if home else spec
                 driver = find_driver(spec.driver, source=spec.source)(made, pool)
+                # Said before it moves, so that people look in time.
                 print(f"{spec.name}: twitching", flush=True)
                 await twitch(driver, times=times, share=share)
                 identity = driver.capabilities.identity
@@ -236,6 +239,7 @@ def calibrate(
 
         raise ConfigError("actions go with --opening")
     from rtee.buses.pool import BusPool
+    from rtee.cli.calibrate_opening import typed_line
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
     from rtee.hand.own_copy import own
@@ -245,7 +249,7 @@ def calibrate(
     async def ready(text: str) -> None:
         print(text, flush=True)
         if not yes:
-            await asyncio.to_thread(input, "Press Enter when it is so, Ctrl-C to end. ")
+            await typed_line("Press Enter when it is so, Ctrl-C to end. ")
 
     def file_of(spec: DeviceSpec) -> Path:
         """Return the file for a device's values; a hand that must not be changed is copied."""
@@ -261,6 +265,7 @@ def calibrate(
         async with BusPool() as pool:
             for spec in specs:
                 path = file_of(spec)
+                # The stored values would be applied to what is measured, and may be wrong.
                 made = _with_options(spec, calibration=None)
                 driver = find_driver(spec.driver, source=spec.source)(made, pool)
                 found: object = await calibration.calibrate(driver, path, ready)

@@ -138,11 +138,13 @@ def open_(
 
 async def follow(start: Awaitable[RunningGoal], title: str) -> Result:
     """Start a goal and show its progress; Ctrl-C cancels it, a second Ctrl-C leaves it."""
+    # Progress is for people; the output holds the result alone.
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bars = _Bars(progress, title)
         result = await _interruptible(start, bars.show)
+        # The last feedback may come from shortly before the end.
         if result.succeeded:
             bars.complete()
     return result
@@ -158,7 +160,9 @@ async def _interruptible(start: Awaitable[RunningGoal], show: Callable[[Feedback
             task_status.started()
             async for _ in signals:
                 break
+        # The signal may come before the hand has answered, and so before there is a goal to cancel.
         await started.wait()
+        # What is wrong then shows in the result, which is awaited all the same.
         with contextlib.suppress(RteeError):
             await goals[0].cancel()
 

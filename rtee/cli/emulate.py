@@ -102,4 +102,5 @@ def _converse(player: Player) -> None:
         answer = player.command(line)
         if answer:
             print(answer, flush=True)
+    # A service has no input, and its device has to stay.
     signal.pause()

@@ -114,8 +114,10 @@ def extract(
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]
     for target in targets:
         check_writable(target, folder=True)
+    # A target may not exist yet; it is checked already, and made before the report.
     if report is not None and report.parent not in targets:
         check_writable(report)
+    # A URDF made of a xacro file or an MJCF is there within this block only.
     with ExitStack() as made:
         with _uncollected():
             with needing_extra("the extraction", "extract"):
@@ -129,10 +131,12 @@ def extract(
                 found = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, found, folder, jobs)}
     if home is not None and folder is not None:
+        # Copied only now, so that a search that fails leaves no copy behind.
         report_copy(folder, own(folder))
     _write(targets, page, model, found)
     stored = []
     if home is not None:
+        # From the stored files: openings belong to the hand's other actions, too.
         openings = made_of(home)
         stored.append(write_openings(home, openings.hand, openings.tables))
     if as_json:
@@ -145,6 +149,7 @@ def extract(
     written = [*targets, *stored, *([report] if report else [])]
     notes += [f"written to {target}" for target in written]
     for note in notes:
+        # In a pipe, the output holds the table or the JSON and nothing else.
         print(note, file=sys.stdout if sys.stdout.isatty() and not as_json else sys.stderr)
 
 
@@ -181,6 +186,7 @@ def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
     if folder is None:
         return [], []
     results, notes = read_results(folder / FILE_NAME), []
+    # Outdated results are still shown, with a note.
     if results and not read_results(folder / FILE_NAME, fingerprint(folder)):
         notes.append(
             f"the trials in {FILE_NAME} are outdated, made with other files of this hand or by an"
@@ -264,6 +270,7 @@ def made_of(folder: Path) -> Openings:
         from rtee.extract.openings import make_openings
     from rtee.actions.openings import Openings
 
+    # By its path: the name may find another folder first.
     library = actions_of(str(folder))
     with progress_bar("measuring openings") as progress:
         return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))

@@ -101,6 +101,7 @@ def _of(gain: str, actuator: str) -> bool:
 
 def _shown(names: Sequence[str], values: Sequence[float], actuator: str | None) -> dict[str, float]:
     """Return a device's gains with their values; NaN where it does not tell."""
+    # A device that does not tell its gains has names of them, but no values.
     known = dict(zip(names, values, strict=False))
     return {
         name: known.get(name, math.nan) for name in names if actuator is None or _of(name, actuator)

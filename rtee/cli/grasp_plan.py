@@ -79,6 +79,7 @@ def grasp_plan(
         print(json.dumps({**document, "plans": document["plans"][:top]}, indent=2))
     else:
         _show(ranking, top)
+    # What dynamics lost is not stored either.
     if not ranking.plans or (ranking.plans[0].check and not ranking.plans[0].check.held):
         raise typer.Exit(1)
     if save is not None:
@@ -156,6 +157,7 @@ def _show(ranking: Ranking, top: int) -> None:
 def _pose(plan: GraspPlan) -> tuple[float, float, float, float, float, float]:
     """Return position [m] and roll, pitch, yaw [degrees] of the object."""
     (a, _, _, x), (b, _, _, y), (c, d, e, z), _ = plan.pose
+    # Rotations about x, then y, then z of the base; rounding may bring the sine beyond 1.
     roll, pitch, yaw = math.atan2(d, e), math.asin(max(-1.0, min(1.0, -c))), math.atan2(b, a)
     return x, y, z, math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
@@ -169,5 +171,6 @@ def _save(library: ActionLibrary, name: str, ranking: Ranking, replace: bool, qu
 
     plan = ranking.plans[0]
     action = action_of(library, name, plan, f"Planned for {ranking.object}: {plan.label}.")
+    # With --json, the output is one object and nothing else.
     with contextlib.redirect_stdout(sys.stderr) if quiet else contextlib.nullcontext():
         store(library, action, replace)

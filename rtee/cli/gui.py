@@ -79,6 +79,7 @@ def _lower_priority() -> None:
     """
     with contextlib.suppress(OSError):  # some containers permit neither
         os.nice(max(0, _NICE - os.nice(0)))
+        # Any other policy is somebody's choice and stays.
         if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_OTHER:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 

@@ -29,6 +29,7 @@ def _row(name: str, folder: str) -> dict[str, Any]:
 
     try:
         hand, config = load_configured(Path(folder))
+    # A mistake in one hand must not keep the others from being listed.
     except RteeError as error:
         return {"name": name, "folder": folder, "error": str(error)}
     return {

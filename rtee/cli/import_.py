@@ -38,6 +38,7 @@ def import_(
     if out is not None:
         library = ActionLibrary.load(library.hand, out)
     kept = _add(library, imported.actions, replace)
+    # Storing may copy a shipped hand, which people have to know.
     before = library.folder
     library.save(out)
     if out is None:

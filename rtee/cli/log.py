@@ -93,6 +93,7 @@ def _show(found: Info) -> None:
         Table(columns, tuple(spans)).show()
     for entry in recording.events:
         event = entry.value
+        # Traces are the bytes of the buses: several in each tick.
         if event.kind != "trace":
             print(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in recording.notes:
@@ -138,6 +139,7 @@ def plot(
     if html:
         from rtee.log.plot_html import write_html
 
+        # Not with_suffix, which would cut off what follows a dot in the name.
         path = base.with_name(base.name + ".html")
         write_html(drawing, path)
         print(path)
@@ -157,6 +159,7 @@ def _write_pictures(recording: Recording, path: Path) -> None:
         with needing_extra("a picture of the object", "extract"):
             from rtee.trials.recorded_pictures import write_pictures
         write_pictures(recording, path)
+    # The plots are written by then; a picture less is no failure.
     except MissingExtra as error:
         print(f"note: {error}")
     else:
@@ -239,6 +242,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     from rtee.messages.topics import ROBOT_DESCRIPTION
     from rtee.run import RunOptions, run_hands
 
+    # Only what is needed to find the hand; the driver reads the rest.
     recording = read(path, only=[ROBOT_DESCRIPTION])
     with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
         if not recording.finished:
@@ -250,7 +254,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
             driver="replay",
             driver_options={"file": str(path.absolute()), "speed": speed, "repeat": repeat},
             rate=recording.rate or None,
-            record=False,
+            record=False,  # it is recorded already
             companions=(beside_this_run("gui"),) if gui else (),
         )
 
@@ -267,6 +271,7 @@ def _configured(name: str, actuators: list[str]) -> bool:
     from rtee.hand.load import load_hand
 
     try:
+        # By its name alone: a recording must not lead to a folder somewhere.
         find_hand(name)
         return sorted(load_hand(name).actuator_names) == sorted(actuators)
     except UserError:
@@ -298,6 +303,7 @@ def _show_check(found: Check, as_json: bool) -> None:
         if found.missing:
             print(f"{found.missing} ticks are not in the recording: missed, or dropped")
     if not found.same:
+        # For scripts, a difference is a failure.
         raise typer.Exit(1)
 
 

@@ -73,6 +73,7 @@ class LazyGroup(TyperGroup):
         if entry is None:
             return None
         # A list shows all commands; importing them would take seconds.
+        # A shell that completes has the words in the environment, so that argv does not tell.
         if cmd_name not in sys.argv and "_RTEE_COMPLETE" not in os.environ:
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
         module, _, name = entry[0].partition(":")
@@ -131,7 +132,9 @@ _EXHAUSTED: Final = {
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
     try:
+        # Not standalone: typer would print errors in its own form and exit by itself.
         status = cli(prog_name="rtee", standalone_mode=False)
+        # Here, where a failure to write is still put into words; at exit it no longer is.
         sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except SystemExit as ended:
@@ -168,11 +171,12 @@ def main() -> None:
         )
         _leave_unread(2)
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
+        sys.exit(130)  # 128 + SIGINT, as shells have it
 
 
 def _leave_unread(status: int) -> NoReturn:
     """Exit without printing what is still buffered."""
+    # Python flushes the output once more as it exits, which would fail again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(status)
 

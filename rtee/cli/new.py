@@ -53,6 +53,7 @@ def new(
 
         if srdf or package_dir or arguments:
             raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
+        # Checked, since it becomes a part of a path.
         _copy(hand_folder(source), into / check_name(name, "hand"))
         return
     with needing_extra("making a hand from a URDF", "extract"):

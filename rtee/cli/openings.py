@@ -51,6 +51,7 @@ def make(hand: str) -> None:
     folder = hand_folder(hand)
     own_place(folder)  # refused before the work
     made = made_of(folder)
+    # After the work: if that fails, no copy is left behind.
     home = own(folder)
     report_copy(folder, home)
     print(f"written to {write_openings(home, made.hand, made.tables)}", file=sys.stderr)
@@ -70,6 +71,7 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
         try:
             found.append(tables.of(action))
         except ActionError as error:
+            # That timed actions have no opening is as it should be.
             if action.action_kind != "timed":
                 notes[str(error)] = None
     return found, list(notes)

@@ -102,6 +102,7 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
     def kinds() -> list[str]:
         return sorted({row.type for row in offered() if row.name == name})
 
+    # A node that has just started may not be in the graph yet.
     with anyio.move_on_after(_NEW):
         await context.graph.wait_until(lambda: bool(kinds()))
     found = kinds()
@@ -232,11 +233,13 @@ def echo(
     async def work(context: Context) -> None:
         kind = await _the_type(context, Sort.TOPIC, full, type_)
         there = context.graph.of(Kind.PUBLISHER, full)
+        # What was sent before comes only to a subscription that is latched, too.
         latched = any(one.qos.transient_local for one in there)
         left, last, ended = count, anyio.current_time(), anyio.Event()
 
         def show(message: Message) -> None:
             nonlocal left, last
+            # Messages may arrive between the last one that is wanted and the end of the node.
             if ended.is_set():
                 return
             _print(message, as_json)
@@ -246,9 +249,11 @@ def echo(
                 if not left:
                     ended.set()
 
+        # Several of these commands may run at once, and names of nodes should be unique.
         node = context.node(f"{NODE}_{os.getpid()}")
         node.subscription(full, kind, show, LATCHED if latched else DEFAULT)
         while not ended.is_set():
+            # Each message moves the time on, so that the wait begins anew.
             until = math.inf if timeout is None else last + timeout
             if anyio.current_time() > until:
                 raise RemoteError(f"nothing came on {full} for {timeout:g} s")
@@ -329,6 +334,7 @@ def send_goal(
             sent = await client.send_goal(asked, show)
             try:
                 outcome = await sent.result(timeout)
+            # On Ctrl-C, too, which cancels this task: unshielded, the request would not go out.
             except BaseException:
                 with anyio.CancelScope(shield=True), suppress(TimeoutError):
                     await sent.cancel()
@@ -352,6 +358,7 @@ def _swapped(kind: str | None, fields: str | None) -> tuple[str | None, str | No
 
 
 def _is_type(text: str) -> bool:
+    # Types are pkg/Name or pkg/srv/Name; fields in YAML have a colon or a brace.
     return text.count("/") in (1, 2) and not set(text) & set(" {:")
 
 

@@ -77,6 +77,7 @@ def serve(
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
 
     if beside is not None:
+        # The value of nice is relative, and what was inherited from the run counts.
         os.nice(max(0, _NICE - os.nice(0)))
 
     anyio.run(work_beside, beside, partial(serve_hands, shown, environment))
@@ -91,6 +92,7 @@ def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Show
     from rtee.hand.names import check_name
     from rtee.ros2.serving import Shown, overridden
 
+    # A hand that runs elsewhere may be unknown here; the network tells what it is.
     if not Path(hand).exists() and hand not in hand_names():
         if endpoint is None and hand not in _running():
             raise ConfigError(f"there is no hand '{hand}': neither configured nor running here")

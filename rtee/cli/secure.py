@@ -81,6 +81,7 @@ def add_client(
 ) -> None:
     """Make a certificate for a client: watch (observer), move (operator), change (maintainer)."""
     path = out or Path(f"{name}@{hand}.pem")
+    # Before the certificate is made: one that cannot be stored would be admitted all the same.
     if path.exists():
         raise ConfigError("is there already", path=path)
     authority = _authority()
@@ -144,6 +145,7 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
             return []
         if service is not None and service.certificates is not None:
             known = Credentials(service.certificates)
+        # Asked first: files that cannot be read would count as missing.
         if known.hidden:
             text = f"in {known.folder}, which is not yours to read"
             return [warning("certificate", text, f"sudo rtee doctor {name}")]

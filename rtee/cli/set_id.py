@@ -46,6 +46,7 @@ def set_id(
             if number is None:
                 found = await feetech(baudrate).ask(pool, port)
                 ids = [int(one.options["id"]) for one in found]
+                # Among several, nobody knows which one is meant.
                 if len(ids) != 1:
                     listed = f"are servos {', '.join(map(str, ids))}" if ids else "is no servo"
                     raise ConfigError(

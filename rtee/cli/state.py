@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,9 @@ Touch = Mapping[str, "TouchState"]
 
 _DIGITS = 2
 """Decimals of touch: sensors measure no better than 0.01 N."""
+
+_TOUCH_EVERY = 0.02
+"""Least time between two requests for touch [s]: the hand takes a hundred in a second."""
 
 _COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
 """The quantities shown."""
@@ -51,11 +55,13 @@ def state(
         raise typer.BadParameter("--once and --follow exclude each other")
 
     async def execute(remote: RemoteHand) -> None:
+        # In a script, the command has to end by itself.
         if once or not (follow or on_terminal()):
             _print(remote.name, await remote.state(), await _touch(remote), as_json)
         elif as_json or not on_terminal():
+            touch = _Felt(remote)
             async for found in remote.states(rate):
-                _print(remote.name, found, await _touch(remote), as_json)
+                _print(remote.name, found, await touch.newest(), as_json)
         else:
             await _live(remote, rate)
 
@@ -70,14 +76,31 @@ async def _touch(remote: RemoteHand) -> Touch:
         return {}
 
 
+class _Felt:
+    """What touch sensors measure, asked for no more often than the hand takes requests."""
+
+    def __init__(self, remote: RemoteHand) -> None:
+        self._remote, self._due = remote, -math.inf
+        self._known: Touch = {}
+
+    async def newest(self) -> Touch:
+        """Return what they measured a moment ago."""
+        if time.monotonic() >= self._due:
+            self._known = await _touch(self._remote)
+            self._due = time.monotonic() + _TOUCH_EVERY
+        return self._known
+
+
 async def _live(remote: RemoteHand, rate: float) -> None:
     from rich.console import Console, Group
     from rich.live import Live
 
+    # Drawn with each state alone: between two there is nothing new.
+    felt = _Felt(remote)
     with Live(console=Console(), auto_refresh=False) as live:
         async for found in remote.states(rate):
             tables = [_table(remote.name, found)]
-            if touch := await _touch(remote):
+            if touch := await felt.newest():
                 tables.append(_touch_table(touch, found.stamp))
             live.update(Group(*(t.drawn(live.console.width) for t in tables)), refresh=True)
 
@@ -139,6 +162,7 @@ def _plain(name: str, found: State, touch: Touch) -> dict[str, Any]:
         "tick": found.tick,
         "time": found.stamp,
         "actuators": {
+            # JSON does not know the numbers of NumPy.
             actuator: {column: getattr(found, column)[i].item() for column in columns}
             for i, actuator in enumerate(found.names)
         },
@@ -175,4 +199,5 @@ def _table(name: str, found: State) -> Table:
 
 
 def _number(value: float, digits: int) -> str:
+    # Adding 0.0 makes 0 of -0, which rounding leaves of small negative numbers.
     return "–" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"

@@ -27,6 +27,7 @@ def stop(
 
     names: list[str | None] = [hand]
     if hand is None and connect is None:
+        # Without any, connecting says so in its own words.
         names = list(hands_running()) or [None]
     confirmed: dict[str, dict[str, bool]] = {}
     errors: list[RteeError] = []
@@ -40,12 +41,14 @@ def stop(
             for device, done in devices.items():  # printed now: another hand may not answer
                 words = "has stopped" if done else "did NOT confirm the stop"
                 print(f"{remote.name}: {device} {words}", flush=True)
+        # Raised here, it would cancel the stop of the other hands.
         except RteeError as error:
             errors.append(error)
 
     async def everyone() -> None:
         async with anyio.create_task_group() as group:
             for name in names:
+                # All at once: no hand moves on while another one takes its time to answer.
                 group.start_soon(one, name)
 
     anyio.run(everyone)

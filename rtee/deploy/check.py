@@ -53,6 +53,7 @@ def _files(needs: Needs, installation: Installation, again: str) -> Check:
         return wrong("service", f"missing: {', '.join(lost)}", again)
     changed = [path for path, state in states.items() if state is State.KEPT]
     if changed:
+        # Installing again would keep such a file, so that it has to be removed first.
         text = f"changed by hand: {', '.join(changed)}"
         return warning("service", text, f"if that was not meant, remove it and type: {again}")
     wanted = drop_in(needs) | hand_files(needs, installation.root)
@@ -78,6 +79,7 @@ def _certificates(needs: Needs, installation: Installation) -> list[Check]:
     remedy = "; ".join(certificates_made(needs))
     try:
         owner = key.stat().st_uid
+    # Whether there is a key cannot be seen from outside the folder.
     except PermissionError:
         return [
             warning(what, f"{key.parent} is not yours to read", "sudo rtee doctor " + needs.hand)
@@ -102,17 +104,20 @@ def _ports(needs: Needs) -> list[Check]:
             f"the number: udevadm info {port.path} | grep SERIAL_SHORT",
         )
         for port in needs.ports
-        if port.kind in ("ttyUSB", "ttyACM")
+        if port.kind in ("ttyUSB", "ttyACM")  # numbered in the order in which they were found
     ]
 
 
 def _recordings(needs: Needs, root: Path) -> Check:
     folder = root / str(STATE / needs.log).lstrip("/")
+    # The first run makes it; until then, the nearest folder above is on the same disk.
     while not folder.exists() and folder != root:
         folder = folder.parent
     space = shutil.disk_usage(folder)
     wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
-    if space.free < needs.log_size:
+    # Those that are there already have their place.
+    there = sum(file.stat().st_size for file in folder.glob("*.mcap"))
+    if space.free + there < needs.log_size:
         return warning(
             "recordings",
             f"{wanted}, {space.free / 1e9:.0f} GB are free",

@@ -103,6 +103,7 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
         for path, name in _SHIPPED.items()
     } | {
         ACCOUNTS: _USER,
+        # Above 60: udev's own 60-serial.rules find the serial number that these compare.
         f"/etc/udev/rules.d/90-rtee-{needs.hand}.rules": _rules(needs),
     }
     if realtime:
@@ -135,6 +136,7 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
             "AmbientCapabilities=CAP_NET_RAW",
         ]
     if needs.log.is_absolute() and not needs.log.is_relative_to(STATE):
+        # With the minus, a folder that is missing does not keep the service from starting.
         lines.append(f"ReadWritePaths=-{checked_path(needs.log, 'log: directory')}")
     if not lines[2:]:
         return {}

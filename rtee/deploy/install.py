@@ -79,6 +79,7 @@ class Manifest:
                 for k, v in document["files"].items()
             }
             folders = [str(each) for each in document["folders"]]
+            # Whoever could write this file must not be able to have root remove any other.
             if any(not _is_ours(each) for each in files):
                 raise ValueError("a path is none of rtee's")
             return cls(files, hands, folders, bool(document["user"]))
@@ -166,6 +167,7 @@ class Installation:
     def user_id(self) -> int | None:
         """Return the number of the user that runs hands, if there is one."""
         with contextlib.suppress(OSError, ValueError, IndexError):
+            # Not by the module pwd, which knows the accounts of the running system only.
             for line in self._place("/etc/passwd").read_text("utf-8", "replace").splitlines():
                 if line.startswith(f"{USER}:"):
                     return int(line.split(":")[2])
@@ -185,6 +187,7 @@ class Installation:
             ConfigError: if something can't be written; what was is in the manifest.
         """
         states = self.compare(hand, files)
+        # The hand may need fewer files by now than when it was installed.
         stale = [path for path in self.manifest.of(hand) if path not in states]
         manifest = self.manifest
         wanted = [Path(path).parent for path in (*states, MANIFEST)]
@@ -195,6 +198,7 @@ class Installation:
                 if path in files and state is not State.KEPT:
                     manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
                 hands = manifest.hands.setdefault(path, [])
+                # A link has no digest, but belongs to the files that a hand needs.
                 manifest.files.setdefault(path, "")
                 if hand not in hands:
                     hands.append(hand)
@@ -260,6 +264,7 @@ class Installation:
         commands = (
             ("systemctl", "daemon-reload"),
             ("udevadm", "control", "--reload"),
+            # Rules count when a device appears; those that are plugged in are announced again.
             ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=usb-serial"),
         )
         failed = [(words, self._call(*words)) for words in commands]
@@ -298,6 +303,7 @@ class Installation:
         there = _digest(place)
         if there == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
             return State.SAME
+        # Even with the same content it is another's: uninstalling must not take it away.
         if path not in self.manifest.files:
             return None
         return State.CHANGED if there == self.manifest.files[path] else State.KEPT
@@ -328,11 +334,13 @@ class Installation:
                 try:
                     place.unlink()
                 except OSError as error:
+                    # What is removed so far is out of the manifest; the rest can be tried again.
                     manifest.hands[path].append(hand)
                     self._save()
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
                 states[path] = State.REMOVED
             elif there is State.KEPT:
+                # It leaves the manifest all the same: from now on it is its author's.
                 states[path] = there
             del manifest.hands[path], manifest.files[path]
         self._tidy()
@@ -342,7 +350,9 @@ class Installation:
         """Remove folders that were made and are empty, and a manifest that says nothing."""
         needed = bool(self.manifest.files or self.manifest.user)
         if not needed:
+            # Before the folders, since the one that it is in can only go when it is empty.
             self._place(MANIFEST).unlink(missing_ok=True)
+        # The longest path first: a folder is removed before the one that it lies in.
         for folder in sorted(self.manifest.folders, key=len, reverse=True):
             with contextlib.suppress(OSError):  # others have put something there
                 self._folder(folder).rmdir()
@@ -365,6 +375,7 @@ class Installation:
 
     def _call(self, *words: str) -> str:
         """Run a program; return why that failed, empty if it did not."""
+        # The PATH of people often lacks sbin, where userdel and groupdel are.
         program = shutil.which(words[0], path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
         if program is None:
             return f"there is no {words[0]} here"

@@ -138,6 +138,7 @@ class Needs:
                 serial = serials.get(spec.name, "")
                 serial = serial and checked_word(serial, f"the serial number of '{spec.name}'")
                 ports.append(Port(spec.name, path, serial))
+            # Not a path but a URL, such as socket://host:port.
             elif isinstance(port, str):
                 host = port
             if isinstance(host, str):
@@ -146,6 +147,7 @@ class Needs:
             if channel and interface == "socketcan":
                 name = checked_word(str(channel), f"the CAN channel of '{spec.name}'")
                 can[name] = int(options.get("bitrate") or CAN_BITRATE)
+            # Devices on a CAN bus name a channel, too; those on EtherCAT an interface alone.
             ethercat |= bool(interface) and channel is None
         wrong = set(serials) - {port.device for port in ports}
         if wrong:
@@ -208,7 +210,9 @@ def _beyond(address: str, *, listens: bool = False) -> set[str]:
     try:
         found = ipaddress.ip_address(host)
     except ValueError:
+        # systemd opens the network by number alone, and what a name stands for may change.
         return {"any"}
     if found.is_loopback:
         return set()
+    # From which addresses clients will come is not known.
     return {"any" if listens else str(found)}

@@ -174,4 +174,5 @@ def _tell_mujoco(root: ElementTree.Element) -> None:
     if compiler is None:
         compiler = ElementTree.SubElement(extension, "compiler")
     for attribute, value in _COMPILER.items():
+        # These are defaults only: they must not replace what the URDF tells MuJoCo itself.
         compiler.set(attribute, compiler.get(attribute, value))

@@ -171,7 +171,10 @@ def _groups(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[_
         tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
         ways[i] = [motor.joint] if motor.joint is not None else list(tendon or {})
         if motor.tendon is not None and tendon is None:
-            ways[i] = [j for loop in found.loops if motor.name in loop.what for j in loop.joints]
+            # With its quotes: the name of one motor may begin with that of another.
+            ways[i] = [
+                j for loop in found.loops if f"'{motor.name}'" in loop.what for j in loop.joints
+            ]
         join(ways[i])
     for line in (*found.lines, *_sums(found.springs)):
         join(list(line.factors))
@@ -232,6 +235,7 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
     right = np.zeros((len(given), 1 + motors))
     right[:held, 0] = [line.value for line in group.lines]
     right[held:, 1:] = np.eye(motors)
+    # The smallest solution: in it the joints of a tendon share its way by their factors.
     q = np.linalg.pinv(given) @ right
     free = null_space(given)
     free_by_springs = _springs_decide(group, q, free)

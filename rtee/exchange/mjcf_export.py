@@ -136,6 +136,7 @@ def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
     """Add a touch sensor to each fingertip: the sum of the normal forces in a box around it [N]."""
+    # The boxes around meshes are known only once the model is compiled.
     model = spec.compile()
     for finger in hand.fingers:
         if finger.tip is None:

@@ -108,6 +108,8 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     for element in elements:
         if element.tag in _REFUSED:
             raise element.error(f"<{element.tag}> {_REFUSED[element.tag]}")
+        if element.tag == "mesh" and "builtin" in element.attributes:
+            raise element.error("a mesh that MuJoCo makes is not read; give it as a file")
         _check_numbers(element)
     bodies = sum(element.tag == "body" for element in elements)
     if bodies > MOST_BODIES:
@@ -314,5 +316,6 @@ def _reduce(spec: mujoco.MjSpec, missing: dict[str, str], path: Path) -> list[st
         spec.delete(material)
     # Memory and sizes that the file asks for; nothing is simulated with them.
     spec.memory, spec.nuserdata, spec.nkey = -1, 0, 0
+    # The compiler must neither join fixed bodies nor drop what is only seen.
     spec.compiler.discardvisual = spec.compiler.fusestatic = spec.compiler.usethread = False
     return notes

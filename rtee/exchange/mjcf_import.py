@@ -161,6 +161,7 @@ class _Writer:
         model, body = self._model, 0
         while body == 0 or self._names[body] == CARRIER:
             below = self._children[body]
+            # The floor of a scene may be there; any other shape makes the body a part of the hand.
             shapes = [
                 g for g in self._geoms(body) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
             ]
@@ -257,6 +258,7 @@ class _Writer:
             f"    <child link={quoteattr(child)}/>",
             f"    {_origin(place, turn)}",
             f'    <axis xyz="{_numbers(axis)}"/>',
+            # MuJoCo has no velocity limits; 0 means that none is given.
             f'    <limit{limit} effort="{_number(effort)}" velocity="0"/>',
             *self._mimic(motion.follows.get(joint)),
             "  </joint>",
@@ -358,6 +360,8 @@ class _Writer:
         model = self._model
         if mesh not in self._meshes:
             first, faces = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
+            # Not the file's vertices: MuJoCo has moved the mesh into its inertial frame, and the
+            # shape's pose with it.
             vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
             corners = model.mesh_face[faces : faces + int(model.mesh_facenum[mesh])]
             name = str(model.mesh(mesh).name) or "mesh"

@@ -264,6 +264,7 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
             ahead = math.copysign(min(step, abs(end - at)), end - at)
             # From where the last step leads on, so that the linkage does not fold over.
             found = linkage.close(at + ahead, 2.0 * q - before)
+            # A jump: Newton's method has found another way in which the linkage closes.
             if found is None or float(np.abs(found - q).max()) > 20.0 * step:
                 break
             at, q, before = at + ahead, found, q

@@ -216,6 +216,7 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
         factors, stiffness = tendon_factors(model, tendon), float(model.tendon_stiffness[tendon])
         if factors is not None and stiffness > 0.0:
             lower, upper = model.tendon_lengthspring[tendon]
+            # Such a spring may have a dead band, whose middle stands for it.
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
             found.springs.append(Line(factors, value, stiffness))
         _add_limited_tendon(model, tendon, found)
@@ -307,6 +308,7 @@ def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> fl
     limits = []
     if model.actuator_forcelimited[i]:
         limits.append(float(np.abs(model.actuator_forcerange[i]).max()) * abs(gear))
+    # Only without a bias is the force the control times the gain; a servo's depends on its error.
     elif model.actuator_ctrllimited[i] and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE:
         gain = abs(float(model.actuator_gainprm[i, 0]) * gear)
         limits.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * gain)

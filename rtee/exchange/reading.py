@@ -111,6 +111,7 @@ def _made(path: Path) -> Iterator[Path]:
         try:
             yield folder
         except UserError as error:
+            # The folder is gone when the message is read, and its lines are not those of the file.
             if error.path is not None and error.path.is_relative_to(folder):
                 error.path, error.line = path, None
             raise

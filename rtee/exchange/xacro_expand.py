@@ -94,6 +94,7 @@ def expand(
     except subprocess.TimeoutExpired:
         raise ModelError(f"xacro does not end within {_TIME:g} s", path=path) from None
     finally:
+        # On Ctrl-C, too: its signal does not reach a process with a session of its own.
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()

@@ -272,6 +272,8 @@ class Access:
 
     def _role(self, *given: str) -> Role | None:
         for token, role in self._tokens.items():
+            # In constant time, so that answers do not tell how much of a token is right. Encoded,
+            # since a cookie may hold more than ASCII, which compare_digest refuses as text.
             if any(secrets.compare_digest(token.encode(), each.encode()) for each in given):
                 return role
         return None

@@ -150,6 +150,7 @@ class App:
     def _offer(self) -> None:
         if self._endpoint is not None:
             return
+        # The chosen hand stays in the list while it is away: it is shown when it returns.
         names = tuple(sorted({*hands_running(), *([self._wanted] if self._wanted else [])}))
         if self._wanted is None and names:
             self._wanted = names[0]
@@ -199,6 +200,7 @@ async def serve(
     """
     visitors = Visitors(access)
     server = visitors.open_server(port)
+    # viser takes the next free port, but the proxy would lead to what listens on this one.
     if access.behind_proxy and server.get_port() != port:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()

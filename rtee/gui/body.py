@@ -88,6 +88,7 @@ class HandBody:
     ) -> None:
         handles: list[Any] = []
         shapes = urdf.links[link].collisions
+        # The browser draws simple shapes from their sizes; only meshes are sent as triangles.
         if not any(shape.kind == "mesh" for shape in shapes):
             for index, shape in enumerate(shapes):
                 handles.append(self._add_shape(f"{path}/shape{index}", shape, colour))
@@ -128,11 +129,13 @@ class HandBody:
 
     @visible.setter
     def visible(self, shown: bool) -> None:
+        # Each assignment is sent to every window.
         if shown != self._frame.visible:
             self._frame.visible = shown
 
     def moved(self, position: FloatArray) -> list[int]:
         """Return which joints would visibly move to positions ``(m,)`` [rad | m]."""
+        # "Not less", since NaN, where nothing was drawn yet, must count as a motion.
         seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
         found: list[int] = np.flatnonzero(seen).tolist()
         return found
@@ -141,6 +144,7 @@ class HandBody:
         """Move to joint positions ``(m,)`` [rad | m]; joints that do not move are not sent."""
         for index in self.moved(position):
             frame, axis, slides = self._moving[index]
+            # Kept only for what is sent, so that slow motion adds up until it is seen.
             value = self._last[index] = float(position[index])
             if slides:
                 frame.position = value * axis

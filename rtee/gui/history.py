@@ -95,6 +95,7 @@ def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]
     span = max(high - low, least)
     step = 10.0 ** math.floor(math.log10(span))
     step *= next(factor for factor in (0.25, 0.5, 1.0, 2.5) if span <= 4.0 * factor * step)
+    # The small number keeps rounding from adding a step to a range that already fits.
     low, high = math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
     lacking = max(0, math.ceil((least - (high - low)) / (2.0 * step) - 1e-9))
     return low - lacking * step, high + lacking * step

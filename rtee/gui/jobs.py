@@ -57,6 +57,7 @@ class Jobs:
             return await self._run(job, tell)
         finally:
             self._doing = ""
+            # When the GUI ends, this task is cancelled while the process still works.
             process, self._process = self._process, None
             if process is not None and process.returncode is None:
                 process.kill()
@@ -83,6 +84,7 @@ class Jobs:
             tell(said)
         if self._cancelled:
             return False
+        # Its output has ended without a last word: it crashed or was killed.
         status = await process.wait()
         raise RequestRejected(
             f"{self._doing} ended with exit status {status}; see rtee try or rtee grasp-plan"

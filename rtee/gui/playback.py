@@ -63,6 +63,7 @@ class Playback:
     @property
     def duration(self) -> float:
         """Length of the recording [s]."""
+        # The timeline divides by it, and a recording may hold a single state.
         return max(self.recording.duration, 0.001)
 
     @property
@@ -138,6 +139,7 @@ class Playback:
         end = self._row(states.t, self.time) + 1
         start = int(np.searchsorted(states.t, self.time - length))
         step = max(1, -(-(end - start) // POINTS))
+        # At multiples of the step, counted from the start, so that the lines do not flicker.
         rows = np.arange(start + (-start) % step, end, step)
         time = states.t[rows] - self.time
         if name == "reference":

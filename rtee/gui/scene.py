@@ -85,6 +85,7 @@ class HandScene:
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
         camera.position = tuple(middle + size * np.array([0.68, 0.59, 0.4]))
+        # In proportion to the hand: a small one must not be cut off when it is looked at closely.
         camera.near = 0.01 * size
         self._server.scene.add_grid(
             "/floor",
@@ -131,6 +132,7 @@ class HandScene:
             self._strained[finger.name] = strength
             for link in finger.links:
                 own = self._colours[link]
+                # The palm's colour marks links of no single finger, whose effort they could show.
                 if own != PALM:
                     self._body.set_colour(link, blend(own, STRAINED, strength))
 

@@ -87,6 +87,7 @@ class ObjectView:
     def _place(self, frame: viser.FrameHandle, pose: FloatArray | None) -> None:
         if frame.visible != (pose is not None):
             frame.visible = pose is not None
+        # At first the pose drawn is NaN, which compares as false: the object is placed.
         if pose is None or np.abs(pose - self._pose).max() < _UNSEEN:
             return
         self._pose = pose
@@ -134,6 +135,7 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     points, forces = rows[:, :3], rows[:, 3:6]
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
     length = _LONGEST * size * strength / (strength + _HALF)
+    # A contact without force has no direction either: 0/0 would be NaN.
     ways = forces / np.maximum(strength, math.ulp(1.0)) * length
     return np.stack([points, points + ways], axis=1)
 

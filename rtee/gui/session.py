@@ -169,6 +169,7 @@ class Session:
         self._scene.show_contacts(contacts if self._touch.value else ())
 
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
+        # What an action leaves out stays at its reference, so that the ghost shows it there.
         start = self._hand.rest if self._state is None else self._state.reference_position
         target = np.array(start)
         for name in posture.involved:
@@ -224,6 +225,7 @@ class Session:
         return any(name.endswith(f"/{OBJECT_POSE}") for name in state.channels)
 
     async def _ask_trials(self) -> None:
+        # An older hand cannot tell, and a damaged file of trials must not end the session.
         with contextlib.suppress(RequestRejected, ConfigError):
             text = await self._remote.trials()
             self._actions.show_trials(await anyio.to_thread.run_sync(tried_in, text))
@@ -251,6 +253,7 @@ class Session:
 
     async def _follow_states(self) -> None:
         """Draw the states received meanwhile, 30 times a second while a window is open."""
+        # As many as the plots show, should drawing be held up for that long.
         most = round(_STATE_RATE * LONGEST)
         async with self._remote.collected_states(_STATE_RATE, most) as states:
             while True:
@@ -259,6 +262,7 @@ class Session:
                 for state in states.drain(1 if watched else _UNWATCHED_STEP):
                     self._receive(state)
                 if watched:
+                    # In one go, which costs less, and no window shows half of a state.
                     with self._bridge.server.atomic():
                         self._draw(time.monotonic())
 

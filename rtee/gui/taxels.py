@@ -73,6 +73,7 @@ class TaxelView:
         for device in [name for name in self._sensors if name not in names]:
             self._forget(device)
         for state in states:
+            # By identity: a device's states share their sensors until it is another device.
             if self._sensors.get(state.device) is not state.sensors:
                 self._forget(state.device)
                 self._add(state)
@@ -115,6 +116,7 @@ class TaxelView:
         unit = sensor.unit
         largest = float(np.nanmax(values, initial=0.0))
         least = _LEAST.get(unit, 0.05 * sensor.full if math.isfinite(sensor.full) else 1.0)
+        # One scale for all sensors of a unit. It never shrinks: taxels that are let go turn dark.
         most = self._most[unit] = max(self._most.get(unit, least), largest)
         return most
 
@@ -147,4 +149,5 @@ def _size(points: FloatArray, alone: float) -> float:
         return alone
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(apart, np.inf)
+    # The median: a few taxels that are close together must not shrink all points.
     return _POINT * float(np.median(apart.min(axis=1)))

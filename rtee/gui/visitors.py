@@ -123,6 +123,7 @@ class Visitors:
     def admits(self, role: Role | None, message: str | bytes) -> bool:
         """Return whether a message of a page is passed on."""
         try:
+            # viser's page sends binary messages only, so that a text is nothing that it sent.
             found = msgspec.msgpack.decode(
                 message if isinstance(message, bytes) else b"", type=_Message
             )
@@ -176,6 +177,7 @@ class Visitor(ServerConnection):
 def _in_role(handler: Handler) -> Handler:
     async def handle(connection: ServerConnection) -> None:
         # What viser calls for this connection runs in this task or its children: `_greet`.
+        # Without a known role, a page is told only what everybody may do.
         _role.set(getattr(connection, "role", None) or Role.OBSERVER)
         await handler(connection)
 
@@ -202,4 +204,5 @@ _NO_REFUSALS: Final = _NoRefusals()
 
 def _be_quiet(connection: ServerConnection) -> None:
     logger = connection.logger
+    # Called for every request: a logger keeps the same filter only once.
     (logger.logger if isinstance(logger, logging.LoggerAdapter) else logger).addFilter(_NO_REFUSALS)

@@ -79,6 +79,7 @@ def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
 
 def _spread(hand: Hand) -> list[FloatArray]:
     """Return postures all over the limits: at the lower, at the upper, then a Halton sequence."""
+    # A joint without limits: one turn has all of its postures.
     lower = np.where(np.isfinite(hand.lower), hand.lower, -np.pi)
     upper = np.where(np.isfinite(hand.upper), hand.upper, np.pi)
     corners = np.array([np.zeros_like(lower), np.ones_like(lower)])

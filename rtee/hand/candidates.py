@@ -147,6 +147,7 @@ def _outer(hand: Hand) -> dict[str, str]:
         turning = tip_pose_and_jacobian(hand, finger.tip, hand.rest)[1][3:]
         axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
         lengths = [float(np.linalg.norm(axis)) for axis in axes]
+        # The axis of a slide is zero here, since it turns nothing.
         if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
             found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
     return found

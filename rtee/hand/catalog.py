@@ -42,6 +42,8 @@ def own_dirs() -> list[Path]:
     """
     found = [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
     found.append(Path("config"))
+    # `~` stays where no home is known, and a relative XDG_CONFIG_HOME is to be ignored; either
+    # would be a folder in the working directory.
     settings = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
     return [*found, settings / "rtee" / "hands"] if settings.is_absolute() else found
 

@@ -122,7 +122,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
         chains = (_chain(srdf, group, urdf, "chain") for group in srdf.groups.values())
         return tuple(chain for chain in chains if chain is not None)
     fingers = []
-    for group in _members(srdf, collection, ()):
+    for group in _members(srdf, collection, (), set()):
         chain = _chain(srdf, group, urdf, why)
         if chain is None:
             raise ModelError(
@@ -153,16 +153,22 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
     return group, f"group '{group.name}'"
 
 
-def _members(srdf: Srdf, group: SrdfGroup, above: tuple[str, ...]) -> Iterator[SrdfGroup]:
+def _members(
+    srdf: Srdf, group: SrdfGroup, above: tuple[str, ...], seen: set[str]
+) -> Iterator[SrdfGroup]:
     """Yield the groups without subgroups inside a group, each once and in order."""
     # Checked on the way down, or groups that contain each other would never end.
     if group.name in above:
         raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
+    if group.name in seen:
+        return
+    seen.add(group.name)
     for name in group.subgroups:
         member = srdf.groups[name]
         if member.subgroups:
-            yield from _members(srdf, member, (*above, group.name))
-        else:
+            yield from _members(srdf, member, (*above, group.name), seen)
+        elif name not in seen:
+            seen.add(name)
             yield member
 
 

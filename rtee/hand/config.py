@@ -38,6 +38,7 @@ _CONFIG = typing.cast("ConfigDict", {**Section.__pydantic_config__, "frozen": Tr
 
 MeasuredOpening = Annotated[
     tuple[Annotated[float, Field(ge=0, le=1)], Annotated[float, Field(ge=0, le=2)]],
+    # YAML has lists only, which strict mode would not take for tuples.
     Field(strict=False),
 ]
 """An intensity and the opening measured there [m]."""
@@ -192,6 +193,7 @@ def _first_error(errors: ValidationError, document: YamlDocument) -> ConfigError
     found = document.located(errors.errors())
     location, error = found[0]
     reasons = [e["msg"] for place, e in found if place == location]  # several for a union
+    # In words for people, who write YAML and do not know pydantic's types.
     message = " or ".join(
         reason.removeprefix("Value error, ").removeprefix("Input ").replace(" tuple", " list")
         for reason in reasons

@@ -217,6 +217,7 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
     """Return what people call a finger, and why; nothing where its names do not agree."""
     links = _branch(end, ends, urdf)[1:]
     text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
+    # Only where a word begins: "spring" holds "ring".
     words = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
     if len(words) == 1:
         return words[0], "named after the word in its links and joints"

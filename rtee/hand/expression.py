@@ -302,6 +302,7 @@ def _polynomial(terms: dict[int, float]) -> _Node:
     def dual(x: float) -> Dual:
         value, slope = 0.0, 0.0
         for factor in factors:
+            # The slope comes first: it needs the value of the step before.
             slope = slope * x + value
             value = value * x + factor
         return value, slope
@@ -368,6 +369,7 @@ def _constant_power(base: _Node, power: float) -> _Node:
     def slope(a: list[float], da: list[float]) -> float:
         return (power * math.pow(a[0], power - 1.0) if power else 0.0) * da[0]
 
+    # Not ``**``, which makes complex numbers of roots of negative ones; math.pow raises an error.
     return _combined([base], lambda a: math.pow(a[0], power), slope)
 
 

@@ -59,7 +59,7 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
             del staged[target]
         # A renamed file survives a power cut only once its folder is on the disk.
         for folder in folders:
-            _sync_folder(folder)
+            sync_folder(folder)
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
     finally:
@@ -118,6 +118,7 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     try:
         yield make_folder(folder)
     except BaseException:
+        # The innermost first; rmdir leaves folders alone in which there is something by now.
         for each in made:
             with contextlib.suppress(OSError):
                 each.rmdir()
@@ -138,6 +139,7 @@ def new_tree(target: Path) -> Iterator[Path]:
         raise ConfigError("is already there; remove the folder first", path=target)
     with new_folder(target.parent) as place:
         try:
+            # Beside the target: a folder can be renamed only within its file system.
             with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=place) as scratch:
                 filled = Path(scratch) / target.name
                 filled.mkdir()
@@ -236,7 +238,8 @@ def _mode_of(target: Path) -> int:
         return 0o666 & ~mask
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Have a folder's renamed files survive a power cut; raises `OSError`."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -169,6 +169,7 @@ class JointFrames:
         begin = np.array([quaternion(joint.rpy) for joint in driven]).reshape(-1, 4)
         axes = np.array([joint.axis for joint in driven]).reshape(-1, 3)
         slides = np.array([joint.kind == "prismatic" for joint in driven], dtype=bool)
+        # 0 for a slide, which keeps its orientation in the formula below.
         self._half = np.where(slides, 0.0, 0.5)
         # The quaternion product of the orientation at 0 and a turn by q about the axis is
         # cos(q/2) · begin + sin(q/2) · (begin × axis).

@@ -324,6 +324,7 @@ def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
 def hull_of(points: FloatArray) -> coal.ConvexBase:
     """Return the convex hull of points ``(k, 3)`` [m]; flat ones are first thickened by 10 µm."""
     if not _is_flat(points):
+        # Qt: Qhull splits its faces into triangles, which Coal is asked to keep.
         return coal.Convex.convexHull(_vector(points), True, "Qt")
     # Each point becomes a tiny cube, whose hull is never flat.
     corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)

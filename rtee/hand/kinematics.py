@@ -69,6 +69,7 @@ class Kinematics:
         """Return which joints move a body: 1 or 0 per joint ``(m,)``."""
         mask = np.zeros(self.model.nv)
         for joint in self.model.supports[body]:
+            # Joint 0 is Pinocchio's universe, which never moves.
             if joint:
                 mask[joint - 1] = 1.0
         return mask

@@ -81,6 +81,7 @@ def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
     for name in REST_STATES:
         states = [state for state in srdf.states if state.name.lower() == name] if srdf else []
         if states:
+            # A group_state is of one group: the posture of a hand may be spread over several.
             values = {joint: value for state in states for joint, value in state.values.items()}
             return states[0].name, values
     return "", {}

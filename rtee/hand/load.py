@@ -208,6 +208,11 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ConfigError: A name or a configured value is not allowed.
     """
     notes = check_srdf(srdf, urdf) if srdf else []
+    unknown = next((n for n in overrides.passive if n not in urdf.joints), None)
+    if unknown is not None:
+        raise ModelError(
+            f"no joint '{unknown}', which is to be passive; {suggestion(unknown, urdf.joints)}"
+        )
     passive = {
         n for n in (*(srdf.passive if srdf else ()), *overrides.passive) if urdf.joints[n].moving
     }
@@ -342,6 +347,7 @@ def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> 
 
 
 def _role(joint: UrdfJoint, passive: set[str]) -> JointRole:
+    # First: what a joint follows says more than that it has no motor, where a file says both.
     if joint.mimic is not None:
         return JointRole.MIMIC
     return JointRole.PASSIVE if joint.name in passive else JointRole.ACTUATOR

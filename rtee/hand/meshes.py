@@ -45,6 +45,7 @@ def resolve_mesh(
             candidates = [folder / uri]
             candidates += [Path(package) / uri for package in package_dirs]
         elif match[1] == "file":
+            # file://localhost/… names the same file as file:///… (RFC 8089).
             candidates = [Path(unquote(match[2].removeprefix("localhost")))]
         elif match[1] in ("package", "model"):
             candidates = list(_in_packages(match[2], folder, package_dirs))
@@ -101,6 +102,7 @@ def find_package(
         folder: Folder of the file that names it.
         package_dirs: Folders to look it up in, before those of the environment.
     """
+    # Such a name would lead away from the folders in which packages lie.
     if package in ("", ".", "..") or "/" in package:
         return None
     place = next((p for p in _packages(package, folder, package_dirs) if p.is_dir()), None)

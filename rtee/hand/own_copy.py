@@ -146,6 +146,7 @@ def _fill(folder: Path, copy: Path, name: str) -> None:
         place.chmod(stat.S_IMODE(place.stat().st_mode) | stat.S_IWUSR)
     if config.name != name:
         file = copy / FILE_NAME
+        # As text, so that comments and layout stay.
         text = read_bytes(file, FILE_NAME).decode("utf-8")
         write_atomically(file, _NAME.sub(lambda found: found[1] + name, text, count=1))
     # Loaded before it gets its place: what cannot be loaded is never the hand of that name.

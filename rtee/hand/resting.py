@@ -141,6 +141,7 @@ class _Search:
             a for pair in pairs for a, bound in self._steps(pair) if self._parts(pair, a, bound)
         }
         for _ in range(_PASSES):
+            # In the hand's order: what is chosen for one actuator counts for those after it.
             for a in sorted(helpful):
                 spec = self._hand.actuators[a]
                 tried = []
@@ -233,6 +234,7 @@ def closed_rest_of(hand: Hand) -> ClosedRest | None:
     Raises:
         ModelError: A mesh cannot be read.
     """
+    # Here only: it needs Coal and Pinocchio, which a robot's computer may not have.
     from rtee.hand.geometry import HandGeometry
 
     return closed_rest(HandGeometry(hand))

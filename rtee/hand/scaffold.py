@@ -252,6 +252,7 @@ def without_linkages(
     if not kept or not notes:
         return hand.fingers, []
     names = name_fingers([finger.links[-1] for finger in kept], hand.urdf)
+    # The last part of a reason says where the name comes from, which may have changed.
     return tuple(
         replace(f, name=name, reason=f"{f.reason.rpartition('; ')[0]}; {why}")
         for f, (name, why) in zip(kept, names, strict=True)

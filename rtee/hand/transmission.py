@@ -149,6 +149,7 @@ class Transmission:
         """
         u = np.asarray(u, dtype=np.float64)
         q: FloatArray = u[..., self._follows] * self._factor + self.offset
+        # Joints at rest were looked up at actuator 0, whose NaN must not reach them.
         if self._still.size:
             q[..., self._still] = self.offset[self._still]
         for row, actuator, coupling in self._curved:
@@ -307,6 +308,13 @@ def _stage(urdf: Urdf, joint: UrdfJoint, mimic: UrdfMimic) -> Linear | Expressio
 def _check_range(urdf: Urdf, actuators: Sequence[UrdfJoint], known: Mapping[str, Coupling]) -> None:
     """Refuse non-linear couplings without a finite value or slope within the limits."""
     for name, coupling in known.items():
+        if coupling.actuator is None and not math.isfinite(coupling.value(0.0)):
+            mimic = urdf.joints[name].mimic
+            raise ExpressionError(
+                f"nlFunPos of joint '{name}' has no finite value where the joint it follows stands",
+                path=urdf.path,
+                line=mimic.line if mimic else None,
+            )
         if coupling.linear or coupling.actuator is None:
             continue
         actuator = actuators[coupling.actuator]

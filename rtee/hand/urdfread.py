@@ -113,6 +113,7 @@ def _friction(link: Element, for_gazebo: Element | None) -> float | None:
         value = float(found.attributes.get("value", "") or found.text)
     except ValueError:  # other programs read this part of the file, and may take more
         return None
+    # NaN fails this comparison, too.
     return value if 0.0 <= value <= MOST else None
 
 

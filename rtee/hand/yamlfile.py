@@ -46,6 +46,7 @@ class YamlDocument:
 
         Only errors need it, so that the text is read once more for it.
         """
+        # The text was judged when it was first read, so this reader need not refuse anything.
         reader = _Reader(self.path, UserError, foreign=True)
         reader.value(yaml_reader().compose(self.text), ())
         return reader.lines

@@ -10,6 +10,7 @@ DECIMALS: Final = 9
 """Decimals of stored numbers: a nanometre or a nanoradian, far below the accuracy of any hand."""
 
 _PLAIN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
+# Readers of other versions of YAML take these words for flags, numbers or nothing.
 _RESERVED: Final = frozenset(
     {"true", "false", "null", "yes", "no", "on", "off", "y", "n", "nan", "inf"}
 )

@@ -352,3 +352,8 @@ def test_damaged_files_end_in_an_error_of_ours_or_none(
         assert "\n" not in str(error)  # noqa: PT017
     finally:
         path.write_text(whole)
+
+
+def test_numbers_of_states_may_have_leading_zeros(hand: Hand, tmp_path: Path) -> None:
+    (tmp_path / "trig.yaml").write_text(trig("index", 0.5).replace("State_1:", "State_01:"))
+    assert [action.name for action in import_folder(hand, tmp_path).actions] == ["Trig"]

@@ -197,6 +197,31 @@ def test_rename_everywhere(library: ActionLibrary, tmp_path: Path) -> None:
         library.rename("fist", "../fist")
 
 
+def test_an_action_that_replaces_one_of_another_kind_takes_its_file(
+    library: ActionLibrary, tmp_path: Path
+) -> None:
+    library.save(tmp_path)
+    library.add(generic(library.hand, "same", {"spread": 0.01}), store=True)
+    library.add(library.compose("same", [Use("Point")]), store=True, replace_same=True)
+    again = ActionLibrary.load(library.hand, tmp_path)
+    assert isinstance(again.find("same"), Composed)
+    library.add(generic(library.hand, "same", {"spread": 0.02}), replace_same=True)
+    library.save(tmp_path)
+    assert not isinstance(ActionLibrary.load(library.hand, tmp_path).find("same"), Composed)
+    library.remove("same")
+    assert "same" not in ActionLibrary.load(library.hand, tmp_path).names
+
+
+def test_comments_stay_when_an_action_is_renamed(library: ActionLibrary, tmp_path: Path) -> None:
+    library.save(tmp_path)
+    before = tmp_path / "composed" / "schunkGrasp.yaml"
+    before.write_text("# Mine.\n" + before.read_text())
+    library.reload()
+    library.rename("schunkGrasp", "fist")
+    assert not before.exists()
+    assert "# Mine." in (tmp_path / "composed" / "fist.yaml").read_text()
+
+
 def test_rename_to_another_spelling(library: ActionLibrary, tmp_path: Path) -> None:
     library.save(tmp_path)
     library.rename("schunkGrasp", "schunk_grasp")

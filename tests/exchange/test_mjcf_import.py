@@ -799,3 +799,19 @@ def test_frames_and_meshes_as_obj(tmp_path: Path) -> None:
     assert vertices.min(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-7)
     assert vertices.max(axis=0) == pytest.approx([0.01, 0.02, 0.03], abs=1e-7)
     assert pad.kind == "mesh"
+
+
+def test_a_passive_joint_that_does_not_exist_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "hand.xml"
+    file.write_text(hand_of(MOTORS))
+    found = import_mjcf(file, tmp_path)
+    with pytest.raises(ModelError, match="no joint 'nobody', which is to be passive"):
+        load_model(found.urdf, passive=("nobody",))
+
+
+def test_a_mesh_that_mujoco_would_make_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "hand.xml"
+    asset = '<asset><mesh name="big" builtin="supersphere" params="1000 1 1"/></asset>'
+    file.write_text(hand_of(MOTORS).replace("<worldbody>", f"{asset}<worldbody>", 1))
+    with pytest.raises(ModelError, match="a mesh that MuJoCo makes is not read"):
+        import_mjcf(file, tmp_path)

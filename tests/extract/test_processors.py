@@ -33,6 +33,11 @@ KERNELS = {
 }
 """Settings under which numerical libraries compute as on other x86-64 processors."""
 
+CPU = Path("/proc/cpuinfo")
+if CPU.exists() and "avx512f" not in CPU.read_text():
+    # Its kernels are instructions that this processor does not have.
+    del KERNELS["OpenBLAS SkylakeX"]
+
 OFFLINE = [
     *(p for p in (ROOT / "rtee" / "extract").glob("*.py") if not p.name.startswith("report")),
     *(

@@ -183,3 +183,14 @@ def test_a_finger_named_like_a_path(load: Load) -> None:
 def test_both_kinds_of_notes_for_another_robot(load: Load) -> None:
     hand = load(srdf=changed('name="gripper"', 'name="other"'))
     assert "the SRDF is for robot 'other', the URDF is of 'gripper'" in hand.notes
+
+
+def test_a_finger_in_several_groups_is_one_finger(load: Load) -> None:
+    below = '<group name="left_finger"/><group name="right_finger"/>'
+    groups = [f'<group name="a0">{below}</group><group name="b0">{below}</group>']
+    for k in range(1, 25):  # each level would double the work
+        both = f'<group name="a{k - 1}"/><group name="b{k - 1}"/>'
+        groups.append(f'<group name="a{k}">{both}</group><group name="b{k}">{both}</group>')
+    effector = '<end_effector name="e" parent_link="palm" group="a24"/>'
+    srdf = changed("</robot>", "\n".join([*groups, effector, "</robot>"]))
+    assert load(srdf=srdf).finger_names == ("left_finger", "right_finger")

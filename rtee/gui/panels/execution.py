@@ -66,7 +66,7 @@ class Execution:
             limits = {a.name: a.effort for a in (await self._hand.info()).actuators}
             options["effort"] = {
                 name: effort * limits[name]
-                for name in last_posture(action).involved
+                for name in dict.fromkeys(n for at in action.waypoints for n in at.involved)
                 if math.isfinite(limits[name])
             }
         name, elements = key_of(action)

@@ -130,8 +130,10 @@ class TouchPanel:
         for sensors, t, sums in windows.values():
             chosen = [index for index, sensor in enumerate(sensors) if sensor.unit == unit]
             rows = np.searchsorted(t, times, side="right") - 1
-            held = sums[np.maximum(rows, 0)]
-            lines += [np.where(rows >= 0, held[:, index], np.nan) for index in chosen]
+            # A row of NaN first, for times before a device's readings, or without any.
+            known = np.full((len(t) + 1, len(sensors)), np.nan)
+            known[1:] = sums.reshape(len(t), len(sensors))
+            lines += [known[rows + 1, index] for index in chosen]
         ends = nice_range(lines, _SPAN)
         return (times, *lines, *(np.full(len(times), end) for end in ends))
 
