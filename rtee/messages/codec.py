@@ -104,6 +104,7 @@ def channels_of(
     ends = np.cumsum(lengths.astype(np.int64))
     if len(ends) != len(names) or (ends[-1] if len(ends) else 0) != len(values):
         raise MessageError("the channels and their values do not match")
+    # Of no ends at all, np.split would make one piece, which has no name.
     return dict(zip(names, np.split(values, ends[:-1]), strict=True)) if names else {}
 
 
@@ -134,7 +135,9 @@ class Codec(Generic[T]):
         self._held = {name: (list(how.pack), how.unpack) for name, how in held.items()}
         get: dict[str, Callable[[T], Any]] = {name: attrgetter(name) for name in self._same}
         for name, how in held.items():
+            # By a function: a lambda made in this loop would see the last attribute only.
             get |= {one: _packing(name, pack) for one, pack in how.pack.items()}
+        # All types begin with a header, which `_BEGIN` writes and `decode` skips.
         rest = self.kind.fields[1:]
         self._writers = [(one.name, writer_of(one), get.get(one.name)) for one in rest]
         self._readers = [(one.name, _reader_of(one)) for one in rest]
@@ -158,8 +161,10 @@ class Codec(Generic[T]):
         writer = Writer(_BEGIN.pack(HEADER, *divmod(wall, SECOND), 1, 0))
         try:
             for _, write, get in self._writers:
+                # The one field that no attribute holds is the time.
                 write(writer, time if get is None else get(value))
         except (TypeError, ValueError, AttributeError, struct.error) as error:
+            # A MessageError is a ValueError, too, and already says what is wrong.
             if isinstance(error, MessageError):
                 raise
             raise MessageError(f"{self.kind.name}: {error}") from error
@@ -172,6 +177,7 @@ class Codec(Generic[T]):
     def decode(self, data: Data) -> T:
         """Return the value that a message holds; raises `MessageError` if it holds none."""
         reader = Reader(data)
+        # The objects hold neither the time since 1970 nor a frame.
         reader.skip(_STAMP_SIZE)
         reader.string()
         fields = {name: read(reader) for name, read in self._readers}
@@ -191,6 +197,7 @@ def _packing(attribute: str, pack: Callable[[Any], Any]) -> Callable[[Any], Any]
 
 def _reader_of(one: Field) -> Callable[[Reader], Any]:
     if one.sequence and one.kind in SCALARS:
+        # As a list: attributes are tuples and mappings of plain numbers, not arrays.
         return lambda reader: reader.numbers(one.kind)
     return reader_of(one)
 

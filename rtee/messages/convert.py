@@ -159,6 +159,7 @@ def plain(command: Command) -> Plain:
         case Hold(reason):
             return "hold", reason, {}
         case Freeze(reason, actuators):
+            # Only the names count, but the message pairs each of them with a number.
             return "freeze", reason, dict.fromkeys(actuators, 1.0)
         case Jog(positions, max_velocity):
             # repr: the shortest text from which the same number is read again, bit for bit.
@@ -214,6 +215,7 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
                 return EndStream(stream, reason)
     except (ValueError, KeyError) as error:
         raise MessageError(f"a command '{kind}' makes no sense: {error}") from None
+    # The text comes from a file or the network and may be of any length.
     raise MessageError(f"unknown command '{kind[:50]}'")
 
 
@@ -257,6 +259,7 @@ _SAMPLE_FIELDS: Mapping[str, Callable[[StreamSample], Any]] = {
     "velocity": lambda sample: list(sample.velocity.values()),
     "actuator": lambda sample: list(sample.positions),
     "position": lambda sample: list(sample.positions.values()),
+    # In the order of the positions, since both share the list of names.
     "rate": lambda sample: [sample.velocities[name] for name in sample.positions],
 }
 

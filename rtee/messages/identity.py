@@ -40,11 +40,13 @@ class Claim:
     def count(self) -> int:
         """The number itself; 0 if it is none."""
         digits = self.number.partition(".")[0]
+        # isdigit alone also holds for digits that int() refuses, such as superscripts.
         return int(digits) if digits.isdigit() and digits.isascii() else 0
 
     def signed_by(self, secret: bytes, request: str, question: bytes) -> bool:
         """Return whether a request was signed with a secret."""
         expected = _signature(secret, request, self.number, question)
+        # In constant time, so that its duration does not tell how much of a guess is right.
         return hmac.compare_digest(expected, self.signature)
 
 
@@ -53,6 +55,7 @@ def claim_of(attachment: bytes | None) -> Claim | None:
     if attachment is None or len(attachment) > LONGEST_CLAIM:
         return None
     parts = attachment.decode("ascii", "replace").split(" ")
+    # compare_digest raises for texts that are not ASCII.
     if len(parts) != len(fields(Claim)) or not parts[2].isascii():
         return None
     return Claim(*parts)

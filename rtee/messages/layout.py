@@ -55,6 +55,7 @@ def places(kind: MessageType, data: bytes) -> dict[str, slice]:
             else:
                 numbers = reader.array if field.sequence else reader.scalar
                 size = np.size(numbers(field.kind)) * SCALARS[field.kind].size
+                # Counted from the end: the padding comes before the numbers.
                 end = len(data) - reader.remaining
                 found[path] = slice(end - size, end)
 
@@ -92,6 +93,7 @@ class Template:
         self.parts: list[bytes] = []
         position = 0
         for name in changing:
+            # With a dot behind both, so that `force` does not take `force_error` along.
             found = [at for path, at in where.items() if f"{path}.".startswith(f"{name}.")]
             begin, end = found[0].start, found[-1].stop
             if begin < position:
@@ -107,6 +109,7 @@ class Template:
         Raises:
             ValueError: if one has another length.
         """
+        # Assigning to such a slice raises ValueError unless there are as many pieces.
         self.parts[1::2] = pieces
         data = b"".join(self.parts)
         if len(data) != self.size:
@@ -121,6 +124,7 @@ def stamp_bytes(wall_ns: int) -> bytes:
 
 def joint_state_fields(names: Sequence[str], frame: str = "") -> dict[str, Any]:
     """Return the fields of a ``sensor_msgs/JointState`` full of zeros."""
+    # Only their lengths matter, so the three may be one array.
     zeros = dict.fromkeys(JOINT_ARRAYS, np.zeros(len(names)))
     return {"header": header(0, frame), "name": list(names), **zeros}
 
@@ -153,6 +157,7 @@ class JointStateEncoder:
         Raises:
             ValueError: if an array has another length or type.
         """
+        # Each by itself, since `filled` only notices a wrong sum of lengths.
         if not position.nbytes == velocity.nbytes == effort.nbytes == self._size:
             raise ValueError(f"{self._size // 8} values of float64 expected")
         return self._template.filled(
@@ -190,5 +195,6 @@ class TransformsEncoder:
         """
         stamp, size = stamp_bytes(wall_ns), translation.itemsize * _NUMBERS
         data = np.hstack((translation, rotation)).tobytes()
+        # A row is one transform: in its definition, the rotation follows the translation.
         rows = [data[begin : begin + size] for begin in range(0, len(data), size)]
         return self._template.filled([piece for row in rows for piece in (stamp, row)])

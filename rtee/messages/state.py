@@ -109,6 +109,7 @@ class StateEncoder:
     def _template(self, channels: Mapping[str, FloatArray], source: str) -> Template:
         """Return the layout for channels of these names and lengths, and a source of the force."""
         key = source, tuple((name, len(values)) for name, values in channels.items())
+        # One for each set of channels and each source: their names are in the constant pieces.
         found = self._templates.get(key)
         if found is None:
             held = ("channel", "channel_length", "channel_value")
@@ -152,6 +153,7 @@ def decode_state(data: Data) -> State:
     fields = STATE.decode(data)
     names, joints = tuple(fields["name"]), tuple(fields["joint"])
     lengths = {len(fields[name]) for name in COLUMNS}
+    # Whoever gets a state indexes all its arrays by the same names.
     if lengths != {len(names)} or len(fields["joint_position"]) != len(joints):
         raise MessageError("the arrays of a state have different lengths")
     return State(

@@ -45,6 +45,7 @@ class TouchEncoder:
             ValueError: if the values are not those of the sensors.
         """
         known = self._templates.get(state.device)
+        # By identity: a device's sensors are one object until it is another device.
         if known is None or known[0] is not state.sensors:
             known = state.sensors, Template(TOUCH, touch_fields(state), _CHANGING)
             self._templates[state.device] = known
@@ -91,6 +92,7 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     if sum(taxels) != len(values) or min(taxels, default=1) < 1 or len(values) > MOST_TAXELS:
         raise MessageError("the values of a touch message do not fit its sensors")
     sensors = known.get(fields["device"], ())
+    # `known` comes from another message and may be of a device that was replaced since.
     if [(s.name, s.unit, s.taxels) for s in sensors] != list(
         zip(names, units, taxels, strict=True)
     ):
@@ -154,6 +156,7 @@ def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
 
 def measured_at(record: TickRecord, state: TouchState) -> int:
     """Return when a state of a tick was measured, since 1970 [ns]."""
+    # Sensors are read between ticks; both stamps are of the monotonic clock.
     return record.wall_ns - round((record.stamp - state.stamp) * SECOND)
 
 

@@ -22,6 +22,7 @@ def typestore() -> Typestore:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, definition in DEFINITIONS.items():
+        # rosbags brings the types of ROS itself; only those of rtee are missing.
         if name not in store.types:
             store.register(get_types_from_msg(definition, name))
     return store

@@ -35,6 +35,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
 
     text, mass, scale = question["object"], question["mass"], question["scale"]
     mesh = base64.b64decode(question["mesh"])
+    # A path would let a client read files of the hand's computer: meshes come by content.
     if not mesh and not is_shape(text):
         raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
     folder = Path(question["hand"])
@@ -46,6 +47,7 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
             file.write_bytes(mesh)
         thing = read_object(str(file) if mesh else text, mass, scale)
     axis = question["weight_axis"] or None
+    # The temporary file's path means nothing to whoever asked.
     thing = dataclasses.replace(thing, name=text)
     ranking = plan_grasps(hand, library, thing, friction=question["friction"], weight_axis=axis)
     return to_document(dataclasses.replace(ranking, plans=ranking.plans[: question["top"]]))
@@ -70,6 +72,7 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
         np.reshape(asked[name], (4, 4)) if asked[name] else None for name in ("pose", "object_pose")
     )
     text = asked["object"]
+    # No path from outside is opened; see `answer`.
     if text and not is_shape(text):
         raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
     thing = read_object(text) if text else None

@@ -178,6 +178,8 @@ def ask(
     """
     question.check()
     words = {**question.words(), "hand": str(folder)}
+    # With -P, Python does not look for modules in the working folder, where anything may be,
+    # so the folder of rtee is named.
     paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "rtee.planning"],
@@ -194,6 +196,7 @@ def ask(
         found = json.loads(said)
     except subprocess.TimeoutExpired:
         process.kill()
+        # Collects the exit status: otherwise a zombie stays.
         process.wait()
         raise RequestRejected(f"no grasp was planned within {_PATIENCE:g} s") from None
     except ValueError:

@@ -75,6 +75,7 @@ class ActionWay:
         """
         count = len(self.knots) - 1
         along = np.broadcast_to(np.asarray(shares, dtype=np.float64), self.knots.shape[1:]) * count
+        # A share of 1 is the end of the last leg, not the beginning of another one.
         leg = np.minimum(along.astype(np.int64), count - 1)
         rows = np.arange(self.knots.shape[1])
         begin, end = self.knots[leg, rows], self.knots[leg + 1, rows]
@@ -128,6 +129,7 @@ class Closing:
         self._speed = np.max(steps, axis=0) * STEPS
         """How fast each shape moves at most [m per unit of intensity]."""
         kinematics = scene.geometry.kinematics
+        # Absolute values, so that joints which move against each other do not cancel.
         drive = np.array(
             [
                 kinematics.support(shape.body) @ np.abs(scene.hand.transmission.jacobian(u)) > 0.0
@@ -148,6 +150,7 @@ class Closing:
         Returns:
             The closed hand, or ``None`` where it never holds the object from two sides.
         """
+        # `_push` moves the object in place, and the caller's pose must stay.
         start, pose = pose, pose.copy()
         tick = math.floor(begin * _TICKS)
         near = self.scene.bounds(self._posed(tick), pose)
@@ -162,6 +165,7 @@ class Closing:
             if tick >= _TICKS:
                 return None
             step = min(_STEP, _TICKS - tick)
+            # These stay lower bounds: no shape moves farther in a step.
             near -= self._speed * (step / _TICKS)
             tick += step
         return self._rest_closed(pose, tick / _TICKS, touches)
@@ -175,6 +179,7 @@ class Closing:
     def _rest_closed(self, pose: FloatArray, first: float, touches: list[Touch]) -> Closure:
         """Let the actuators go on that are not blocked, with the object where it is."""
         s, shares = first, np.full(len(self.scene.hand.rest), first)
+        # Those that never move count as blocked, so that the loop can end early.
         blocked: BoolArray = ~self.way.moving
         for touch in touches:
             blocked = blocked | self._drives[touch.shape]
@@ -194,6 +199,7 @@ class Closing:
                     touches.append(touch)
                     blocked = blocked | self._drives[shape]
                 step = min(step, touch.distance / speed[shape])
+            # At least one step: a link inside the object has a negative way left.
             s = min(1.0, s + max(_STEP / _TICKS, step))
             shares = np.where(blocked, shares, s)
             at = self.scene.posed(self.way.at(shares))
@@ -214,6 +220,7 @@ class Closing:
         while tick < _TICKS:
             at = self._posed(tick)
             least = float(_TICKS - tick)
+            # The earliest possible contact first: its distance rules most others out.
             for shape in np.argsort(near / speed, kind="stable").tolist():
                 if near[shape] / speed[shape] >= least:
                     break
@@ -221,6 +228,7 @@ class Closing:
                 least = min(least, float(near[shape] / speed[shape]))
                 if least < 1.0:
                     return tick
+            # Rounded down, so that the hand stops before it touches.
             tick += math.floor(least)
             near -= speed * math.floor(least)
         return _TICKS
@@ -248,6 +256,7 @@ class Closing:
             ):  # as several shapes of a jaw: the mean would leave it inside
                 push = _clear_of(min(deep, key=lambda touch: touch.distance))
             pose[:3, 3] += push
+            # The object may have come nearer to any shape by all of the push.
             near -= float(np.linalg.norm(push))
             touches = self._touching(near, at, pose)
         return touches
@@ -263,8 +272,10 @@ class Closing:
         if float((normals @ normals.T).min()) <= -np.cos(slope):
             return True  # two of them face each other
         mean = normals.sum(axis=0)
+        # Near their mean, every edge of every cone has a part along it: no sum of them is zero.
         if float((normals @ mean).min()) > np.sin(slope) * np.linalg.norm(mean):
             return False  # all push the same way
+        # Forces alone: an object that does not turn needs no balance of torques.
         edges = [cone(normal, self.friction) for normal in normals]
         return balanced(np.concatenate(edges))
 

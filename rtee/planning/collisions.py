@@ -51,10 +51,12 @@ class Collisions:
         self._hand, self._geometry = hand, geometry
         kinematics = geometry.kinematics
         parents = kinematics.model.parents
+        # Sets, since an SRDF names the two links of a pair in any order.
         disabled = {frozenset((a, b)) for a, b, _ in hand.disabled_collisions}
         self._pairs = []
         for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
             first, second = (kinematics.body(link) for link in links)
+            # Links that a fixed joint connects are one body.
             adjacent = first == second or second == parents[first] or first == parents[second]
             if not adjacent and frozenset(links) not in disabled:
                 self._pairs.append(links)
@@ -98,6 +100,7 @@ class Collisions:
             return []
         at = scene.posed(u)
         depths: dict[str, float] = {}
+        # The bounds are lower ones: a shape with a positive one cannot be in the object.
         for number in np.flatnonzero(scene.bounds(at, self._pose) < 0.0).tolist():
             link = self._geometry.shapes[number].link
             depth = -scene.touch(number, at, self._pose).distance

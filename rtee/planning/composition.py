@@ -50,6 +50,7 @@ def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
     if best is None or chosen is None:
         return None
     scaled = _draft(library, _scaled(planner, library, chosen, best))
+    # With as many poses as a stored action gets: with fewer, a worse place may be chosen.
     again = planner.best(scaled)
     if isinstance(again, GraspPlan) and again.score >= 0.9 * best.score:
         best, chosen = again, scaled
@@ -88,6 +89,7 @@ def _combinations(library: ActionLibrary) -> Iterator[tuple[ActionReference, ...
         (_use(pinch), *(_use(t) for t in trigs if not set(t.fingers) & set(pinch.fingers)))
         for pinch in pinches
     ]
+    # A pinch that leaves no other finger out is the stored action itself.
     mixed = [parts for parts in mixed if len(parts) > 1]
     alone = [
         tuple(_use(trig) for trig in chosen)
@@ -126,7 +128,9 @@ def _scaled(
             if abs(way) < 1e-6:
                 continue
             beyond = squeeze(hand.actuators[index]) if closure.blocked[index] else 0.0
+            # One scale serves all of a part's actuators: the one with the farthest to go decides.
             wanted = max(wanted, (target[index] - rest[index]) / way + beyond / abs(way))
+        # Rounded up: rounded down, the part might no longer press.
         scales.append(min(1.0, math.ceil(20.0 * wanted) / 20.0))
     parts = (
         dataclasses.replace(part, scale=scale)

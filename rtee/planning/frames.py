@@ -30,10 +30,12 @@ def checked_pose(pose: object, what: str) -> FloatArray:
     if found.shape != (4, 4) or not np.isfinite(found).all():
         raise ConfigError(f"{what} is a matrix of 4 by 4 finite numbers")
     turn = found[:3, :3]
+    # The determinant, too: the columns of a mirror image are orthonormal as well.
     if np.abs(turn.T @ turn - np.eye(3)).max() > _RIGID or np.linalg.det(turn) < 0.0:
         raise ConfigError(f"{what} is not a rigid transform: its rotation is not orthonormal")
     if np.abs(found[3] - (0.0, 0.0, 0.0, 1.0)).max() > _RIGID:
         raise ConfigError(f"{what} is not a rigid transform: its last row is not 0 0 0 1")
+    # The nearest rotation, so that errors of single precision do not add up in products.
     left, _, right = np.linalg.svd(turn)
     found[:3, :3], found[3] = left @ right, (0.0, 0.0, 0.0, 1.0)
     return found

@@ -250,6 +250,7 @@ def with_openings(actions: Iterable[Action], openings: Any) -> list[tuple[Action
         try:
             found.append((action, openings.of(action)))
         except ActionError as error:
+            # Tables that are missing or outdated give every action the same reason.
             reason = reason or str(error)
     if not found:
         raise ConfigError(reason or "the hand has no actions")
@@ -267,6 +268,7 @@ def _best(
     able = [pair for pair in actions if not fingers or set(fingers) == set(pair[1].fingers)]
     if not able:
         raise ConfigError(f"no action of '{hand.name}' opposes {', '.join(fingers)} alone")
+    # The order is last and unique, so that a tie never compares actions.
     fits = [
         ((*suitability(hand, action, opening, width, margin), order), action, opening)
         for order, (action, opening) in enumerate(able)
@@ -298,24 +300,30 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     goal = _goal(hand, action)
     one, *others = opening.sides
     other = [finger for side in others for finger in side]
+    # Backwards at the end of the way: beyond intensity 1 there is no posture.
     step = _STEP if intensity + _STEP <= 1.0 else -_STEP
 
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
     middle = tips.middle(opening.fingers)
+    # The middle depends on the tips' nearest points, and these on the middle.
     for _ in range(_ROUNDS):
         near = {finger: tips.near(finger, middle)[1] for finger in opening.fingers}
         ends = [np.mean([near[f] for f in side], axis=0) for side in (one, other)]
         middle = 0.5 * (ends[0] + ends[1])
+    # The same points of the tips are followed: the nearest ones would slide along them.
     local = {finger: tips.in_tip(finger, near[finger]) for finger in opening.fingers}
     before = {finger: tips.from_tip(finger, local[finger]) for finger in opening.fingers}
     tips.go(from_rest(np.array(hand.rest), goal, intensity + step))
     moved = {f: (tips.from_tip(f, local[f]) - before[f]) / step for f in opening.fingers}
     closing = np.mean([moved[f] for f in other], axis=0) - np.mean([moved[f] for f in one], axis=0)
     closing /= np.linalg.norm(closing)
+    # Back from the difference: `reach` asks for the hand as it was placed last.
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
 
+    # Perpendicular to the closing, as the axes of the gripper's pose are.
     along = middle - closing * float(middle @ closing)
     along /= np.linalg.norm(along)
+    # The side that reaches less decides: beyond it, only the other side would touch.
     reach = min(max(tips.reach(f, along) for f in side) for side in (one, other))
     frame = np.eye(4)
     frame[:3, :3] = np.column_stack([along, closing, np.cross(along, closing)])

@@ -88,8 +88,10 @@ def _nearest(hand: Hand, index: int, wanted: Mapping[int, float]) -> float:
     if all(couplings[row].linear for row in wanted):
         slopes = {row: couplings[row].dual(0.0) for row in wanted}
         above = sum(s * (wanted[row] - at) for row, (at, s) in slopes.items())
+        # The square error of linear couplings is a parabola: its minimum, clamped, is the best.
         best = above / sum(s * s for _, s in slopes.values())
         return min(max(best, spec.lower), spec.upper)
+    # Curved couplings may give several minima, of which the golden section finds any one.
     grid = np.linspace(spec.lower, spec.upper, _SAMPLES)
     k = int(np.argmin([cost(float(u)) for u in grid]))
     low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, _SAMPLES - 1)])

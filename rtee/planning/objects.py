@@ -125,7 +125,9 @@ class GraspObject:
         """
         points = np.concatenate([piece.points for piece in self.pieces])
         _, axes = np.linalg.eigh(np.cov(points.T) if len(points) > 3 else np.eye(3))
+        # Eigenvectors have no sign of their own: their largest components are made positive.
         axes = axes * np.where(np.abs(axes).max(axis=0) == axes.max(axis=0), 1.0, -1.0)
+        # Right-handed, so that turning into this frame is a rotation and not a reflection.
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         turned, upright = self._volume(axes), self._volume(np.eye(3))
         return axes if turned < _SMALLER * upright else np.eye(3)
@@ -227,6 +229,7 @@ def _primitive(kind: str, size: tuple[float, ...]) -> Piece:
             ends = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
             return Piece(kind, size, coal.Capsule(radius, 2.0 * half), ends, radius)
     radius, height = size
+    # The points are for widths and outlines; distances use Coal's exact cylinder.
     turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
     ring = radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)], axis=1)
     up = np.array([0.0, 0.0, 0.5 * height])
@@ -283,6 +286,7 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
     try:
         mesh = loader.load(str(path), np.full(3, scale))
     except (ValueError, RuntimeError) as error:
+        # Coal also names its own source file and line; those lines have a colon.
         said = [line for line in str(error).splitlines() if ":" not in line]
         why = said[0] if said else "it is no such file"
         raise ModelError(f"the mesh cannot be read: {why}", path=path) from None

@@ -41,7 +41,8 @@ _FINALISTS: Final = 2
 """Poses of an action whose quality and load are worked out; one where there are many actions."""
 
 _ENOUGH: Final = 3
-"""Poses at which an action holds the object, after which no others are tried."""
+"""Poses at which an action holds the object, after which no others are tried; or half of those that
+are asked for, if that is more."""
 
 _JUDGED: Final = 12
 """Actions whose quality and load are worked out: the most promising."""
@@ -194,6 +195,7 @@ class Planner:
                 grasps.append(_Grasp(action, closing, poses, candidate, closure, promise))
                 if len(grasps) >= max(_ENOUGH, most // 2):
                     break
+        # Only where no pose was tried: what is too wide for the tips may still fit into the palm.
         if not tried and narrowest > opening - 2.0 * GAP:
             return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
         self.too_wide = False
@@ -237,6 +239,7 @@ class Planner:
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)
+        # Virtual work: the transposed Jacobian turns the forces at contacts into efforts.
         maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
         maps = np.repeat(maps, EDGES + 2, axis=0)  # each contact has so many wrenches
         torques = np.einsum("kaj,kj->ka", maps, found[:, :3])
@@ -280,10 +283,12 @@ class Planner:
     def _intensity(self, closing: Closing, closure: Closure) -> float:
         """Return how far the action goes so that all blocked actuators press."""
         way = np.abs(closing.way.knots[-1] - closing.way.knots[0])
+        # At least to where the contacts oppose each other, even if no actuator is blocked.
         wanted = [closure.first]
         for index in np.flatnonzero(closure.blocked).tolist():
             beyond = squeeze(self.hand.actuators[index]) / max(float(way[index]), 1e-6)
             wanted.append(float(closure.shares[index]) + beyond)
+        # Rounded up: rounded down, the set-points might no longer press.
         return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
 
     def _before(self, grasp: _Grasp) -> tuple[float, float, float]:
@@ -293,9 +298,11 @@ class Planner:
         """
         gaps, closing, candidate = grasp.poses.gaps, grasp.closing, grasp.candidate
         along = candidate.pose.copy()
+        # Places on its way in, closer to each other near its end, where the fingers are.
         ways = [
             candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)
         ]
+        # A timed action always runs at intensity 1, so it has no pre-shape.
         steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.action, Timed) else (0,)
         for step in steps:
             wide = gaps[step] >= candidate.width + _MARGIN
@@ -305,6 +312,7 @@ class Planner:
             for place in ways:
                 along[:3, 3] = place
                 least = min(least, self.scene.nearest(closing.table[step], along, enough=0.05))
+            # Rest is the last posture to try: there any clearance is reported.
             if not step or least > 1e-3:
                 return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
         return 0.0, float(gaps.max()), 0.0
@@ -368,4 +376,5 @@ def _score(times: float, ball: float, off: float) -> float:
         off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
     """
     held = min(1.0, times / SAFETY)
+    # A product: a grasp that carries nothing scores 0, however good it is otherwise.
     return held * (0.2 + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))

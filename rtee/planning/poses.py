@@ -106,6 +106,7 @@ def outward(scene: GraspScene) -> FloatArray:
     centre = middles.mean(axis=0) if shapes else np.array([0.0, 0.0, 1.0])
     axis = np.zeros(3)
     widest = int(np.argmax(np.abs(centre)))
+    # np.sign gives 0 where the tips' middle is the origin; an axis needs a direction even then.
     axis[widest] = np.sign(centre[widest]) or 1.0
     return axis
 
@@ -122,6 +123,7 @@ def orientations(thing: GraspObject) -> list[FloatArray]:
             continue
         whole = turn @ thing.frame.T
         local = directions @ whole  # the directions in the object's frame
+        # From the box's middle: where a mesh has its origin does not change its looks.
         outline = thing.support(local) - local @ middle
         if all(np.abs(outline - other).max() > limit for other in seen):
             found.append(whole)
@@ -174,6 +176,7 @@ class Poses:
         chosen = [f for f in there if f.name in action.fingers] or [
             f for f in there if moved & set(f.actuators)
         ]
+        # A finger alone opposes nothing: the object goes between it and its neighbour.
         if len(chosen) == 1:
             pose = self._scene.geometry.kinematics.link_pose
             u = self._closing.way.at(1.0)
@@ -194,6 +197,7 @@ class Poses:
 
     def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
         middles = at.middles[tips]
+        # Roughly by volume, so that many small shapes do not draw the middle to them.
         weight = self._scene.radii[tips] ** 3
         return np.asarray(weight @ middles / weight.sum())
 
@@ -207,11 +211,14 @@ class Poses:
         if count < _SEVERAL:
             return None, np.array([-1.0, 1.0][:count])
         ways = self._paths[-1] - self._paths[0]
+        # Only motion across the reach closes on an object; curling tips also move along it.
         ways = ways - np.outer(ways @ self._out, self._out)
         sizes, axes = np.linalg.eigh(ways.T @ ways)
         along = ways @ axes[:, -1]
         least = _TAKES_PART * float(np.abs(along).max())
+        # A tip that moves along the axis starts at its lower end: on side -1.
         sides = np.where(along > least, -1.0, np.where(along < -least, 1.0, 0.0))
+        # Without one clear axis, or with all tips on one side of it, they close from all around.
         decided = sizes[-1] >= max(_DECIDED * sizes[-2], _STILL**2)
         if not decided or not ((sides > 0).any() and (sides < 0).any()):
             return None, np.zeros(count)
@@ -228,6 +235,7 @@ class Poses:
             middle, closing = tips.mean(axis=0), tips[-1] - tips[0]
         closing = closing - (closing @ self._out) * self._out
         size = float(np.linalg.norm(closing))
+        # Tips that meet have no axis between them: any one across the reach will do.
         if size < _STILL:
             closing = np.eye(3)[int(np.argmin(np.abs(self._out)))]
             size = 1.0
@@ -274,10 +282,12 @@ class Poses:
         """
         far = float(np.max((at.middles[tips] - middle) @ towards))
         gone = 0.0
+        # A step of the free distance cannot jump over a fingertip.
         while gone < far:
             here = coal.Transform3s(np.eye(3), middle + gone * towards)
             least = min(self._scene.apart(tip, at, self._probe, here) for tip in tips)
             if least < _PROBED:
+                # The probe's radius is room as well, but not where the probe itself has none.
                 return max(0.0, gone + _PROBE) if gone else 0.0
             gone += least
         return max(0.0, far)
@@ -285,6 +295,7 @@ class Poses:
     @cached_property
     def gaps(self) -> FloatArray:
         """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
+        # A gap takes many distances of each fingertip: with more tips, fewer gaps are measured.
         steps = np.arange(0, len(self._closing.table), 2 if len(self._fingers) < _SEVERAL else 4)
         found = [self._gap(int(step)) for step in steps]
         return np.interp(np.arange(len(self._closing.table)), steps, found)
@@ -310,14 +321,18 @@ class Poses:
             width = self._width(closing, turn)
             if width <= opening - 2.0 * GAP:
                 deep = self._width(self._out, turn, closing)
+                # Rounded, so that the last digits do not decide between turns of the same width.
                 fitting.append((round(width, 3), round(deep, 3), number))
         for width, _, number in sorted(fitting):
+            # The last step that leaves room: before the widest one, the tips are still opening.
             there = np.flatnonzero(self.gaps >= width + GAP)
             step = int(there[there >= open_at].max(initial=open_at))
             placed = self._placed(step, turns[number], self._ways())
             if len(self._fingers) < _SEVERAL:
                 there = np.flatnonzero(self.gaps >= width + 2.0 * _ROOM)
                 wide = int(there[there >= open_at].max(initial=open_at))
+                # Only where one jaw is fixed: where both move, the two places are the same one, and
+                # rounding would decide between equal candidates.
                 if self._aside(wide, step) > _STILL:
                     placed = _by_turns(self._placed(wide, turns[number], self._ways()), placed)
             yield from itertools.islice(placed, _share(most, len(fitting)))
@@ -367,6 +382,7 @@ class Poses:
         middle, closing = self._at(step)
         pose = np.eye(4)
         pose[:3, :3] = self._rotation(closing, turn)
+        # The middle of its box, since a mesh may have its origin anywhere.
         pose[:3, 3] = middle - pose[:3, :3] @ self._scene.object.box[0]
         width, opening = self._width(closing, turn), float(self.gaps.max())
         for way, shift in ways:
@@ -378,6 +394,7 @@ class Poses:
             inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
             centre = float(way @ pose[:3, :3] @ self._scene.object.box[0])
             out_of_reach = float(inner + centre) - _TIPS
+            # The deepest first: the turn's share of poses may be used up before the others.
             depths = [deepest, 0.0, 0.5 * deepest, out_of_reach]
             taken: list[float] = []
             for depth in depths:
@@ -408,11 +425,14 @@ class Poses:
         moved = pose.copy()
         at = self._closing.table[0]
         inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
+        # Its near side, not its middle, begins beyond the reach of the fingers.
         depth = first = _WAY + float(inner)
         while depth > -_DEEPEST:
             moved[:3, 3] = pose[:3, 3] + depth * way
+            # A step of the free distance cannot pass a link; `GAP` is left at the end.
             free = self._scene.nearest(at, moved, enough=first) - GAP
             if free < 0.5 * GAP:
+                # What touches before its first step has no way in.
                 return None if depth >= first else depth
             depth -= free
         return -_DEEPEST

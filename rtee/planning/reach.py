@@ -141,6 +141,7 @@ def reach_contacts(
     before = search.before(u, wanted, fingers)
     involved = [hand.actuator_names[i] for i in search.involved(fingers)]
     middle = np.mean([c.point for c in wanted], axis=0)
+    # The wanted points are in the palm's frame here: their middle is the way from its origin.
     way = base[:3, :3] @ middle if given is None else given
     return ReachedGrasp(
         hand=hand.name,
@@ -208,6 +209,7 @@ def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
             for name in posture.involved:
                 goal[hand.actuator_index(name)] = posture.position[name]
         found += [from_rest(rest, goal, s) for s in _INTENSITIES]
+    # A posture that several actions share would take up several of the `_STARTS`.
     return list({u.round(6).tobytes(): u for u in found}.values())
 
 
@@ -224,6 +226,7 @@ class _Search:
         self._hand, self._tips, self._starts = hand, tips, starts
         self._collisions = collisions
         lower, upper = np.array(hand.lower), np.array(hand.upper)
+        # One turn holds every angle of a continuous actuator, and a search needs finite bounds.
         self._lower = np.where(np.isfinite(lower), lower, -np.pi)
         self._upper = np.where(np.isfinite(upper), upper, np.pi)
         self._range = np.maximum(self._upper - self._lower, 1e-9)
@@ -250,8 +253,10 @@ class _Search:
             order = np.argsort(self._cost(costs, choice), kind="stable")
             for k in order[:_STARTS].tolist():
                 cost, u = self._descend(self._starts[k], wanted, choice)
+                # Looking for collisions is slow: postures that miss the contacts are not worth it.
                 clear = cost >= good or not self._collisions.at(u, choice)
                 (found if clear else colliding).append((cost, u, choice))
+            # By the cost alone: a tie between tuples would compare arrays, which raises.
             if found and min(found, key=lambda each: each[0])[0] < good:
                 break
         least = min((each[0] for each in found), default=math.inf)
@@ -302,6 +307,7 @@ class _Search:
         """Return what is left at a contact, in the base link's frame."""
         self._tips.go(u)
         distance, point, normal = self._probed(contact, finger)
+        # By rounding, the product of unit vectors may exceed 1, which acos refuses.
         angle = math.acos(min(max(float(normal @ contact.normal), -1.0), 1.0))
         return Residual(finger, _point(point), distance, angle)
 
@@ -330,6 +336,7 @@ class _Search:
             square, descent = slope.T @ slope, slope.T @ r
             before = float(r @ r)
             while damping <= _DAMPING[2]:
+                # Marquardt's scaling: actuators in radians and in metres are damped alike.
                 damped = square + damping * np.diag(np.diag(square) + 1e-12)
                 tried = x - np.linalg.solve(damped, descent)
                 tried = np.clip(tried, self._lower[moving], self._upper[moving])
@@ -338,6 +345,7 @@ class _Search:
                     break
                 damping *= 4.0
             else:
+                # No damping improves it: this is the minimum, up to rounding.
                 break
             x, r, damping = tried, after, max(damping / 4.0, _DAMPING[1])
             if before - float(r @ r) < _GAIN * before:
@@ -356,6 +364,7 @@ class _Search:
         columns = []
         for k, i in enumerate(moving):
             step = _DIFFERENCE * self._range[i]
+            # Backwards at the upper limit: no posture outside the limits is asked for.
             if x[k] + step > self._upper[i]:
                 step = -step
             there = x.copy()
@@ -371,6 +380,7 @@ class _Search:
         Rest, if that is nowhere so.
         """
         rest = np.array(self._hand.rest)
+        # From the grasp backwards, so that the fingers open no farther than they need to.
         for share in np.linspace(1.0, 0.0, 51).tolist():
             posture = from_rest(rest, u, share)
             self._tips.go(posture)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -106,13 +107,14 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
     closing = Closing(planner.scene, ActionWay.of(planner.hand, action), planner.task.friction)
     if not closing.way.moving.any():
         return ""
-    widest = 0.0
+    widest, wide = 0.0, math.inf
     for group in (action, *_largest(groups)):
         poses = Poses(planner.scene, closing, group, planner.out)
         if next(poses.candidates(planner.turns, _OF_GROUP), None) is not None:
             return ""
-        widest = max(widest, float(poses.gaps.max()))
-    wide = poses.narrowest(planner.turns)
+        opened = float(poses.gaps.max())
+        if opened > widest:  # the width across the direction in which this group closes
+            widest, wide = opened, poses.narrowest(planner.turns)
     if wide <= widest - 2.0 * GAP:
         return ""  # it has room; something else is in its way, which a trial tells
     return f"{wide * 1e3:.0f} mm wide, the hand opens to {widest * 1e3:.0f} mm"
@@ -148,6 +150,7 @@ def _judged(
         closure = None if free is None else closing.close(free)
         if closure is not None:
             promises.append(planner.promise(closure))
+    # Poses nearby that are not held count in the mean, as promising nothing.
     count = len(nearby) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
 
@@ -158,6 +161,7 @@ def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray |
     for _ in range(round(_PUSHED / _PUSH)):
         if closing.scene.nearest(closing.table[0], pose, enough=_PUSH) > 0.0:
             return pose
+        # Without a way in, there is no direction to push it.
         if not length:
             return None
         pose[:3, 3] += _PUSH * way / length
@@ -175,6 +179,7 @@ def _nearby(pose: FloatArray) -> list[FloatArray]:
             x, y, z = sign * _TURNED * axis
             turned = pose.copy()
             small = np.array([[1.0, -z, y], [z, 1.0, -x], [-y, x, 1.0]])
+            # The nearest rotation: the first-order one would stretch the object.
             u, _, v = np.linalg.svd(small)
             turned[:3, :3] = u @ v @ pose[:3, :3]
             found.append(turned)

@@ -64,6 +64,7 @@ class HandPose:
 
     def where(self, shape: int) -> coal.Transform3s:
         """Return a shape's pose for Coal."""
+        # Kept, since one posture is compared with many poses of the object.
         if shape not in self._transforms:
             self._transforms[shape] = coal.Transform3s(self.turns[shape], self.places[shape])
         return self._transforms[shape]
@@ -116,6 +117,7 @@ class GraspScene:
         kinematics = self.geometry.kinematics
         joints = self.hand.transmission.joints(u)
         pin.forwardKinematics(kinematics.model, kinematics.data, joints)
+        # Copied into arrays: the next posture overwrites Pinocchio's data.
         frames = [(m.rotation, m.translation) for m in kinematics.data.oMi]
         turns = np.array([frame[0] for frame in frames])[self._bodies]
         origins = np.array([frame[1] for frame in frames])[self._bodies]
@@ -132,12 +134,14 @@ class GraspScene:
         """
         turn = pose[:3, :3] @ self._axes
         middle = pose[:3, :3] @ self._middle + pose[:3, 3]
+        # A box holds the object and a ball each shape, so their distance is a lower bound.
         outside = np.maximum(np.abs((at.middles - middle) @ turn) - self._half, 0.0)
         found: FloatArray = np.sqrt((outside * outside).sum(axis=1)) - self.radii
         return found
 
     def touch(self, shape: int, at: HandPose, pose: FloatArray) -> Touch:
         """Return how near a shape is to the object, and where if they touch."""
+        # Before `_rooms`, which takes the pieces to be where this puts them.
         there, here = at.where(shape), self._where(pose)
         body, result = self.geometry.shapes[shape].convex, self._result
         least, point, normal = math.inf, _NOWHERE, _NOWHERE
@@ -152,6 +156,7 @@ class GraspScene:
             distance = coal.distance(body, there, piece.shape, here, self._request, result)
             if distance < least:
                 least = distance
+                # Only contacts need the points, and each takes a copy.
                 if distance <= TOUCH:
                     point = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
                     normal = np.array(result.normal)
@@ -165,6 +170,7 @@ class GraspScene:
 
     def _where(self, pose: FloatArray) -> coal.Transform3s:
         """Return a pose of the object for Coal; the one asked for last is kept."""
+        # By content, not identity: callers move an object by changing the same array.
         key = pose.tobytes()
         if key != self._pose:
             self._pose, self._transform = key, coal.Transform3s(pose[:3, :3], pose[:3, 3])
@@ -192,6 +198,7 @@ class GraspScene:
         bounds = self.bounds(at, pose)
         least = enough
         for shape in np.argsort(bounds, kind="stable").tolist():
+            # The bounds rise: no shape after this one can be nearer.
             if bounds[shape] >= least:
                 break
             least = min(least, self.touch(shape, at, pose).distance)
@@ -211,6 +218,7 @@ class GraspScene:
         body = self.geometry.shapes[touch.shape]
         there, here = at.where(touch.shape), self._where(pose)
         request, result = coal.CollisionRequest(), coal.CollisionResult()
+        # What touches within `TOUCH` need not overlap, and without a margin has no patch.
         request.security_margin = 2.0 * TOUCH
         found = 0
         for piece in self.object.pieces:
@@ -227,6 +235,7 @@ class GraspScene:
                 for point in _corners(points):
                     found += 1
                     yield self._contact(touch.shape, point, np.array(patch.getNormal()))
+        # The distance said that they touch: without a patch, its point is the contact.
         if not found:
             yield self._contact(touch.shape, touch.point, touch.normal)
 
@@ -262,7 +271,9 @@ class GraspScene:
         drive = self.hand.transmission.jacobian(u)
         found = []
         for contact in contacts:
+            # data.J has the columns of all joints; those that do not carry the link do not move it.
             columns = whole * kinematics.support(kinematics.body(contact.link))
+            # J's linear part is the velocity at the base's origin; at the contact it is v + ω x p.
             linear = columns[:3] - pin.skew(np.array(contact.point)) @ columns[3:]
             found.append((linear @ drive).T)
         return np.array(found).reshape(-1, len(u), 3)

@@ -80,6 +80,7 @@ class Fingertips:
                 best = (float(distance), np.array(result.getNearestPoint1()), result.normal)
         length = float(np.linalg.norm(best[2]))
         normal = np.array(best[2]) / length if length > 0.0 else np.zeros(3)
+        # Coal's distance ends at the sphere's surface, this much before the point.
         return best[0] + _POINT, best[1], normal
 
     def middle(self, fingers: Sequence[str]) -> FloatArray:

@@ -84,6 +84,7 @@ def cone(normal: FloatArray, friction: float) -> FloatArray:
         friction: Coefficient of friction.
     """
     x, y, z = (float(v) for v in normal)
+    # Crossed with the axis farthest from the normal, so that the product is never near zero.
     first = (0.0, -z, y) if abs(x) <= min(abs(y), abs(z)) else (z, 0.0, -x)
     first = (-y, x, 0.0) if abs(z) < min(abs(x), abs(y)) else first
     a, b, c = (v / math.hypot(*first) for v in first)
@@ -133,6 +134,7 @@ def least_squares(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, f
     count = matrix.shape[1]
     x, used = np.zeros(count), np.zeros(count, dtype=bool)
     enough = 1e-10 * max(1.0, float(np.abs(matrix).max(initial=0.0)))
+    # The limit of the authors' own code: rounding could make the exchange go on for ever.
     for _ in range(3 * count):
         gradient = matrix.T @ (target - matrix @ x)
         gradient[used] = -np.inf
@@ -147,6 +149,7 @@ def least_squares(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, f
             if not below.any():
                 x = trial
                 break
+            # As far towards the trial as no share becomes negative.
             ratio = x[below] / np.maximum(x[below] - trial[below], 1e-300)
             x = x + float(ratio.min()) * (trial - x)
             before = int(used.sum())
@@ -161,6 +164,7 @@ def balanced(vectors: FloatArray) -> bool:
     """Return whether non-negative shares of vectors ``(k, d)``, not all zero, add up to zero."""
     if len(vectors) < 2:
         return False
+    # Only directions matter here, and equal lengths keep the residual comparable.
     lengths = np.linalg.norm(vectors, axis=1)
     # The row of ones rules out that all shares are zero.
     system = np.vstack([vectors.T / lengths, np.ones(len(vectors))])
@@ -178,6 +182,7 @@ def quality(found: FloatArray) -> float:
     Returns:
         The radius [N]; 0 where some wrench is not resisted at all.
     """
+    # A flat hull contains no ball, and its polar has no vertices to climb to.
     if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
         return 0.0
     size = float(np.linalg.norm(found, axis=1).max())
@@ -186,14 +191,17 @@ def quality(found: FloatArray) -> float:
     for sharpness in _SHARPENING:
         for _ in range(_DESCENT):
             support = directions @ found.T
+            # Relative to the largest exponent, so that exp does not overflow.
             weight = np.exp((support - support.max(axis=1, keepdims=True)) * (sharpness / size))
             weight /= weight.sum(axis=1, keepdims=True)
             slope = weight @ found
+            # Directions stay on the unit sphere: only the tangential part counts.
             slope -= (slope * directions).sum(axis=1, keepdims=True) * directions
             directions = directions - slope / (size * sharpness)
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     support = (directions @ found.T).max(axis=1)
     best = np.argsort(support, kind="stable")
+    # The origin is on the hull's surface, or outside of it by rounding.
     if support[best[0]] <= _CLOSED * size:
         return 0.0
     chosen: list[int] = []
@@ -235,11 +243,13 @@ def _climb(found: FloatArray, start: FloatArray) -> float:
                 way = way - others.T @ np.linalg.lstsq(others.T, way, rcond=None)[0]
             del active[left]
         rate = found @ way
+        # The way stays on these faces; rounding must not make one of them the next to be met.
         rate[active] = 0.0
         room = np.where(rate > 1e-12, (1.0 - found @ x) / np.maximum(rate, 1e-12), np.inf)
         nearest = int(np.argmin(room))
         if not np.isfinite(room[nearest]):
             break
+        # By rounding, the point may be just beyond a face: that is not a step back.
         x = x + max(0.0, float(room[nearest])) * way
         active.append(nearest)
     return float(np.linalg.norm(x))
@@ -277,6 +287,7 @@ def load(
     slack = np.eye(2 * actuators)
     upper = np.vstack([torques.T, -torques.T]) * heavy
     system = np.block([[found.T, np.zeros((6, 2 * actuators))], [upper, slack]])
+    # Columns of equal length: `least_squares` compares all gradients with one bound.
     scale = np.maximum(np.linalg.norm(system[:, : len(found)], axis=0), 1e-9)
     system[:, : len(found)] /= scale
 
@@ -288,6 +299,8 @@ def load(
         return 0.0
     if carried(MOST_LOAD):
         return MOST_LOAD
+    # Halving works: the loads that can be carried are an interval from 0, since the solutions
+    # are convex and a load of 0 takes no force.
     low, high = _LEAST_LOAD, MOST_LOAD
     for _ in range(_HALVINGS):
         middle = math.sqrt(low * high)
