@@ -10,6 +10,9 @@ from typing import Any
 from rtee.buses.emulator import CanFrame
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 
+_ENDING = 1e-3
+"""How long the thread of a notifier that ends waits before it looks again [s]."""
+
 
 def message_of(frame: CanFrame) -> Any:
     """Return a frame as a message of python-can."""
@@ -65,7 +68,9 @@ class Guarded:
     def recv(self, timeout: float | None = None) -> Any:
         """Return the next message, ``None`` where none came in time [s] or the bus broke."""
         if self._ended:
-            raise SystemExit  # ends a thread without a traceback
+            # The notifier stops at once behind `end`; until then its thread must not spin.
+            time.sleep(_ENDING)
+            return None
         if not self._prompt:
             self._prompt = True
             # Here, since this is the first code that runs in the notifier's own thread.
