@@ -18,7 +18,7 @@ from rtee.drivers.dynamixel.setup import Found
 from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
-from rtee.errors import CalibrationError, ConfigError, DeviceFault, FrameError
+from rtee.errors import CalibrationError, ConfigError, DeviceFault
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -33,9 +33,6 @@ _TRIPPED = 0xFF
 
 _TIME_BASED = 0x04
 """Bit of the drive mode (address 10): the profile velocity is a time, which limits no speed."""
-
-_ATTEMPTS = 4
-"""How often torque is taken away from servos that keep it: nothing answers to a group write."""
 
 
 class ServoCycle:
@@ -144,12 +141,12 @@ class ServoCycle:
         torque, _ = link.read_group(table.TORQUE.address, 1)
         off = {n: replace(self.found[n], torque=False) for n in link.ids if not torque[n][0]}
         at_rest = {n: positions[n] for n in off}
-        setup.prepare(link, self._options, off, at_rest, self._current_limits())
+        setup.prepare(link, self._options, off, self._taken(at_rest), self._current_limits())
         guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
         setup.arm(link, self._options.watchdog)
         # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
         tripped = {n: positions[n] for n in link.ids if guard[n][0] == _TRIPPED}
-        link.write_group(table.GOAL_POSITION, tripped)
+        link.write_confirmed(table.GOAL_POSITION, self._taken(tripped), within=setup.NEAR)
         self._attached.begin(i for i, n in enumerate(link.ids) if n not in off and n not in tripped)
         # What was written before the power was cut is gone.
         self._sent, self._limits = {}, None
@@ -238,18 +235,21 @@ class ServoCycle:
 
     def release(self) -> None:
         """Take the torque away, and see that it is gone; raises `BusError`."""
-        link = self.link
-        for _ in range(_ATTEMPTS):
-            link.write_group(table.TORQUE, dict.fromkeys(link.ids, 0))
-            torque, _ = link.read_group(table.TORQUE.address, 1)
-            if not any(data[0] for data in torque.values()):
-                return
-        raise FrameError(link.bus.name, "servos keep their torque")
+        self.link.write_confirmed(table.TORQUE, dict.fromkeys(self.link.ids, 0))
 
     def hold(self) -> None:
         """Make the present positions the goals; raises `BusError`."""
         self._attached.begin()
-        self.link.write_group(table.GOAL_POSITION, self.positions())
+        self.link.write_confirmed(table.GOAL_POSITION, self._taken(self.positions()))
+
+    def _taken(self, positions: Mapping[int, int]) -> dict[int, int]:
+        """Return positions [pulse] as goals that the servos take: they refuse those beyond."""
+        if self._options.mode != "position":
+            return dict(positions)
+        return {
+            n: min(max(at, self.found[n].lowest), self.found[n].highest)
+            for n, at in positions.items()
+        }
 
     @property
     def limits_effort(self) -> bool:

@@ -175,9 +175,9 @@ class DynamixelDriver(CalibratesServos):
         def write() -> None:
             for name, value in gains.items():
                 count = min(max(round(value), 0), _MOST_GAIN)
-                link.write_group(GAINS[name], dict.fromkeys(link.ids, count))
+                link.write_confirmed(GAINS[name], dict.fromkeys(link.ids, count))
 
-        await link.run(write)
+        await link.run(write, _ONE_SERVO)
 
     # --- stop and faults ---------------------------------------------------------------------
 

@@ -26,6 +26,9 @@ whose latency timer is 1 ms."""
 _PATIENT_LATENCY = 0.03
 """The same in set-up [s]; the SDK allows 34 ms."""
 
+_ATTEMPTS = 4
+"""How often a group write is sent to servos that have not taken it."""
+
 
 def _heard(result: int, error: int) -> int:
     """Return the SDK's result; a request that reached the servo damaged is worth another try."""
@@ -223,6 +226,37 @@ class DynamixelLink:
                         port, register.address, register.size, params, len(params)
                     )
                 )
+            )
+
+    def write_confirmed(
+        self, register: Register, values: Mapping[int, int], *, within: int = 0
+    ) -> None:
+        """Write a register of several servos at once, and again to those that have not heard it.
+
+        Nothing answers to a group write, so the register is read back.
+
+        Args:
+            register: The register.
+            values: Its values, by id.
+            within: How far what is read back may be from what was written.
+
+        Raises:
+            FrameError: if a servo does not take its value.
+            BusError: if the line fails.
+        """
+        left = dict(values)
+        for _ in range(_ATTEMPTS):
+            if not left:
+                return
+            self.write_group(register, left)
+            # All are read where all are meant: that group is kept between calls.
+            ids = None if left.keys() == set(self.ids) else list(left)
+            there, _ = self.read_group(register.address, register.size, ids)
+            left = {n: v for n, v in left.items() if abs(register.unpack(there[n]) - v) > within}
+        if left:
+            number, value = next(iter(left.items()))
+            raise FrameError(
+                self.bus.name, f"servo {number} does not take {value} at address {register.address}"
             )
 
     def write(self, number: int, register: Register, value: int) -> None:

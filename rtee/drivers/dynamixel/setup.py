@@ -23,6 +23,10 @@ TORQUE_LOST = 0x100
 WATCHDOG_TRIPPED = 0x101
 """Codes of the driver's own faults, above the eight bits of the hardware error status."""
 
+NEAR = 16
+"""How far the goal of a servo without torque may be from where it stands [pulse], 1.4°: no jump;
+no source says whether such a goal follows the shaft."""
+
 _EEPROM = 64  # bytes of the table that survive a power cycle; they say what a servo is
 
 
@@ -39,6 +43,8 @@ class Found:
         homing_offset: Its homing offset [pulse].
         return_delay: Its return delay [2 µs].
         current_limit: Its current limit [counts].
+        lowest: The least goal that it takes in the mode `position` [pulse].
+        highest: The largest.
         torque: Whether it is powered.
     """
 
@@ -50,6 +56,8 @@ class Found:
     homing_offset: int
     return_delay: int
     current_limit: int
+    lowest: int
+    highest: int
     torque: bool
 
     @classmethod
@@ -68,6 +76,8 @@ class Found:
             get(table.HOMING_OFFSET),
             get(table.RETURN_DELAY),
             get(table.CURRENT_LIMIT),
+            get(table.MIN_POSITION),
+            get(table.MAX_POSITION),
             bool(torque),
         )
 
@@ -126,8 +136,11 @@ def prepare(
         link: The line.
         options: How they are to be set.
         found: The servos without torque, by id.
-        positions: Where they are [pulse].
+        positions: Goals where they are [pulse].
         currents: Their current limits [counts].
+
+    Raises:
+        BusError: if the line fails, or a servo does not take what is written.
     """
     mode = MODES[options.mode]
     for number, servo in found.items():
@@ -145,22 +158,27 @@ def prepare(
     )
     for register, pick in gains:
         values = {n: pick(by_id[n]) if pick(by_id[n]) is not None else pick(options) for n in found}
-        link.write_group(register, {n: v for n, v in values.items() if v is not None})
+        link.write_confirmed(register, {n: v for n, v in values.items() if v is not None})
     if mode is Mode.CURRENT_BASED_POSITION:
-        link.write_group(table.GOAL_CURRENT, {n: currents[n] for n in found})
+        link.write_confirmed(table.GOAL_CURRENT, {n: currents[n] for n in found})
     # Before the torque: an old goal would make the servo jump to it.
-    link.write_group(table.GOAL_POSITION, {n: positions[n] for n in found})
+    goals = {n: positions[n] for n in found}
+    link.write_confirmed(table.GOAL_POSITION, goals, within=NEAR)
     for number in found:
         link.write(number, table.TORQUE, 1)
 
 
 def arm(link: DynamixelLink, seconds: float) -> None:
-    """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread."""
+    """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread.
+
+    Raises:
+        BusError: if the line fails, or a servo does not take it.
+    """
     # 0 clears a watchdog that has tripped; any other value is refused until then.
-    link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
+    link.write_confirmed(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
     if seconds > 0.0:
         count = min(max(round(seconds / table.WATCHDOG_UNIT), 1), 127)
-        link.write_group(table.BUS_WATCHDOG, dict.fromkeys(link.ids, count))
+        link.write_confirmed(table.BUS_WATCHDOG, dict.fromkeys(link.ids, count))
 
 
 def refuse(

@@ -473,6 +473,56 @@ async def test_torque_is_taken_away_though_a_frame_is_lost() -> None:
         assert [each.get(table.TORQUE) for each in line(pool).servos.values()] == [0, 0]
 
 
+async def test_a_stop_reaches_the_servos_though_a_frame_is_lost() -> None:
+    async with BusPool() as pool, connected(pool, device()) as made:
+        await made.activate()
+        await made.sense()
+        await made.move(Reference.at([0.9, 0.9], max_velocity=[0.3, 0.3]))
+        await anyio.sleep(0.1)
+        lost = lose(
+            pool.simulation("leap_hand/line").wire,
+            _group_write(table.GOAL_POSITION.address),
+            _length,
+        )
+        await made.stop()
+        assert lost
+        state = await made.sense()
+        goals = [
+            made.connection.link.scales[i].to_rad(each.get(table.GOAL_POSITION))
+            for i, each in enumerate(line(pool).servos.values())
+        ]
+        assert goals == pytest.approx(list(state.position), abs=0.02)
+
+
+@pytest.mark.parametrize(("register", "wanted"), [(table.BUS_WATCHDOG, 5), (table.POSITION_P, 444)])
+async def test_what_is_set_up_arrives_though_a_frame_is_lost(
+    register: table.Register, wanted: int
+) -> None:
+    async with BusPool() as pool, connected(pool, device(watchdog=0.1, p=444)) as made:
+        seen = _group_write(register.address)
+        # The watchdog is cleared first, by a frame that looks the same but for its values.
+        lost = lose(
+            pool.simulation("leap_hand/line").wire,
+            lambda data: seen(data) and wanted % 256 in data[13 : _length(data) - 2],
+            _length,
+        )
+        await made.activate()
+        assert lost
+        assert [each.get(register) for each in line(pool).servos.values()] == [wanted] * 2
+
+
+async def test_a_servo_outside_its_own_limits_is_powered_at_the_nearest() -> None:
+    async with BusPool() as pool, connected(pool, device(mode="position")) as made:
+        for each in line(pool).servos.values():
+            each.set(table.MAX_POSITION, each.position - 10)
+        await made.connection.link.link.run(made.connection.link.find, 5.0)
+        await made.activate()
+        await made.stop()
+        for each in line(pool).servos.values():
+            assert each.get(table.TORQUE) == 1
+            assert each.get(table.GOAL_POSITION) == each.get(table.MAX_POSITION)
+
+
 async def test_a_limit_that_is_lost_is_written_again() -> None:
     async with BusPool() as pool, connected(pool, device(health_every=5)) as made:
         await made.activate()
