@@ -51,7 +51,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("rtee.cli.devices:doctor", "Report what is wrong and what to type."),
     "locate": ("rtee.cli.devices:locate", "Twitch a hand to see which one it is."),
     "calibrate": ("rtee.cli.devices:calibrate", "Calibrate a device that has offsets."),
-    "set-id": ("rtee.cli.set_id:set_id", "Give a Feetech servo its id."),
+    "set-id": ("rtee.cli.set_id:set_id", "Give a bus servo its id."),
     "deploy": ("rtee.cli.deploy:app", "Make a hand a service of this computer."),
     "new-driver": ("rtee.cli.new:new_driver", "Write the skeleton of a driver package."),
     # dynamics

@@ -2,15 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
-    from rtee.drivers.feetech.table import Model
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.diagnosis.probes import Probe
 
 _LARGEST = 253
-"""Largest id of a Feetech servo; 254 are all of them."""
+"""Largest id of a Feetech servo, and so of any; 254 are all of them."""
+
+
+class FamilyName(StrEnum):
+    """Servos that get ids."""
+
+    FEETECH = "feetech"
+    DYNAMIXEL = "dynamixel"
+
+
+@dataclass(frozen=True, slots=True)
+class _Family:
+    """Servos that share a protocol.
+
+    Attributes:
+        name: Who they are.
+        factory_rate: Rate with which they come [baud].
+        rates: All their rates [baud].
+        largest_id: Their largest id.
+        probe: Makes what finds them all, at a rate.
+        there: Whether one answers, at a rate, to an id.
+        set_id: Stores an id and, where it is given, a rate; returns the model's name.
+    """
+
+    name: FamilyName
+    factory_rate: int
+    rates: Sequence[int]
+    largest_id: int
+    probe: Callable[[int], Probe]
+    there: Callable[[BusPool, str, int, int], Awaitable[bool]]
+    set_id: Callable[[BusPool, str, int, int, int, int | None], Awaitable[str]]
+
+
+def _families() -> list[_Family]:
+    from rtee.drivers.diagnosis import probes
+    from rtee.drivers.dynamixel import identity as dynamixel
+    from rtee.drivers.dynamixel import table as dynamixel_table
+    from rtee.drivers.feetech import identity as feetech
+    from rtee.drivers.feetech import table as feetech_table
+    from rtee.errors import ConfigError
+
+    async def dynamixel_there(pool: BusPool, port: str, rate: int, number: int) -> bool:
+        return await dynamixel.model_at(pool, port, rate, number) is not None
+
+    async def set_dynamixel(
+        pool: BusPool, port: str, rate: int, old: int, new: int, new_rate: int | None
+    ) -> str:
+        return (await dynamixel.set_id(pool, port, rate, old, new, new_rate)).name
+
+    async def set_feetech(
+        pool: BusPool, port: str, rate: int, old: int, new: int, new_rate: int | None
+    ) -> str:
+        if new_rate is not None:
+            raise ConfigError("--new-baudrate is for Dynamixel servos; Feetech servos keep theirs")
+        return (await feetech.set_id(pool, port, rate, old, new)).name
+
+    return [
+        _Family(
+            FamilyName.FEETECH,
+            1_000_000,
+            feetech_table.BAUD_RATES,
+            253,
+            probes.feetech,
+            feetech.is_there,
+            set_feetech,
+        ),
+        _Family(
+            FamilyName.DYNAMIXEL,
+            57_600,
+            dynamixel_table.BAUD_RATES,
+            252,
+            probes.dynamixel,
+            dynamixel_there,
+            set_dynamixel,
+        ),
+    ]
 
 
 def set_id(
@@ -26,39 +105,95 @@ def set_id(
             help="Its present id; not needed where one servo is alone on the line.",
         ),
     ] = None,
-    baudrate: Annotated[int, typer.Option(help="Rate of the line [baud].")] = 1_000_000,
+    baudrate: Annotated[
+        int | None,
+        typer.Option(
+            help="Rate of the line [baud]; else that of new servos, "
+            "1000000 (Feetech) and 57600 (Dynamixel)."
+        ),
+    ] = None,
+    new_baudrate: Annotated[
+        int | None, typer.Option(help="Rate that a Dynamixel servo gets, too [baud].")
+    ] = None,
+    family: Annotated[FamilyName | None, typer.Option(help="Who is asked; else both are.")] = None,
 ) -> None:
-    """Store another id in a Feetech servo; its torque is taken away.
+    """Store another id in a Feetech or Dynamixel servo; its torque is taken away.
 
-    Example: rtee set-id 3 --port /dev/ttyUSB0
+    Examples: rtee set-id 3 --port /dev/ttyUSB0
+
+    rtee set-id 3 --port /dev/ttyUSB0 --new-baudrate 4000000
     """
     import asyncio
 
     from rtee.buses.pool import BusPool
-    from rtee.drivers.diagnosis.probes import feetech
-    from rtee.drivers.feetech import identity
-    from rtee.drivers.feetech.table import BAUD_RATES
     from rtee.errors import ConfigError
 
-    async def execute() -> tuple[int, Model]:
+    async def execute() -> str:
         async with BusPool() as pool:
-            number = old
-            if number is None:
-                found = await feetech(baudrate).ask(pool, port)
-                ids = [int(one.options["id"]) for one in found]
-                # Among several, nobody knows which one is meant.
-                if len(ids) != 1:
-                    listed = f"are servos {', '.join(map(str, ids))}" if ids else "is no servo"
-                    raise ConfigError(
-                        f"there {listed} at {port}: plug in one alone, or say which by --from"
-                    )
-                number = ids[0]
-            if number == new:
+            meant, rate, number = await _find(pool, port, families, old)
+            if new > meant.largest_id:
+                raise ConfigError(
+                    f"the largest id of a {meant.name} servo is {meant.largest_id}, not {new}"
+                )
+            if number == new and new_baudrate is None:
                 raise ConfigError(f"the servo at {port} has the id {new} already")
-            return number, await identity.set_id(pool, port, baudrate, number, new)
+            model = await meant.set_id(pool, port, rate, number, new, new_baudrate)
+            faster = f", at {new_baudrate} baud" if new_baudrate is not None else ""
+            return f"{model}: {number} is now {new}{faster}"
 
-    if baudrate not in BAUD_RATES:
-        rates = ", ".join(str(rate) for rate in BAUD_RATES)
-        raise ConfigError(f"--baudrate is one of {rates}, not {baudrate}")
-    number, model = asyncio.run(execute())
-    print(f"{model.name}: {number} is now {new}")
+    families = _chosen(family, baudrate, new_baudrate)
+    print(asyncio.run(execute()))
+
+
+def _chosen(
+    family: FamilyName | None, baudrate: int | None, new_baudrate: int | None
+) -> list[tuple[_Family, int]]:
+    """Return whom to ask, each with the rate of the line [baud]; raises `ConfigError`."""
+    from rtee.errors import ConfigError
+
+    families = [one for one in _families() if family in (None, one.name)]
+    for option, rate in (("--baudrate", baudrate), ("--new-baudrate", new_baudrate)):
+        known = sorted({known for one in families for known in one.rates})
+        if rate is not None and rate not in known:
+            raise ConfigError(f"{option} is one of {', '.join(map(str, known))}, not {rate}")
+    return [
+        (one, baudrate or one.factory_rate)
+        for one in families
+        if baudrate is None or baudrate in one.rates
+    ]
+
+
+async def _find(
+    pool: BusPool, port: str, families: Sequence[tuple[_Family, int]], old: int | None
+) -> tuple[_Family, int, int]:
+    """Return the family, rate [baud] and id of the servo that is meant.
+
+    Raises:
+        BusError: if the line fails.
+        ConfigError: if there is none, or nobody knows which one is meant.
+        NotConnected: if none has the id that was given.
+    """
+    from rtee.errors import ConfigError, NotConnected
+
+    asked = ", ".join(f"{one.name} at {rate} baud" for one, rate in families)
+    if old is not None:
+        for one, rate in families:
+            if old <= one.largest_id and await one.there(pool, port, rate, old):
+                return one, rate, old
+        raise NotConnected(
+            port,
+            f"no servo {old} answers ({asked})",
+            hint="`rtee scan` lists the servos there are",
+        )
+    found = []
+    for one, rate in families:
+        heard = await one.probe(rate).ask(pool, port)
+        found += [(one, rate, int(servo.options["id"])) for servo in heard]
+    if not found:
+        raise ConfigError(f"there is no servo at {port} ({asked}); --baudrate asks at another rate")
+    if len(found) > 1:
+        ids = ", ".join(str(number) for _, _, number in found)
+        raise ConfigError(
+            f"there are servos {ids} at {port}: plug in one alone, or say which by --from"
+        )
+    return found[0]

@@ -34,6 +34,16 @@ def recognise(data: bytes) -> Model | None:
     return None
 
 
+async def is_there(pool: BusPool, port: str, baudrate: int, number: int) -> bool:
+    """Return whether a servo of any family answers to an id; raises `BusError`."""
+    bus = await pool.serial(port, owner=_OWNER, baudrate=baudrate, fresh=True)
+    try:
+        link = FeetechLink(bus, FAMILIES["sts"], _DEADLINE, 2)
+        return await _heard(lambda: link.model(number)) is not None
+    finally:
+        await bus.detach(_OWNER)
+
+
 async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) -> Model:
     """Store another id in a servo; its torque is taken away.
 

@@ -85,8 +85,16 @@ def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
         assert f"there are servos 1, 2 at {wire.address}: plug in one alone" in text
         assert command("4", "--port", wire.address, "--from", "2") == "SCS0009: 2 is now 4\n"
     with SimulatedLine([], wire_time=False) as wire:
-        assert "there is no servo" in command("4", "--port", wire.address, status=2)
+        text = command("4", "--port", wire.address, status=2)
+        assert f"there is no servo at {wire.address} (feetech at 1000000 baud, dynamixel" in text
+        text = command("4", "--port", wire.address, "--from", "2", status=1)
+        assert "no servo 2 answers (feetech at" in text
         assert "--baudrate is one of" in command(
-            "4", "--port", wire.address, "--baudrate", "9600", status=2
+            "4", "--port", wire.address, "--baudrate", "9601", status=2
         )
+    with SimulatedLine([line("scs", (1,))], wire_time=False) as wire:
+        text = command(
+            "4", "--port", wire.address, "--from", "1", "--new-baudrate", "1000000", status=2
+        )
+        assert "Feetech servos keep theirs" in text
     command("254", "--port", "/dev/null", status=2)

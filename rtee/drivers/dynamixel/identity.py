@@ -1,0 +1,121 @@
+"""How a servo gets another id, and another rate: before it shares a line with others."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+
+from rtee.buses.dynamixel import DynamixelBus
+from rtee.buses.pool import BusPool
+from rtee.buses.retry import patiently
+from rtee.drivers.dynamixel import table
+from rtee.drivers.dynamixel.link import DynamixelLink
+from rtee.drivers.dynamixel.table import Model, model_of
+from rtee.errors import ConfigError, DriverError, NotConnected
+
+_OWNER = "set-id"
+_DEADLINE = 0.1
+"""Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
+_ALL = 5.0
+"""Longest time for an exchange with all its repetitions [s]."""
+_ATTEMPTS = 4
+"""How often something is written to which the servo does not answer as it should afterwards."""
+_SETTLES = 0.02
+"""Time that a servo is given to store a value of its EEPROM [s]; no source gives one."""
+
+
+async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Model | None:
+    """Return the model of the servo with an id; ``None`` where none answers; raises `BusError`."""
+    bus = await _line(pool, port, baudrate)
+    try:
+        return await _asked(bus, number)
+    finally:
+        await bus.detach(_OWNER)
+
+
+async def set_id(
+    pool: BusPool, port: str, baudrate: int, old: int, new: int, new_baudrate: int | None = None
+) -> Model:
+    """Store another id in a servo, and another rate; its torque is taken away.
+
+    Args:
+        pool: The buses.
+        port: Where it is.
+        baudrate: Rate of the line [baud].
+        old: Its id.
+        new: The id that it gets, which may be the same.
+        new_baudrate: The rate that it gets [baud]; ``None`` leaves it.
+
+    Returns:
+        What it is.
+
+    Raises:
+        BusError: if the line fails.
+        ConfigError: if another servo has that id.
+        DriverError: if it does not take the id or the rate.
+        NotConnected: if no servo answers to the old id.
+    """
+    bus = await _line(pool, port, baudrate)
+    try:
+        if new != old and await _asked(bus, new) is not None:
+            raise ConfigError(f"there is a servo {new} at {port} already; take it off the line")
+        model = await _asked(bus, old)
+        if model is None:
+            raise NotConnected(
+                port, f"no servo {old} answers", hint="`rtee scan` lists the servos there are"
+            )
+        link = _link(bus, old)
+        # With torque, a servo refuses to write its EEPROM.
+        await patiently(partial(link.run, partial(link.write, old, table.TORQUE, 0), _ALL))
+        if new != old:
+            await _store(bus, old, table.ID, new)
+            if not await _answers_as(bus, old, new):
+                raise DriverError(port, f"servo {old} does not take the id {new}")
+    finally:
+        await bus.detach(_OWNER)
+    if new_baudrate is not None and new_baudrate != baudrate:
+        await _set_rate(pool, port, baudrate, new, new_baudrate)
+    return model
+
+
+async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -> None:
+    for _ in range(_ATTEMPTS):
+        bus = await _line(pool, port, old)
+        try:
+            await _store(bus, number, table.BAUD_RATE, table.BAUD_RATES.index(new))
+        finally:
+            await bus.detach(_OWNER)
+        # From then on it hears nothing at the old rate.
+        if await model_at(pool, port, new, number) is not None:
+            return
+    raise DriverError(port, f"servo {number} does not take the rate of {new} baud")
+
+
+async def _answers_as(bus: DynamixelBus, old: int, new: int) -> bool:
+    """Return whether it has its new id; writes it again where it has not."""
+    for _ in range(_ATTEMPTS):
+        if await _asked(bus, new) is not None:
+            return True
+        await _store(bus, old, table.ID, new)
+    return False
+
+
+async def _store(bus: DynamixelBus, number: int, register: table.Register, value: int) -> None:
+    """Write where the servo may answer under its new id, at its new rate, or not at all."""
+    link = _link(bus, number)
+    await link.run(partial(link.write_group, register, {number: value}), _ALL)
+    await asyncio.sleep(_SETTLES)
+
+
+async def _asked(bus: DynamixelBus, number: int) -> Model | None:
+    link = _link(bus, number)
+    found = await link.run(partial(link.ping, number), _ALL)
+    return None if found is None else model_of(found)
+
+
+def _link(bus: DynamixelBus, number: int) -> DynamixelLink:
+    return DynamixelLink(bus, [number], _DEADLINE, 3)
+
+
+async def _line(pool: BusPool, port: str, baudrate: int) -> DynamixelBus:
+    return await pool.dynamixel(port, owner=_OWNER, baudrate=baudrate)
