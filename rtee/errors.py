@@ -27,6 +27,7 @@ The tree::
     │   ├── DeviceFault            the device reports a fault
     │   └── CommandRejected        a reference the device cannot take
     ├── MessageError (ValueError)  bytes that are not a valid message
+    ├── SimulationUnstable         the equations of a simulation blew up
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
@@ -371,6 +372,13 @@ class MessageError(RteeError, ValueError):
 
 class WorkerLost(RteeError):
     """A process that works for this one was ended from outside."""
+
+
+class SimulationUnstable(RteeError):
+    """The equations of a simulation blew up, and it began anew: what it showed before is void."""
+
+    def __init__(self) -> None:
+        super().__init__("the simulation became unstable and began anew")
 
 
 class LoopError(RteeError):

@@ -17,7 +17,7 @@ from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, SimulationUnstable
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.robust_places import graspable
@@ -100,6 +100,7 @@ class End(StrEnum):
     STALLED = "stopped before a finger touched it"
     BROKEN = "broken"
     LOST = "lost"
+    UNSTABLE = "simulation unstable"
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,18 +211,25 @@ class _Run:
 
     def result(self) -> TaskResult:
         """Grasp the object, do what the task says, and return how it ended."""
-        end = self._grasp()
-        if end is End.HELD:
-            match self._trial.task:
-                case Task.CUP:
-                    self._fill()
-                case Task.TUG:
-                    self._tug()
-            end = End.HELD if self._held else End.LOST
+        try:
+            end = self._done()
+        except SimulationUnstable:
+            return TaskResult(End.UNSTABLE, round(self._peak, 3))
         # Whatever else it came to: an egg may be broken and still be held.
         if self._trial.task is Task.EGG and self._peak > BREAKS:
             end = End.BROKEN
         return TaskResult(end, round(self._peak, 3))
+
+    def _done(self) -> End:
+        end = self._grasp()
+        if end is not End.HELD:
+            return end
+        match self._trial.task:
+            case Task.CUP:
+                self._fill()
+            case Task.TUG:
+                self._tug()
+        return End.HELD if self._held else End.LOST
 
     def _watch(self, _: float) -> None:
         self._peak = max(self._peak, float(self._simulation.contact_forces.max()))

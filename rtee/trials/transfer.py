@@ -14,6 +14,7 @@ from rtee.drivers.mujoco.objects import parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
@@ -295,6 +296,12 @@ class _Run:
         headless.before_tick(self._note_slide)
 
     def result(self) -> TransferResult:
+        try:
+            return self._done()
+        except SimulationUnstable as error:
+            return self._ended(str(error))
+
+    def _done(self) -> TransferResult:
         headless, around, script = self._headless, self._around, self._script
         transfer = self._transfer
         # The carrier is there already; the script has to start from there, too.

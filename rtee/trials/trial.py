@@ -12,7 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.errors import ActionError, ConfigError
+from rtee.errors import ActionError, ConfigError, SimulationUnstable
 from rtee.hand.model import Hand
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
@@ -365,6 +365,12 @@ class TrialRun:
 
     def result(self) -> TrialResult:
         """Approach, grasp, lift, hold and shake; return how it ended."""
+        try:
+            return self._done()
+        except SimulationUnstable as error:
+            return self._ended(str(error), "", outcome="")
+
+    def _done(self) -> TrialResult:
         headless, around, trial = self._headless, self._around, self._trial
         self._approach()
         goal = Goal(

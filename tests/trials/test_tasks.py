@@ -99,6 +99,12 @@ def test_mistakes_are_told_in_one_sentence(
         CliRunner().invoke(app_of(try_), [GRIPPER, *words], catch_exceptions=False)
 
 
+def test_a_simulation_that_blows_up_is_told() -> None:
+    run = _Run(bench(GRIPPER, RATE), TaskTrial(Task.TUG, "Grasp", object=BALL), 0)
+    run._simulation.data.qvel[0] = 1e30
+    assert run.result().end is End.UNSTABLE
+
+
 def test_a_filled_cup_is_as_inert_as_it_is_heavy() -> None:
     """MuJoCo works some of it out once, when the model is made."""
     run = _Run(bench(GRIPPER, RATE), TaskTrial(Task.CUP, "Grasp", object=BALL), 0)

@@ -19,6 +19,7 @@ from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
@@ -155,6 +156,21 @@ def test_without_closing_it_falls() -> None:
     result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.03", intensity=0.0, places=1))
     assert not result.held
     assert result.reason == "it was not grasped"
+
+
+def test_a_simulation_that_blows_up_holds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    advance, count = Simulation.advance, 0
+
+    def blown(self: Simulation) -> None:
+        nonlocal count
+        count += 1
+        if count == 300:
+            self.data.qvel[0] = 1e30
+        advance(self)
+
+    monkeypatch.setattr(Simulation, "advance", blown)
+    result = attempt(GRIPPER, Trial("Grasp", object="sphere:0.03", places=1))
+    assert (result.held, result.reason) == (False, "the simulation became unstable and began anew")
 
 
 def test_places_cannot_all_be_left_out() -> None:

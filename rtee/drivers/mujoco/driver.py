@@ -17,7 +17,13 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.options import read_options
-from rtee.errors import CommandRejected, NotConnected, needing_extra
+from rtee.errors import (
+    CommandRejected,
+    DeviceFault,
+    NotConnected,
+    SimulationUnstable,
+    needing_extra,
+)
 from rtee.hand.load import load_hand
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading
@@ -33,6 +39,9 @@ log = logging.getLogger(__name__)
 
 GAINS = ("kp", "ki", "kd")
 """The gains of every actuator that can be set while it runs; see `Simulation.set_gain`."""
+
+_UNSTABLE = 1
+"""Code of the fault of a simulation that blew up; there is no other."""
 
 _AFFORDABLE = 0.2
 """A step that takes less than this share of a period runs in the loop's own thread: handing it
@@ -118,10 +127,15 @@ class MujocoDriver(Driver):
         """Advance by one exchange, then measure."""
         simulation = self.simulation
         count = self._due(time.monotonic())
-        if self._cost < self._affordable:
-            self._advance(count)
-        else:
-            await anyio.to_thread.run_sync(self._advance, count, limiter=self._thread)
+        try:
+            if self._cost < self._affordable:
+                self._advance(count)
+            else:
+                await anyio.to_thread.run_sync(self._advance, count, limiter=self._thread)
+        except SimulationUnstable as error:
+            raise DeviceFault(
+                self.spec.name, _UNSTABLE, str(error), hint="`rtee recover` goes on from its start"
+            ) from error
         now = time.monotonic()
         extras: dict[str, FloatArray] = simulation.seen
         if not simulation.taxels.sensors:
@@ -166,6 +180,10 @@ class MujocoDriver(Driver):
         self.simulation.command(
             reference.position, reference.max_effort, reference.mask, reference.max_velocity
         )
+
+    async def recover(self) -> None:
+        """Begin the simulation anew: the hand at rest, the object where it was placed."""
+        self.simulation.reset()
 
     async def stop(self) -> None:
         """Hold the present positions."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 
@@ -16,8 +17,11 @@ from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.drivers.mujoco.taxels import Taxels
+from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
 from rtee.sample import BoolArray, FloatArray
+
+log = logging.getLogger(__name__)
 
 
 class Simulation:
@@ -55,6 +59,8 @@ class Simulation:
             servos: The motors of its actuators.
             notes: What was assumed about the hand.
         """
+        # Else MuJoCo writes what it notices to a file in the present folder.
+        mujoco.set_mju_user_warning(log.warning)
         self.model = model
         self.notes = tuple(notes)
         self.data = mujoco.MjData(model)
@@ -104,7 +110,12 @@ class Simulation:
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self) -> None:
-        """Step by one period."""
+        """Step by one period.
+
+        Raises:
+            SimulationUnstable: if MuJoCo has reset its state, as it does once a value is no longer
+                finite or beyond all bounds.
+        """
         # Before the step: the tangents belong to the positions from which it starts.
         self._couplings.renew(self.data.qpos)
         step = self._speed * self._period
@@ -116,7 +127,11 @@ class Simulation:
         self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
         if self._integral.any():
             self._integrate()
+        before = self.data.time
         mujoco.mj_step(self.model, self.data, nstep=self._substeps)
+        # A reset begins time anew; nothing else tells at once.
+        if self.data.time < before + 0.5 * self._period:
+            raise SimulationUnstable
         self.surroundings.watch(self.time)
 
     def _integrate(self) -> None:

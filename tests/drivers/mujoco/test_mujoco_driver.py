@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ pytest.importorskip("mujoco")
 from rtee.buses.pool import BusPool
 from rtee.drivers.mujoco.driver import MujocoDriver
 from rtee.drivers.registry import find_driver
-from rtee.errors import CommandRejected, ConfigError, NotConnected
+from rtee.errors import CommandRejected, ConfigError, DeviceFault, NotConnected
 from rtee.hand.load import hand_folder, load_hand
 from rtee.types import DeviceSpec, Reference
 
@@ -49,6 +51,26 @@ def test_it_is_found_by_name() -> None:
 async def test_before_configure_there_is_nothing_to_measure() -> None:
     with pytest.raises(NotConnected):
         await make().sense()
+
+
+async def test_a_simulation_that_blows_up_is_a_fault_until_it_is_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    driver = await active()
+    rest = (await driver.sense()).position
+    moved = await run(driver, Reference.at(rest + 0.3), 60)
+    driver.simulation.data.qvel[0] = 1e30
+    with pytest.raises(DeviceFault, match="became unstable and began anew"):
+        await driver.sense()
+    assert "The simulation is unstable" in caplog.text
+    assert os.listdir(tmp_path) == [], "MuJoCo's own log"
+    await driver.recover()
+    await driver.activate()
+    again = (await driver.sense()).position
+    assert np.abs(moved - rest).max() > 0.1
+    assert again == pytest.approx(rest, abs=0.02)
+    assert (await run(driver, Reference.at(rest + 0.3), 60)) == pytest.approx(moved, abs=0.02)
 
 
 async def test_an_exchange_takes_one_period_of_simulated_time() -> None:
