@@ -66,6 +66,37 @@ def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> Non
     assert lines[3] == "True"
 
 
+def test_what_is_used_stays_in_memory_and_what_is_only_reserved_takes_none() -> None:
+    size = 256
+    output = in_process(
+        "import mmap, re, sys\n"
+        "from pathlib import Path\n"
+        "from rtee.loop.realtime import set_up\n"
+        "from rtee.hand.config_schema import RealtimeSettings\n"
+        "own = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS\n"
+        f"reserved = mmap.mmap(-1, {size} << 20, own)\n"
+        "notes = set_up(RealtimeSettings(enabled=True))\n"
+        f"later = mmap.mmap(-1, {size} << 20, own)\n"
+        "later[0] = 1\n"
+        "print('memlock' in ' '.join(notes))\n"
+        "status = Path('/proc/self/status').read_text()\n"
+        "print(*(re.search(f'{key}:\\\\s+([0-9]+)', status)[1] for key in ('VmLck', 'VmRSS')))\n"
+        "area = r'^[0-9a-f-]+ r-xp .* (/\\S+)\\n(?:\\w.*\\n)*?Size: +([0-9]+)'\n"
+        "area += r'(?:.*\\n)*?Rss: +([0-9]+)'\n"
+        "found = re.findall(area, Path('/proc/self/smaps').read_text(), re.M)\n"
+        "print(len(found), *(file for file, size, rss in found if size != rss))\n"
+    )
+    refused, sizes, programs = output.splitlines()
+    if refused == "True":
+        pytest.skip("locking memory is not permitted here")
+    locked, resident = (int(each) / 1024 for each in sizes.split())
+    assert locked > 2 * size
+    assert resident < size
+    count, *absent = programs.split()
+    assert int(count) > 3
+    assert not absent, "parts of a program's file that a first use would wait for"
+
+
 def test_the_session_goes_before_others_for_as_long_as_the_loop_runs() -> None:
     output = in_process(
         "import os\n"
