@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 import anyio
@@ -125,17 +126,29 @@ class MujocoDriver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Advance by one exchange, then measure."""
-        simulation = self.simulation
-        count = self._due(time.monotonic())
+        exchange = partial(self._exchange, self.simulation, self._due(time.monotonic()))
         try:
             if self._cost < self._affordable:
-                self._advance(count)
-            else:
-                await anyio.to_thread.run_sync(self._advance, count, limiter=self._thread)
+                return exchange()
+            return await anyio.to_thread.run_sync(exchange, limiter=self._thread)
         except SimulationUnstable as error:
             raise DeviceFault(
                 self.spec.name, _UNSTABLE, str(error), hint="`rtee recover` goes on from its start"
             ) from error
+
+    def _exchange(self, simulation: Simulation, count: int) -> ActuatorState:
+        """Advance by so many periods, then measure; in any thread."""
+        # An exchange that was given up may still run in its thread, and measuring reads contacts
+        # that a step makes anew.
+        with self._advancing:
+            began = time.perf_counter()
+            for _ in range(count):
+                simulation.advance()
+            # A slow average, so that one preempted step does not send it to the thread.
+            self._cost += 0.05 * ((time.perf_counter() - began) / count - self._cost)
+            return self._measured(simulation)
+
+    def _measured(self, simulation: Simulation) -> ActuatorState:
         now = time.monotonic()
         extras: dict[str, FloatArray] = simulation.seen
         if not simulation.taxels.sensors:
@@ -166,15 +179,6 @@ class MujocoDriver(Driver):
         self._behind -= missed * period
         return 1 + missed
 
-    def _advance(self, count: int) -> None:
-        began = time.perf_counter()
-        # An exchange that was given up may still run in its thread.
-        with self._advancing:
-            for _ in range(count):
-                self.simulation.advance()
-        # A slow average, so that one preempted step does not send it to the thread.
-        self._cost += 0.05 * ((time.perf_counter() - began) / count - self._cost)
-
     async def move(self, reference: Reference) -> None:
         """Set references and effort limits."""
         self.simulation.command(
@@ -183,7 +187,8 @@ class MujocoDriver(Driver):
 
     async def recover(self) -> None:
         """Begin the simulation anew: the hand at rest, the object where it was placed."""
-        self.simulation.reset()
+        with self._advancing:
+            self.simulation.reset()
 
     async def stop(self) -> None:
         """Hold the present positions."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
+import threading
 import time
 from pathlib import Path
 
@@ -13,9 +15,11 @@ pytest.importorskip("mujoco")
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.mujoco.driver import MujocoDriver
+from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.registry import find_driver
 from rtee.errors import CommandRejected, ConfigError, DeviceFault, NotConnected
 from rtee.hand.load import hand_folder, load_hand
+from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 pytestmark = pytest.mark.anyio
@@ -96,6 +100,40 @@ async def test_missed_exchanges_are_made_up_for() -> None:
     driver._cost = 0.0
     await driver.activate()
     assert due(5000, 5001) == [1, 1]
+
+
+async def test_exchanges_that_were_given_up_never_overlap_with_another() -> None:
+    driver = await active()
+    simulation, inside, overlaps = driver.simulation, threading.Event(), 0
+    advance = simulation.advance
+
+    def slow_advance() -> None:
+        nonlocal overlaps
+        overlaps += inside.is_set()
+        inside.set()
+        time.sleep(0.05)
+        advance()
+        inside.clear()
+
+    simulation.advance = slow_advance  # type: ignore[method-assign]
+    driver._cost = 1.0  # a step that takes so long runs in a thread
+    for _ in range(3):
+        given_up = asyncio.ensure_future(driver.sense())
+        await asyncio.sleep(0.01)
+        given_up.cancel()
+        await asyncio.wait([given_up])
+    measured = driver._measured
+
+    def measuring(of: Simulation) -> ActuatorState:
+        nonlocal overlaps
+        overlaps += inside.is_set()
+        time.sleep(0.03)
+        overlaps += inside.is_set()
+        return measured(of)
+
+    driver._measured = measuring  # type: ignore[method-assign]
+    await driver.sense()
+    assert not overlaps
 
 
 async def test_a_late_exchange_advances_further(monkeypatch: pytest.MonkeyPatch) -> None:
