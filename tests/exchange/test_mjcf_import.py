@@ -355,6 +355,37 @@ def test_a_linkage_of_unequal_sides_follows_a_curve_and_its_limits(tmp_path: Pat
     )
 
 
+PUSHED = """<mujoco model="pushed">
+<worldbody><body name="base"><geom type="box" size="0.02 0.02 0.005"/>
+  <body name="slider" pos="-0.05 0.02 0">
+    <joint name="push" type="slide" axis="1 0 0" range="-0.01 0.01"/>
+    <geom type="box" size="0.003 0.003 0.003"/>
+    <body name="rod">
+      <joint name="rod" axis="0 0 1"/>
+      <geom type="capsule" size="0.002" fromto="0 0 0 0.05 0 0"/>
+    </body>
+  </body>
+  <body name="crank">
+    <joint name="crank" axis="0 0 1"/>
+    <geom type="capsule" size="0.002" fromto="0 0 0 0 0.02 0"/>
+  </body>
+</body></worldbody>
+<equality><connect body1="rod" body2="crank" anchor="0.05 0 0"/></equality>
+<actuator><position joint="push" kp="100"/></actuator>
+</mujoco>"""
+
+
+def test_a_slide_turns_a_short_crank(tmp_path: Path) -> None:
+    hand = made(tmp_path, PUSHED)
+    assert (hand.lower[0], hand.upper[0]) == pytest.approx((-0.01, 0.01))
+    crank = hand.transmission.couplings[hand.joint_index("crank")]
+    for u in np.linspace(-0.01, 0.01, 9):
+        q = crank.value(u)
+        # The rod keeps its length between the slider and the end of the crank.
+        rod = np.array([-0.02 * np.sin(q), 0.02 * np.cos(q)]) - (u - 0.05, 0.02)
+        assert np.linalg.norm(rod) == pytest.approx(0.05, abs=1e-7)
+
+
 def test_a_linkage_with_too_few_motors_or_too_many_is_refused(tmp_path: Path) -> None:
     open_chain = SQUARE.format(x=0, crank=0.03).replace(
         '<geom type="capsule" size="0.004" fromto="0 0 0 0.04 0 0"/>',
