@@ -137,6 +137,31 @@ def test_polynomials_become_expressions(tmp_path: Path) -> None:
         assert found == pytest.approx([u, a_2, 0.2 + 2.0 * a_2], abs=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "polynomial", "bent"),
+    [
+        # What follows a held joint, and what a held joint follows.
+        ("b_1", "b_2", "0.35 0.5 0.25 0 0", 0.35 + 0.5 * 0.2 + 0.25 * 0.2**2),
+        ("b_2", "b_1", "0.1 0.5 0 0 0", (0.2 - 0.1) / 0.5),
+    ],
+)
+def test_what_is_coupled_with_a_held_joint_is_held(
+    tmp_path: Path, one: str, other: str, polynomial: str, bent: float
+) -> None:
+    extra = """<equality>
+      <joint joint1="b_2" polycoef="0.2 0 0 0 0"/>
+      <joint joint1="{}" joint2="{}" polycoef="{}"/>
+      <joint joint1="a_2" joint2="b_1" polycoef="0 2 0 0 0"/>
+    </equality><actuator><position joint="a_1" kp="1"/></actuator>"""
+    hand = made(tmp_path, hand_of(extra.format(one, other, polynomial)))
+    assert hand.joint_names == ("a_1",)
+    text = notes_of(tmp_path / "hand.xml")
+    assert all(f"joint '{name}' is held" in text for name in ("a_2", "b_1", "b_2"))
+    turn = Kinematics(hand).link_pose(hand.rest, "b")[:3, :3]
+    # Its axis is -y.
+    assert np.arctan2(turn[2, 0], turn[0, 0]) == pytest.approx(bent)
+
+
 def test_a_tendon_that_a_motor_pulls_and_equalities_between_tendons(tmp_path: Path) -> None:
     extra = """<tendon>
       <fixed name="pull"><joint joint="a_1" coef="0.5"/><joint joint="b_1" coef="0.5"/></fixed>
