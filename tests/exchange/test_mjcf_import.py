@@ -109,6 +109,16 @@ def test_motors_give_actuators_limits_and_efforts(tmp_path: Path) -> None:
     assert "a plane of body" not in notes_of(tmp_path / "hand.xml")
 
 
+def test_limits_of_velocities_are_none_of_positions(tmp_path: Path) -> None:
+    extra = """<actuator>
+      <intvelocity joint="a_1" kp="5" ctrlrange="-0.1 0.1" actrange="0 1.2"/>
+      <position joint="b_1" kp="5" ctrlrange="0 1.1"/>
+    </actuator>"""
+    hand = made(tmp_path, hand_of(extra))
+    assert hand.lower == pytest.approx([0.0, 0.0])
+    assert hand.upper == pytest.approx([1.2, 1.1])
+
+
 def test_without_actuators_every_free_joint_is_one(tmp_path: Path) -> None:
     tied = '<equality><joint joint1="a_2" joint2="a_1" polycoef="0.1 0.5 0 0 0"/></equality>'
     hand = made(tmp_path, hand_of(tied))
