@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
@@ -97,9 +98,7 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
     """Return a hand's URDF, its meshes by their places beside it, and notes."""
     local = with_local_meshes(hand)
     notes = list(local.notes)
-    keeping = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314
-    # The file has been read before, by a parser that refuses document types and entities.
-    root = ElementTree.fromstring(local.text, keeping)  # noqa: S314
+    root = _parsed(local.text)
     for element in root.iterfind("joint"):
         name = element.get("name", "")
         _drop_repeated(element)
@@ -115,6 +114,16 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n{text}\n', list(local.meshes.items()), notes
+
+
+def _parsed(text: str) -> ElementTree.Element:
+    """Return the root of a URDF's text, which was read before, with comments and prefixes."""
+    # ElementTree's own parser refuses prefixes that are not declared, as in Gazebo's older plugins.
+    parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder(insert_comments=True)
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def _drop_repeated(joint: ElementTree.Element) -> None:

@@ -252,6 +252,17 @@ def test_hand_yaml_limits_and_names_that_mujoco_has_itself(tmp_path: Path) -> No
     assert any("link 'world' is called 'link/world'" in note for note in done.notes)
 
 
+def test_prefixes_and_comments_stay_in_the_urdf(tmp_path: Path) -> None:
+    plugin = '<gazebo><!-- old --><controller:plugin name="é" interval="1"/></gazebo>'
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace("</robot>", f"{plugin}</robot>"))
+    folder = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config").folder
+    export_hand(folder, tmp_path / "out", [Kind.URDF])
+    text = (tmp_path / "out" / "g.urdf").read_text()
+    assert "<!-- old -->" in text
+    assert '<controller:plugin name="é" interval="1" />' in text
+    assert load_model(tmp_path / "out" / "g.urdf").actuator_names
+
+
 def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "rtee", "export", str(CONFIG / "dagana"), "--mjcf", str(tmp_path)],
