@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
@@ -76,7 +77,7 @@ def _with_lines(srdf: str, lines: Sequence[str]) -> str:
 
 def _group(finger: Finger) -> list[str]:
     # XML comments must not contain two hyphens in a row.
-    reason = escape(finger.reason).replace("--", "- -")
+    reason = re.sub("-(?=-)", "- ", escape(finger.reason))
     return [
         f"  <!-- {reason} -->",
         f"  <group name={quoteattr(finger.name)}>",

@@ -70,6 +70,13 @@ def test_a_given_srdf_is_kept_and_completed(tmp_path: Path) -> None:
     assert made.hand.disabled_collisions == (("palm", "left_jaw", "mine"),)
 
 
+@pytest.mark.parametrize("hyphens", ["--", "---", "----"])
+def test_hyphens_in_names_of_links_make_no_end_of_a_comment(tmp_path: Path, hyphens: str) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace("left_jaw", f"left{hyphens}jaw"))
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    assert f"left{hyphens}jaw" in {finger.tip for finger in made.hand.fingers}
+
+
 def stl() -> bytes:
     """Return a tetrahedron."""
     import struct
