@@ -70,6 +70,15 @@ def test_a_given_srdf_is_kept_and_completed(tmp_path: Path) -> None:
     assert made.hand.disabled_collisions == (("palm", "left_jaw", "mine"),)
 
 
+def test_lines_are_added_before_the_end_however_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER)
+    (tmp_path / "g.srdf").write_text(SRDF.replace("</robot>", "</robot >\n<!-- of </robot> -->"))
+    made = make_hand("g", tmp_path / "g.urdf", tmp_path / "g.srdf", into=tmp_path / "config")
+    assert made.pairs
+    assert made.hand.disabled_collisions == tuple(tuple(pair) for pair in made.pairs)
+    assert (made.folder / "g.srdf").read_text().rstrip().endswith("<!-- of </robot> -->")
+
+
 @pytest.mark.parametrize("hyphens", ["--", "---", "----"])
 def test_hyphens_in_names_of_links_make_no_end_of_a_comment(tmp_path: Path, hyphens: str) -> None:
     (tmp_path / "g.urdf").write_text(GRIPPER.replace("left_jaw", f"left{hyphens}jaw"))
