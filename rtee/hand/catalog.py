@@ -87,11 +87,13 @@ def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 def fingerprint(folder: Path) -> str:
     """Return a word of 16 characters that changes with the hand's model, configuration or actions.
 
+    Meshes are not looked at.
+
     Args:
         folder: The hand's folder.
     """
     digest = hashlib.sha256()
-    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), *folder.glob("hand.yaml")]
+    files = [*folder.rglob("*.urdf"), *folder.rglob("*.srdf"), *folder.glob("hand.yaml")]
     for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
         # With the names, so that moving a file is a change, too.
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
