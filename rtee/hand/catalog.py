@@ -70,7 +70,8 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     """
     check_name(name, "hand")
     for folder in config_dirs(extra):
-        if (folder / name / FILE_NAME).is_file():
+        # As in `config_dirs`: Path.is_file ends with an error where a folder may not be entered.
+        if os.path.isfile(folder / name / FILE_NAME):
             return folder / name
     raise ConfigError(
         f"unknown hand '{name}'; {suggestion(name, hand_names(extra))} ('rtee hands' lists them, "
