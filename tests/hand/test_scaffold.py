@@ -123,6 +123,16 @@ def test_meshes_of_packages_are_copied_and_found_again(tmp_path: Path) -> None:
     check_meshes(load_hand(made.folder).urdf)
 
 
+@pytest.mark.parametrize("name", ["手指", "jaw" * 40, "jaw.v2", "_jaw_"])
+def test_copies_of_meshes_keep_their_ending(tmp_path: Path, name: str) -> None:
+    (tmp_path / f"{name}.STL").write_bytes(stl())
+    mesh = f'<mesh filename="{name}.STL"/>'
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace('<box size="0.01 0.02 0.06"/>', mesh))
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    check_meshes(load_hand(made.folder).urdf)
+    assert [file.suffix for file in (made.folder / "meshes").iterdir()] == [".STL"]
+
+
 def test_a_missing_visual_mesh_is_a_note(tmp_path: Path) -> None:
     visual = '<visual><geometry><mesh filename="none.stl"/></geometry></visual></link>'
     (tmp_path / "g.urdf").write_text(GRIPPER.replace("</link>", visual, 1))
