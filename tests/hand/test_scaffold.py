@@ -16,6 +16,7 @@ from rtee.errors import ConfigError, ModelError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
+from rtee.hand.own_copy import copy_hand
 from rtee.hand.scaffold import make_hand
 from rtee.hand.schema import SCHEMA_FILE, schema_text
 from rtee.hand.srdf import read_srdf
@@ -77,6 +78,17 @@ def test_lines_are_added_before_the_end_however_it_is_written(tmp_path: Path) ->
     assert made.pairs
     assert made.hand.disabled_collisions == tuple(tuple(pair) for pair in made.pairs)
     assert (made.folder / "g.srdf").read_text().rstrip().endswith("<!-- of </robot> -->")
+
+
+@pytest.mark.parametrize("name", ["2", "1e5", "0x1f", "null", "yes", "-", "3f"])
+def test_a_hand_may_be_called_like_a_number_or_a_word_of_yaml(tmp_path: Path, name: str) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER)
+    made = make_hand(name, tmp_path / "g.urdf", into=tmp_path / "config")
+    assert load_hand(made.folder).name == name
+    copy_hand(made.folder, tmp_path / "copies" / f"{name}9")
+    assert load_hand(tmp_path / "copies" / f"{name}9").name == f"{name}9"
+    copy_hand(tmp_path / "copies" / f"{name}9", tmp_path / "again" / name)
+    assert load_hand(tmp_path / "again" / name).name == name
 
 
 @pytest.mark.parametrize("hyphens", ["--", "---", "----"])
