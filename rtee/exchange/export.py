@@ -106,7 +106,7 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
         if mimic is not None and mimic.get("nlFunPos") is not None:
             notes += _straighten(hand, name, mimic)
         elif name in hand.actuator_names:
-            _limit(hand, name, element)
+            notes += _limit(hand, name, element)
     _tell_mujoco(root)
     others = [place for place in local.meshes if not place.lower().endswith(_READ_BY_MUJOCO)]
     if others:
@@ -160,11 +160,23 @@ def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]
     ]
 
 
-def _limit(hand: Hand, name: str, element: ElementTree.Element) -> None:
-    """Give an actuator the limits that hold, those of hand.yaml included."""
+def _limit(hand: Hand, name: str, element: ElementTree.Element) -> list[str]:
+    """Give an actuator the limits that hold, those of hand.yaml included; returns notes."""
     limit, spec, before = element.find("limit"), hand.actuator(name), hand.urdf.joints[name]
+    notes = []
+    if before.kind == "continuous":
+        ends = math.isfinite(spec.lower) + math.isfinite(spec.upper)
+        if ends == 2:
+            # Readers pass over the limits of a continuous joint.
+            element.set("type", "revolute")
+        elif ends == 1:
+            notes.append(
+                f"joint '{name}' has one limit, which a URDF cannot have: it has none there"
+            )
+        if limit is None and ends == 2:
+            limit = ElementTree.SubElement(element, "limit", effort="0", velocity="0")
     if limit is None:
-        return
+        return notes
     for attribute, value, old in (
         ("lower", spec.lower, before.lower),
         ("upper", spec.upper, before.upper),
@@ -173,6 +185,7 @@ def _limit(hand: Hand, name: str, element: ElementTree.Element) -> None:
     ):
         if value != old and math.isfinite(value):
             limit.set(attribute, repr(float(value)))
+    return notes
 
 
 def _tell_mujoco(root: ElementTree.Element) -> None:
