@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
@@ -97,9 +98,7 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
     """Return a hand's URDF, its meshes by their places beside it, and notes."""
     local = with_local_meshes(hand)
     notes = list(local.notes)
-    keeping = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))  # noqa: S314
-    # The file has been read before, by a parser that refuses document types and entities.
-    root = ElementTree.fromstring(local.text, keeping)  # noqa: S314
+    root = _parsed(local.text)
     for element in root.iterfind("joint"):
         name = element.get("name", "")
         _drop_repeated(element)
@@ -107,7 +106,7 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
         if mimic is not None and mimic.get("nlFunPos") is not None:
             notes += _straighten(hand, name, mimic)
         elif name in hand.actuator_names:
-            _limit(hand, name, element)
+            notes += _limit(hand, name, element)
     _tell_mujoco(root)
     others = [place for place in local.meshes if not place.lower().endswith(_READ_BY_MUJOCO)]
     if others:
@@ -115,6 +114,16 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n{text}\n', list(local.meshes.items()), notes
+
+
+def _parsed(text: str) -> ElementTree.Element:
+    """Return the root of a URDF's text, which was read before, with comments and prefixes."""
+    # ElementTree's own parser refuses prefixes that are not declared, as in Gazebo's older plugins.
+    parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder(insert_comments=True)
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
+    parser.Parse(text, True)
+    return builder.close()
 
 
 def _drop_repeated(joint: ElementTree.Element) -> None:
@@ -151,11 +160,23 @@ def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]
     ]
 
 
-def _limit(hand: Hand, name: str, element: ElementTree.Element) -> None:
-    """Give an actuator the limits that hold, those of hand.yaml included."""
+def _limit(hand: Hand, name: str, element: ElementTree.Element) -> list[str]:
+    """Give an actuator the limits that hold, those of hand.yaml included; returns notes."""
     limit, spec, before = element.find("limit"), hand.actuator(name), hand.urdf.joints[name]
+    notes = []
+    if before.kind == "continuous":
+        ends = math.isfinite(spec.lower) + math.isfinite(spec.upper)
+        if ends == 2:
+            # Readers pass over the limits of a continuous joint.
+            element.set("type", "revolute")
+        elif ends == 1:
+            notes.append(
+                f"joint '{name}' has one limit, which a URDF cannot have: it has none there"
+            )
+        if limit is None and ends == 2:
+            limit = ElementTree.SubElement(element, "limit", effort="0", velocity="0")
     if limit is None:
-        return
+        return notes
     for attribute, value, old in (
         ("lower", spec.lower, before.lower),
         ("upper", spec.upper, before.upper),
@@ -164,6 +185,7 @@ def _limit(hand: Hand, name: str, element: ElementTree.Element) -> None:
     ):
         if value != old and math.isfinite(value):
             limit.set(attribute, repr(float(value)))
+    return notes
 
 
 def _tell_mujoco(root: ElementTree.Element) -> None:

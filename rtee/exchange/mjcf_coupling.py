@@ -71,6 +71,7 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     found = constraints_of(model, path)
+    _hold(found)
     motion = Motion(fixed=dict(found.fixed), notes=list(found.notes))
     held = [m for m in found.motors if m.joint in found.fixed]
     motion.notes += [
@@ -102,6 +103,23 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
     if not motion.driven:
         raise ModelError("has no joint that a motor could move", path=str(path))
     return motion
+
+
+def _hold(found: Constraints) -> None:
+    """Hold the joints that only follow held ones, and those that held ones follow along a line."""
+    left: list[Curve] = []
+    while len(left) != len(found.curves):
+        left, found.curves = found.curves, []
+        for curve in left:
+            joint, of = found.fixed.get(curve.joint), found.fixed.get(curve.of)
+            c0, c1, *_ = curve.coefficients
+            if of is not None:
+                where = float(np.polynomial.polynomial.polyval(of, curve.coefficients))
+                found.fixed.setdefault(curve.joint, where)
+            elif joint is not None and curve.straight and abs(c1) > TINY:
+                found.fixed[curve.of] = (joint - c0) / c1
+            else:
+                found.curves.append(curve)
 
 
 def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:

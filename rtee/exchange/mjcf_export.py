@@ -129,7 +129,8 @@ def _no_triangles() -> tuple[np.ndarray, np.ndarray]:
 def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
     for motor in spec.actuators:
         actuator = hand.actuator(motor.name)
-        if actuator.kind is not JointKind.CONTINUOUS:
+        # A continuous joint has limits where hand.yaml gives it some.
+        if math.isfinite(actuator.lower) and math.isfinite(actuator.upper):
             motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.ctrlrange = [actuator.lower, actuator.upper]
 

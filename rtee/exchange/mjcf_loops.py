@@ -40,6 +40,10 @@ _FLAT: Final = 1e-6
 _SINGULAR: Final = 1e-8
 """Singular values below this share of the largest are rounding."""
 
+_JUMP: Final = 20.0
+"""Most that another joint moves within one step of the moving one, in such steps: linkages that are
+stretched move fast, and what moves faster has jumped to another way of closing."""
+
 _DEGREES: Final = 24
 """Highest degree of the polynomial that is fitted to a joint's way."""
 
@@ -116,7 +120,7 @@ class Linkage:
         self._by_springs = False
 
     def _at(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residuals ``(r,)`` and their derivatives by the other joints ``(r, n)``."""
+        """Return residuals ``(r,)`` and their derivatives by all joints ``(r, 1 + n)``."""
         model, data = self.model, self._data
         data.qpos[:] = self._drawn
         data.qpos[self.joint] += x
@@ -125,7 +129,16 @@ class Linkage:
         own = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         own &= np.isin(data.efc_id, self._equalities)
         jacobian = data.efc_J.reshape(-1, model.nv)[own]
-        return data.efc_pos[own].copy(), jacobian[:, self.others].copy()
+        return data.efc_pos[own].copy(), jacobian[:, [self.joint, *self.others]]
+
+    def slopes(self, x: float, q: FloatArray) -> FloatArray:
+        """Return how fast the others move with the joint ``(n,)``, where the linkage is closed.
+
+        Roughly where springs decide it: they count as if they held rigidly.
+        """
+        springs = np.column_stack([self._moved, self._pull])
+        rows = np.vstack([self._at(x, q)[1], springs])
+        return np.asarray(-np.linalg.pinv(rows[:, 1:], rcond=_SINGULAR) @ rows[:, 0])
 
     def settle(self, x: float) -> tuple[FloatArray | None, int]:
         """Close the linkage as it is drawn, with the joint at ``x``.
@@ -152,7 +165,7 @@ class Linkage:
         residual, jacobian = self._at(x, q)
         stops = list(self._stopped)
         away = q[stops] - np.array(list(self._stopped.values()))
-        return np.append(residual, away), np.vstack([jacobian, np.eye(len(q))[stops]])
+        return np.append(residual, away), np.vstack([jacobian[:, 1:], np.eye(len(q))[stops]])
 
     def _open(self, x: float, q: FloatArray) -> FloatArray:
         """Return a basis ``(n, k)`` of what is left open to the others."""
@@ -258,6 +271,10 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
         )
     places, ways = [start], [first]
     step = (limits[1] - limits[0]) / _STEPS
+    jump = _JUMP * step
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        # Hinges follow it by as many radians per metre as their levers are short.
+        jump *= max(1.0, float(np.abs(linkage.slopes(start, first)).max()))
     for end in limits:
         at, q, before = start, first, first
         while abs(end - at) > TINY:
@@ -265,7 +282,7 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
             # From where the last step leads on, so that the linkage does not fold over.
             found = linkage.close(at + ahead, 2.0 * q - before)
             # A jump: Newton's method has found another way in which the linkage closes.
-            if found is None or float(np.abs(found - q).max()) > 20.0 * step:
+            if found is None or float(np.abs(found - q).max()) > jump:
                 break
             at, q, before = at + ahead, found, q
             places.append(at)

@@ -297,10 +297,14 @@ def _targets(model: mujoco.MjModel, i: int, gear: float) -> tuple[float, float]:
     """Return the limits of a position actuator's targets as positions or lengths [rad | m]."""
     gain, slope = float(model.actuator_gainprm[i, 0]), float(model.actuator_biasprm[i, 1])
     servo = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and slope < 0.0 < gain
-    if not (servo and model.actuator_ctrllimited[i]):
+    limited, targets = model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]
+    # Where the controls are velocities (intvelocity), their sum over time is the target.
+    if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        limited, targets = model.actuator_actlimited[i], model.actuator_actrange[i]
+    if not (servo and limited):
         return -math.inf, math.inf
     # At rest gain · target = -slope · (gear · length), so that this is where a target leads.
-    ends = sorted(float(end) * gain / -slope / gear for end in model.actuator_ctrlrange[i])
+    ends = sorted(float(end) * gain / -slope / gear for end in targets)
     return ends[0], ends[1]
 
 

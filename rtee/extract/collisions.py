@@ -242,7 +242,7 @@ class CollisionChecker:
 
         Links whose convex parts stay farther apart than they can move are free; for the others the
         path is halved, again and again. What remains is checked exactly, so often that the links
-        move at most 2 mm against each other, where they are near, between two checks.
+        move at most 1 mm against each other, where they are near, between two checks.
         """
         key = u.tobytes()
         # The same posture is asked for again when the evidence is measured.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rtee.extract.pairs import LinkPair
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, rotated
+from rtee.hand.transmission import sample
 from rtee.sample import FloatArray
 from rtee.types import JointKind, from_rest
 
@@ -187,8 +188,18 @@ class Motion:
         lengths = [norm(m.translation) for m in scene.kinematics.model.jointPlacements]
         for i, joint in enumerate(scene.hand.joints):
             if joint.kind is JointKind.PRISMATIC:
-                lengths[i + 1] += max(abs(joint.lower), abs(joint.upper))
+                lengths[i + 1] += max(abs(joint.lower), abs(joint.upper), self._farthest(i))
         return lengths
+
+    def _farthest(self, joint: int) -> float:
+        """Return how far a joint goes from 0, as its actuator moves it [rad | m]."""
+        hand = self._scene.hand
+        coupling = hand.transmission.couplings[joint]
+        if coupling.actuator is None:
+            return abs(coupling.value(0.0))
+        spec = hand.actuators[coupling.actuator]
+        # Those that follow may go beyond their own limits: the actuator's count.
+        return max(abs(coupling.value(u)) for u in sample(spec.lower, spec.upper))
 
     @cached_property
     def _radius(self) -> list[float]:

@@ -170,7 +170,7 @@ def make_report(
 
     Raises:
         ConfigError: The extra ``plot`` is not installed.
-        ModelError: A mesh cannot be read.
+        ModelError: A mesh cannot be read, or the hand has no shapes at all.
     """
     template = _load_template()
     sections = {**_primitives(hand, extraction.primitives), **_custom(hand, actions or ())}

@@ -70,7 +70,8 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     """
     check_name(name, "hand")
     for folder in config_dirs(extra):
-        if (folder / name / FILE_NAME).is_file():
+        # As in `config_dirs`: Path.is_file ends with an error where a folder may not be entered.
+        if os.path.isfile(folder / name / FILE_NAME):
             return folder / name
     raise ConfigError(
         f"unknown hand '{name}'; {suggestion(name, hand_names(extra))} ('rtee hands' lists them, "
@@ -87,11 +88,13 @@ def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 def fingerprint(folder: Path) -> str:
     """Return a word of 16 characters that changes with the hand's model, configuration or actions.
 
+    Meshes are not looked at.
+
     Args:
         folder: The hand's folder.
     """
     digest = hashlib.sha256()
-    files = [*folder.glob("*.urdf"), *folder.glob("*.srdf"), *folder.glob("hand.yaml")]
+    files = [*folder.rglob("*.urdf"), *folder.rglob("*.srdf"), *folder.glob("hand.yaml")]
     for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
         # With the names, so that moving a file is a change, too.
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -149,11 +150,12 @@ def hand_folder(
         return folder, folder / FILE_NAME
     path = Path(name_or_path)
     option = _MODELS.get(path.suffix)
-    if option is not None and not path.is_dir():
+    # Unlike Path.is_dir, os.path.isdir takes names too long and folders that may not be entered.
+    if option is not None and not os.path.isdir(path):
         text = f"is a model, not a hand; `rtee new NAME {option} {path}` makes a hand of it"
         raise ConfigError(text, path=path)
-    file = path / FILE_NAME if path.is_dir() else path
-    if not file.is_file():
+    file = path / FILE_NAME if os.path.isdir(path) else path
+    if not os.path.isfile(file):
         raise ConfigError(f"is not a hand's folder: it has no {FILE_NAME}", path=path)
     return file.parent, file
 

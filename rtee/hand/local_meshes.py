@@ -12,10 +12,13 @@ from rtee.errors import ModelError
 from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
-from rtee.hand.names import safe_name
+from rtee.hand.names import MAX_LENGTH, safe_name
 from rtee.hand.urdf import Urdf
 
 _DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
+
+_ENDING: Final = 10
+"""Longest ending of a mesh's name that is kept [characters]; those of formats have up to five."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,4 +96,7 @@ def _place(uri: str, source: Path) -> str:
     # An address may come from anywhere: it must not lead out of the hand's folder.
     if ".." in parts or not parts:
         parts = ["meshes"]
-    return "/".join([*(safe_name(part, "x") for part in parts), safe_name(source.name, "mesh")])
+    # The ending by itself: it says the format, and nothing else may be left of a name.
+    ending = re.sub(r"[^A-Za-z0-9.]", "", source.suffix)[:_ENDING]
+    name = safe_name(source.stem, "mesh")[: MAX_LENGTH - _ENDING] + ending
+    return "/".join([*(safe_name(part, "x") for part in parts), name])

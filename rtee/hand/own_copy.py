@@ -20,6 +20,7 @@ from rtee.hand.files import new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_configured
 from rtee.hand.names import check_name
 from rtee.hand.schema import SCHEMA_FILE, schema_text
+from rtee.hand.yamlwrite import emit_scalar
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "_config"
 """The hands in an installed rtee. A checkout has none there: its ``config/`` is its owner's."""
@@ -148,7 +149,7 @@ def _fill(folder: Path, copy: Path, name: str) -> None:
         file = copy / FILE_NAME
         # As text, so that comments and layout stay.
         text = read_bytes(file, FILE_NAME).decode("utf-8")
-        write_atomically(file, _NAME.sub(lambda found: found[1] + name, text, count=1))
+        write_atomically(file, _NAME.sub(lambda found: found[1] + emit_scalar(name), text, count=1))
     # Loaded before it gets its place: what cannot be loaded is never the hand of that name.
     made = load_configured(copy)[1]
     if made.name != name:

@@ -23,7 +23,7 @@ from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import DisabledPair, format_srdf, with_disabled, with_passive
 from rtee.hand.xmlfile import read_xml
-from rtee.hand.yamlwrite import ignore_line, rest_line
+from rtee.hand.yamlwrite import emit_scalar, ignore_line, rest_line
 
 Ask = Callable[[str, bool], bool]
 """Asks a yes-or-no question; the second argument is the likelier answer."""
@@ -297,9 +297,9 @@ def _hand_yaml(settled: _Settled) -> str:
 # These move all fingers as one body, as a wrist does; they stay fixed and take no part.
 {ignore_line(settled.ignored)}
 """
-    return f"""{SCHEMA_LINE}name: {hand.name}
-urdf: {hand.name}.urdf
-srdf: {hand.name}.srdf
+    return f"""{SCHEMA_LINE}name: {emit_scalar(hand.name)}
+urdf: {emit_scalar(f"{hand.name}.urdf")}
+srdf: {emit_scalar(f"{hand.name}.srdf")}
 {chosen}
 # Limits that the URDF does not have, or tighter ones [rad or m, s, N·m or N]:
 # limits:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from xml.sax.saxutils import escape, quoteattr
 
@@ -10,6 +11,9 @@ from rtee.hand.model import Finger, Hand, JointRole
 
 DisabledPair = tuple[str, str, str]
 """Two links that are never checked for collision, and why."""
+
+_END = re.compile(r"<!--.*?-->|(</robot\s*>)", re.DOTALL)
+"""Comments, which may name the end, and the end itself."""
 
 _HEAD = """<?xml version="1.0"?>
 <!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->
@@ -68,15 +72,15 @@ def with_passive(srdf: str, joints: Sequence[str]) -> str:
 
 def _with_lines(srdf: str, lines: Sequence[str]) -> str:
     # As text, so that a file of the user keeps its comments and layout.
-    head, end, tail = srdf.rpartition("</robot>")
-    if not end or not lines:
+    ends = [found.start() for found in _END.finditer(srdf) if found[1]]
+    if not ends or not lines:
         return srdf
-    return head + "\n".join(lines).lstrip("\n") + "\n" + end + tail
+    return srdf[: ends[-1]] + "\n".join(lines).lstrip("\n") + "\n" + srdf[ends[-1] :]
 
 
 def _group(finger: Finger) -> list[str]:
     # XML comments must not contain two hyphens in a row.
-    reason = escape(finger.reason).replace("--", "- -")
+    reason = re.sub("-(?=-)", "- ", escape(finger.reason))
     return [
         f"  <!-- {reason} -->",
         f"  <group name={quoteattr(finger.name)}>",

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtee.hand.colours import finger_of_link
 from rtee.hand.config_schema import TouchSection
 from rtee.hand.frames import origin
 from rtee.hand.model import Hand
@@ -49,9 +50,8 @@ def taxels_of(section: TouchSection) -> tuple[FloatArray, FloatArray]:
 
 
 def finger_of(hand: Hand, link: str) -> str:
-    """Return the finger that a link belongs to; empty: none, or several, such as the palm."""
-    owners = [finger.name for finger in hand.fingers if link in finger.links]
-    return owners[0] if len(owners) == 1 else ""
+    """Return the finger that a link belongs to, as in pictures; empty: none, such as the palm."""
+    return finger_of_link(hand).get(link, "")
 
 
 def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,9 +191,19 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     return builder.root, _text(data)
 
 
+_ENCODING: Final = re.compile(r"""(\A<\?xml[^>]*?)\s+encoding\s*=\s*(?:"[^"]*"|'[^']*')""")
+"""A declaration with an encoding, up to that."""
+
+
 def _text(data: bytes) -> str:
+    """Return the text of a file, which is UTF-8 wherever it is written again."""
     try:
-        return data.decode("utf-8-sig")
+        # UTF-16 without a mark of the byte order is UTF-8, too, with zeros.
+        if b"\0" not in data[:2]:
+            return data.decode("utf-8-sig")
+        encoding = "utf-16-be" if data.startswith(b"\0") else "utf-16-le"
     except UnicodeDecodeError:
-        # The parser has accepted another encoding; this one never fails, and keeps ASCII.
-        return data.decode("latin-1")
+        marked = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        # The parser has accepted it, so this never fails; in others it keeps ASCII.
+        encoding = "utf-16" if marked else "latin-1"
+    return _ENCODING.sub(r"\1", data.decode(encoding), count=1)

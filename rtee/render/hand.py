@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from rtee.errors import ModelError
 from rtee.hand.colours import PALM, finger_colours, finger_of_link
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
@@ -70,7 +71,7 @@ class HandRenderer:
 
         Raises:
             MissingExtra: The extra ``plot`` is not installed.
-            ModelError: A mesh cannot be read.
+            ModelError: A mesh cannot be read, or the hand has no shapes at all.
         """
         check_pictures()
         self.hand = hand
@@ -78,6 +79,11 @@ class HandRenderer:
         self._lock = threading.Lock()
         self._last: tuple[bytes, RayCaster] | None = None
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
+        if not self._mesh.links:
+            raise ModelError(
+                "no link has visual or collision geometry, so there is nothing to see in a picture",
+                path=hand.urdf.path,
+            )
         self._back, self._up = choose_view(self._mesh.geometry)
         rest = self._corners(hand.rest)
         points = np.concatenate([rest, *(self._corners(u) for u in postures)])

@@ -252,6 +252,42 @@ def test_hand_yaml_limits_and_names_that_mujoco_has_itself(tmp_path: Path) -> No
     assert any("link 'world' is called 'link/world'" in note for note in done.notes)
 
 
+@pytest.mark.parametrize("limit", ["", '<limit velocity="2" effort="5"/>'])
+def test_limits_that_hand_yaml_gives_a_continuous_joint(tmp_path: Path, limit: str) -> None:
+    given = '<limit lower="0" upper="0.8" velocity="2" effort="5"/>'
+    text = GRIPPER.replace(given, limit, 1).replace("revolute", "continuous", 1)
+    (tmp_path / "g.urdf").write_text(text)
+    folder = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config").folder
+    own = (folder / "hand.yaml").read_text()
+    (folder / "hand.yaml").write_text(own + "limits: {left: {lower: -0.1, upper: 3.0}}\n")
+    export_hand(folder, tmp_path / "out")
+    again, before = load_model(tmp_path / "out" / "g.urdf").actuator("left"), load_hand(folder)
+    assert (again.lower, again.upper) == (-0.1, 3.0)
+    assert (again.velocity, again.effort) == (
+        before.actuator("left").velocity,
+        before.actuator("left").effort,
+    )
+    for suffix in ("urdf", "xml"):
+        mujoco.MjModel.from_xml_path(str(tmp_path / "out" / f"g.{suffix}"))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "g.xml"))
+    assert model.actuator("left").ctrlrange.tolist() == [-0.1, 3.0]
+    (folder / "hand.yaml").write_text(own + "limits: {left: {lower: -0.1}}\n")
+    notes = export_hand(folder, tmp_path / "half").notes
+    assert any("'left' has one limit" in note for note in notes)
+    assert load_model(tmp_path / "half" / "g.urdf").actuator("left").lower == -np.inf
+
+
+def test_prefixes_and_comments_stay_in_the_urdf(tmp_path: Path) -> None:
+    plugin = '<gazebo><!-- old --><controller:plugin name="é" interval="1"/></gazebo>'
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace("</robot>", f"{plugin}</robot>"))
+    folder = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config").folder
+    export_hand(folder, tmp_path / "out", [Kind.URDF])
+    text = (tmp_path / "out" / "g.urdf").read_text()
+    assert "<!-- old -->" in text
+    assert '<controller:plugin name="é" interval="1" />' in text
+    assert load_model(tmp_path / "out" / "g.urdf").actuator_names
+
+
 def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-m", "rtee", "export", str(CONFIG / "dagana"), "--mjcf", str(tmp_path)],

@@ -109,6 +109,16 @@ def test_motors_give_actuators_limits_and_efforts(tmp_path: Path) -> None:
     assert "a plane of body" not in notes_of(tmp_path / "hand.xml")
 
 
+def test_limits_of_velocities_are_none_of_positions(tmp_path: Path) -> None:
+    extra = """<actuator>
+      <intvelocity joint="a_1" kp="5" ctrlrange="-0.1 0.1" actrange="0 1.2"/>
+      <position joint="b_1" kp="5" ctrlrange="0 1.1"/>
+    </actuator>"""
+    hand = made(tmp_path, hand_of(extra))
+    assert hand.lower == pytest.approx([0.0, 0.0])
+    assert hand.upper == pytest.approx([1.2, 1.1])
+
+
 def test_without_actuators_every_free_joint_is_one(tmp_path: Path) -> None:
     tied = '<equality><joint joint1="a_2" joint2="a_1" polycoef="0.1 0.5 0 0 0"/></equality>'
     hand = made(tmp_path, hand_of(tied))
@@ -135,6 +145,31 @@ def test_polynomials_become_expressions(tmp_path: Path) -> None:
         a_2 = np.polynomial.polynomial.polyval(u, [0.01, 0.5, 0.2, -0.1, 0.03])
         found = hand.transmission.joints(np.array([u]))
         assert found == pytest.approx([u, a_2, 0.2 + 2.0 * a_2], abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "polynomial", "bent"),
+    [
+        # What follows a held joint, and what a held joint follows.
+        ("b_1", "b_2", "0.35 0.5 0.25 0 0", 0.35 + 0.5 * 0.2 + 0.25 * 0.2**2),
+        ("b_2", "b_1", "0.1 0.5 0 0 0", (0.2 - 0.1) / 0.5),
+    ],
+)
+def test_what_is_coupled_with_a_held_joint_is_held(
+    tmp_path: Path, one: str, other: str, polynomial: str, bent: float
+) -> None:
+    extra = """<equality>
+      <joint joint1="b_2" polycoef="0.2 0 0 0 0"/>
+      <joint joint1="{}" joint2="{}" polycoef="{}"/>
+      <joint joint1="a_2" joint2="b_1" polycoef="0 2 0 0 0"/>
+    </equality><actuator><position joint="a_1" kp="1"/></actuator>"""
+    hand = made(tmp_path, hand_of(extra.format(one, other, polynomial)))
+    assert hand.joint_names == ("a_1",)
+    text = notes_of(tmp_path / "hand.xml")
+    assert all(f"joint '{name}' is held" in text for name in ("a_2", "b_1", "b_2"))
+    turn = Kinematics(hand).link_pose(hand.rest, "b")[:3, :3]
+    # Its axis is -y.
+    assert np.arctan2(turn[2, 0], turn[0, 0]) == pytest.approx(bent)
 
 
 def test_a_tendon_that_a_motor_pulls_and_equalities_between_tendons(tmp_path: Path) -> None:
@@ -353,6 +388,37 @@ def test_a_linkage_of_unequal_sides_follows_a_curve_and_its_limits(tmp_path: Pat
     assert "are its limits" in notes_of(tmp_path / "hand.xml") or hand.lower[0] == pytest.approx(
         -2.6
     )
+
+
+PUSHED = """<mujoco model="pushed">
+<worldbody><body name="base"><geom type="box" size="0.02 0.02 0.005"/>
+  <body name="slider" pos="-0.05 0.02 0">
+    <joint name="push" type="slide" axis="1 0 0" range="-0.01 0.01"/>
+    <geom type="box" size="0.003 0.003 0.003"/>
+    <body name="rod">
+      <joint name="rod" axis="0 0 1"/>
+      <geom type="capsule" size="0.002" fromto="0 0 0 0.05 0 0"/>
+    </body>
+  </body>
+  <body name="crank">
+    <joint name="crank" axis="0 0 1"/>
+    <geom type="capsule" size="0.002" fromto="0 0 0 0 0.02 0"/>
+  </body>
+</body></worldbody>
+<equality><connect body1="rod" body2="crank" anchor="0.05 0 0"/></equality>
+<actuator><position joint="push" kp="100"/></actuator>
+</mujoco>"""
+
+
+def test_a_slide_turns_a_short_crank(tmp_path: Path) -> None:
+    hand = made(tmp_path, PUSHED)
+    assert (hand.lower[0], hand.upper[0]) == pytest.approx((-0.01, 0.01))
+    crank = hand.transmission.couplings[hand.joint_index("crank")]
+    for u in np.linspace(-0.01, 0.01, 9):
+        q = crank.value(u)
+        # The rod keeps its length between the slider and the end of the crank.
+        rod = np.array([-0.02 * np.sin(q), 0.02 * np.cos(q)]) - (u - 0.05, 0.02)
+        assert np.linalg.norm(rod) == pytest.approx(0.05, abs=1e-7)
 
 
 def test_a_linkage_with_too_few_motors_or_too_many_is_refused(tmp_path: Path) -> None:

@@ -61,6 +61,25 @@ def test_a_long_way_is_checked_in_a_bounded_number_of_places(tmp_path: Path) -> 
     assert 1000 < len(places) < 5000
 
 
+def test_what_slides_beyond_its_own_limits_is_seen_on_the_way(tmp_path: Path) -> None:
+    # A ball at half a metre from the axis of the swing, by the offset of a mimic, meets a post.
+    post = box((0.02, 0.2, 0.02), (0.5 * np.sin(1.5), 0, 0.5 * np.cos(1.5)))
+    model = Model().link("posts", post).joint("stand", "base", "posts", kind="fixed")
+    model.link("arm").link("knob").link("ball", sphere(0.01))
+    model.joint("swing", "base", "arm", limits=(0, 3))
+    model.joint("turn", "base", "knob", limits=(0, 0.1))
+    follow = '<mimic joint="turn" offset="0.5"/>'
+    up = {"kind": "prismatic", "axis": (0, 0, 1), "limits": (0, 0.01)}
+    model.joint("out", "arm", "ball", mimic=follow, **up)  # type: ignore[arg-type]
+    inspector = Inspector.of(model.finger("ball", "ball").load(tmp_path))
+    hand = inspector.scene.hand
+    goal = hand.rest.copy()
+    goal[hand.actuator_index("swing")] = 3.0
+    blocked = checker(inspector).blocked(goal)
+    assert blocked is not None
+    assert blocked.at == pytest.approx(0.48, abs=0.02)
+
+
 def two_arms(gap: float) -> Model:
     """Return two arms of two links each, side by side, ``gap`` apart."""
     model = Model()

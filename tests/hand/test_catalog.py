@@ -55,6 +55,30 @@ def test_a_path_without_a_hand(name: str, tmp_path: Path, monkeypatch: pytest.Mo
         hand_folder(name)
 
 
+@pytest.mark.parametrize("name", ["a" * 300 + "/", "a/" * 3000, "\0/"])
+def test_a_path_that_no_file_system_takes(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"is not a hand.s folder"):
+        hand_folder(name)
+
+
+def test_folders_that_may_not_be_entered_hold_no_hand(
+    configured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hidden = tmp_path / "hidden"
+    hidden.mkdir()
+    monkeypatch.setenv("RTEE_CONFIG_PATH", f"{hidden}:{configured}")
+    real = os.stat
+
+    def refusing(path: object, *args: object, **kwargs: object) -> os.stat_result:
+        # The system's own refusal is not for root, who may run the tests.
+        if isinstance(path, str | Path) and Path(path).is_relative_to(hidden / "gripper"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, *args, **kwargs)  # type: ignore[call-overload, no-any-return]
+
+    monkeypatch.setattr(os, "stat", refusing)
+    assert find_hand("gripper") == configured / "gripper"
+
+
 def test_unknown_hand(configured: Path) -> None:
     with pytest.raises(ConfigError, match=r"unknown hand 'griper'; did you mean 'gripper'\?"):
         find_hand("griper", [configured])

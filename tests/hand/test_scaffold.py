@@ -16,6 +16,7 @@ from rtee.errors import ConfigError, ModelError
 from rtee.hand.config import HandConfig
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
+from rtee.hand.own_copy import copy_hand
 from rtee.hand.scaffold import make_hand
 from rtee.hand.schema import SCHEMA_FILE, schema_text
 from rtee.hand.srdf import read_srdf
@@ -70,6 +71,33 @@ def test_a_given_srdf_is_kept_and_completed(tmp_path: Path) -> None:
     assert made.hand.disabled_collisions == (("palm", "left_jaw", "mine"),)
 
 
+def test_lines_are_added_before_the_end_however_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER)
+    (tmp_path / "g.srdf").write_text(SRDF.replace("</robot>", "</robot >\n<!-- of </robot> -->"))
+    made = make_hand("g", tmp_path / "g.urdf", tmp_path / "g.srdf", into=tmp_path / "config")
+    assert made.pairs
+    assert made.hand.disabled_collisions == tuple(tuple(pair) for pair in made.pairs)
+    assert (made.folder / "g.srdf").read_text().rstrip().endswith("<!-- of </robot> -->")
+
+
+@pytest.mark.parametrize("name", ["2", "1e5", "0x1f", "null", "yes", "-", "3f"])
+def test_a_hand_may_be_called_like_a_number_or_a_word_of_yaml(tmp_path: Path, name: str) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER)
+    made = make_hand(name, tmp_path / "g.urdf", into=tmp_path / "config")
+    assert load_hand(made.folder).name == name
+    copy_hand(made.folder, tmp_path / "copies" / f"{name}9")
+    assert load_hand(tmp_path / "copies" / f"{name}9").name == f"{name}9"
+    copy_hand(tmp_path / "copies" / f"{name}9", tmp_path / "again" / name)
+    assert load_hand(tmp_path / "again" / name).name == name
+
+
+@pytest.mark.parametrize("hyphens", ["--", "---", "----"])
+def test_hyphens_in_names_of_links_make_no_end_of_a_comment(tmp_path: Path, hyphens: str) -> None:
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace("left_jaw", f"left{hyphens}jaw"))
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    assert f"left{hyphens}jaw" in {finger.tip for finger in made.hand.fingers}
+
+
 def stl() -> bytes:
     """Return a tetrahedron."""
     import struct
@@ -105,6 +133,16 @@ def test_meshes_of_packages_are_copied_and_found_again(tmp_path: Path) -> None:
     found = {s.mesh for link in made.hand.urdf.links.values() for s in link.collisions}
     assert found == {"meshes/a/jaw.stl", "meshes/b/jaw.stl", "meshes/jaw.stl"}
     check_meshes(load_hand(made.folder).urdf)
+
+
+@pytest.mark.parametrize("name", ["手指", "jaw" * 40, "jaw.v2", "_jaw_"])
+def test_copies_of_meshes_keep_their_ending(tmp_path: Path, name: str) -> None:
+    (tmp_path / f"{name}.STL").write_bytes(stl())
+    mesh = f'<mesh filename="{name}.STL"/>'
+    (tmp_path / "g.urdf").write_text(GRIPPER.replace('<box size="0.01 0.02 0.06"/>', mesh))
+    made = make_hand("g", tmp_path / "g.urdf", into=tmp_path / "config")
+    check_meshes(load_hand(made.folder).urdf)
+    assert [file.suffix for file in (made.folder / "meshes").iterdir()] == [".STL"]
 
 
 def test_a_missing_visual_mesh_is_a_note(tmp_path: Path) -> None:

@@ -57,6 +57,20 @@ def test_a_link_alone_says_which_finger_feels(tmp_path: Path) -> None:
     assert on_hand(TouchSensor("pad"), hand).placed, "a single taxel is at the origin"
 
 
+def test_what_hangs_on_a_finger_is_its_own_and_its_base_is_not(tmp_path: Path) -> None:
+    pad = (
+        '<link name="left_pad"/><joint name="pad" type="fixed"><parent link="left_tip"/>'
+        '<child link="left_pad"/></joint>'
+    )
+    folder = hand_folder(tmp_path, "touch:\n  pad: {link: left_pad}\n", outside=pad)
+    assert on_hand(TouchSensor("pad", 16), load_hand(folder)).finger == "left"
+    # Here one chain begins where the other one ends, and the base is in one of them only.
+    dagana = load_hand(Path(__file__).parents[2] / "config" / "dagana")
+    links = ("gripper_base", "gripper_top_link", "gripper_bottom_link")
+    fingers = [finger_of(dagana, f"dagana_{link}") for link in links]
+    assert fingers == ["", "finger_1", "finger_2"]
+
+
 def test_a_scale_alone_leaves_the_place_to_the_driver(tmp_path: Path) -> None:
     hand = load_hand(hand_folder(tmp_path, "touch:\n  pad: {scale: 0.5}\n"))
     declared = TouchSensor("pad", unit="counts", link="right_tip", position=np.zeros((1, 3)))

@@ -42,6 +42,18 @@ def test_what_is_read(tmp_path: Path) -> None:
     assert urdf.chain("left_jaw", "right_jaw") is None
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "latin-1"])
+def test_the_text_is_that_of_a_file_in_utf_8(tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "gripper.urdf"
+    named = GRIPPER.replace("palm", "Handfläche")
+    word = encoding.removesuffix("-le").removesuffix("-be")
+    declared = named.replace("?>", f' encoding="{word}"?>', 1)
+    file.write_bytes(declared.encode(encoding))
+    urdf = read_urdf(file)
+    assert urdf.root == "Handfläche"
+    assert urdf.text == named
+
+
 def test_axis_is_made_unit_and_defaults_to_x(load: Load) -> None:
     hand = load(changed('xyz="0 1 0"', 'xyz="3 0 4"').replace('<axis xyz="0 -1 0"/>', ""))
     assert hand.urdf.joints["left"].axis == pytest.approx((0.6, 0.0, 0.8))

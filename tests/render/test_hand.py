@@ -1,14 +1,16 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rtee.errors import MissingExtra
+from rtee.errors import MissingExtra, ModelError
 from rtee.hand.colours import PALETTE, finger_colours
+from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.render import raycast
 from rtee.render.camera import farthest
@@ -106,6 +108,14 @@ def test_a_close_up_covers_neither_the_contact_nor_more_than_need_be(
     assert far != renderer.free_corner(
         hand.rest, ((0.0, 0.0, 0.02), (1.0, 0.0, 0.0)), ["right"], 0.4
     )
+
+
+def test_a_hand_without_shapes_is_refused(hand: Hand) -> None:
+    file = hand.urdf.path.with_name("bare.urdf")
+    shapes = r"<(collision|visual)>.*?</\1>"
+    file.write_text(re.sub(shapes, "", hand.urdf.text, flags=re.DOTALL))
+    with pytest.raises(ModelError, match=r"bare\.urdf.*nothing to see"):
+        HandRenderer(load_model(file))
 
 
 def test_without_the_extra_it_says_what_to_install(

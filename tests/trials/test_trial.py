@@ -233,6 +233,18 @@ def test_the_fingerprint_follows_the_files(tmp_path: Path) -> None:
     assert fingerprint(tmp_path) != first
 
 
+@pytest.mark.parametrize("suffix", ["urdf", "srdf"])
+def test_the_fingerprint_follows_a_model_in_a_folder_of_its_own(
+    tmp_path: Path, suffix: str
+) -> None:
+    model = tmp_path / "model" / f"a.{suffix}"
+    model.parent.mkdir()
+    model.write_text("<robot/>")
+    first = fingerprint(tmp_path)
+    model.write_text("<robot></robot>")
+    assert fingerprint(tmp_path) != first
+
+
 def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> None:
     small = Trial("Grasp", object="sphere:0.02")
     found = {result.trial: result for result in sweep(GRIPPER, [BALL, small], jobs=2)}
