@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ from rtee.drivers.mujoco.couplings import (
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, rest_position
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
-from rtee.errors import ModelError
+from rtee.errors import ConfigError, ModelError
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
 from rtee.sample import FloatArray
@@ -336,6 +337,32 @@ def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData
         added.stiffness, added.damping = [stiffness, 0.0, 0.0], [damping, 0.0, 0.0]
 
 
+def compiled(
+    spec: mujoco.MjSpec, hand: Hand, object_file: tuple[str, Path] | None = None
+) -> mujoco.MjModel:
+    """Compile a model.
+
+    Args:
+        spec: The model.
+        hand: The hand in it.
+        object_file: Name in the model and file of the object's mesh, if it has one.
+
+    Raises:
+        ModelError: if MuJoCo refuses it, with what it says: of a mesh without volume, for example.
+        ConfigError: if that is the object's mesh.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        # MuJoCo says on a second line which element it means.
+        said, _, element = str(error).removeprefix("Error: ").partition("\nElement name ")
+        name = element.partition(",")[0].strip("'")
+        if object_file is not None and name == object_file[0]:
+            raise ConfigError(f"cannot be simulated: {said}", path=object_file[1]) from error
+        of = f" of '{name}'" if name and f"'{name}'" not in said else ""
+        raise ModelError(f"cannot be simulated: {said}{of}", path=hand.urdf.path) from error
+
+
 def build(
     hand: Hand,
     options: SimOptions,
@@ -376,7 +403,7 @@ def build(
     add_locks(spec, hand)
     following = add_couplings(spec, hand, servos, options)
     # A first compilation gives masses and contacts at rest, on which the rest depends.
-    resting = mujoco.MjData(spec.compile())
+    resting = mujoco.MjData(compiled(spec, hand))
     resting.qpos[:] = rest_position(resting.model, hand)
     mujoco.mj_forward(resting.model, resting)
     _hold_passive_joints_up(spec, hand, resting)
