@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from rtee.buses.pool import BusPool
@@ -243,6 +244,28 @@ def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
     for path, actuators, reason in cases:
         with pytest.raises(LogError, match=reason):
             RecordedStates(path, "claw", actuators)
+
+
+async def test_a_damaged_recording_is_played_up_to_the_damage_and_then_refused(
+    tmp_path: Path,
+) -> None:
+    """Damage that is decompressed to other numbers, too."""
+    whole = write(tmp_path / "whole.mcap").read_bytes()
+    with (tmp_path / "whole.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    place = summary.chunk_indexes[-1]
+    for at in (place.chunk_length - place.compressed_size, place.chunk_length - 40):
+        damaged = bytearray(whole)
+        damaged[place.chunk_start_offset + at] ^= 0x10
+        path = tmp_path / "damaged.mcap"
+        path.write_bytes(damaged)
+        async with Player(path) as player:
+            player.seconds += 3 * PERIOD + 1e-9
+            assert (await player.sense()).position[1] == 3
+            player.seconds += STATES * PERIOD
+            with pytest.raises(LogError, match=r"damaged\.mcap: is damaged"):
+                await player.sense()
 
 
 def test_wrong_options_are_named(recording: Path) -> None:
