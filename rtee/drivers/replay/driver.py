@@ -40,7 +40,9 @@ class ReplayOptions(BaseModel):
 
 
 class ReplayDriver(Driver):
-    """Plays back the states of a recording, from the moment it is activated.
+    """Plays back the states of a recording, from the moment it is first activated.
+
+    Disabling it does not interrupt that, nor does activating it again.
 
     Attributes:
         now: The clock that it follows [s].
@@ -91,7 +93,9 @@ class ReplayDriver(Driver):
 
     async def activate(self) -> None:
         """See `Driver.activate`."""
-        self._begin = self.now()
+        # Begun once: the blocks before the present one are read no more.
+        if self._begin is None:
+            self._begin = self.now()
 
     async def sense(self) -> ActuatorState:
         """See `Driver.sense`."""

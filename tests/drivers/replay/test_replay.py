@@ -219,6 +219,17 @@ async def test_it_can_be_closed_and_opened_again(recording: Path) -> None:
         assert (await player.sense()).position[1] == 0
 
 
+async def test_it_goes_on_when_it_is_activated_again(recording: Path) -> None:
+    async with Player(recording) as player:
+        player.seconds += 1100 * PERIOD + 1e-9
+        assert (await player.sense()).position[1] == 1100
+        await player.driver.disable()
+        await player.driver.deactivate()
+        await player.driver.activate()
+        player.seconds += 7 * PERIOD
+        assert (await player.sense()).position[1] == 1107
+
+
 def test_a_recording_of_one_other_hand_will_do(tmp_path: Path) -> None:
     path = write(tmp_path / "other.mcap", hand="other", count=3)
     states = RecordedStates(path, "claw", ("thumb",))
