@@ -30,7 +30,6 @@ from rtee.messages.topics import (
     TYPES,
     log_topic,
 )
-from rtee.messages.touch import TOUCH_SENSORS as TOUCH_SENSORS_TYPE
 from rtee.messages.touch import sensors_of, touch_of
 from rtee.object_description import ObjectDescription
 from rtee.sample import COLUMNS, MEASURED, FloatArray
@@ -144,10 +143,7 @@ class RecordedStates:
         for schema, channel, message in self._stored(topics):
             topic = channel.topic
             if topic not in kinds:
-                name = TYPES[topic.rpartition("/")[2]]
-                text = schema.data.decode("utf-8", "replace") if schema else ""
-                # By the recording's own schema, which may be of another version.
-                kinds[topic] = recorded_type(name, text) if text else message_type(name)
+                kinds[topic] = _recorded(TYPES[topic.rpartition("/")[2]], schema)
             fields = kinds[topic].decode(message.data)
             if topic == self._topic:
                 yield fields, extras, touch
@@ -185,12 +181,13 @@ class RecordedStates:
 
     def touch_sensors(self) -> dict[str, tuple[TouchSensor, ...]]:
         """Return the touch sensors by device, as they were first known."""
-        found = next(self._stored([self._touch_topics[1]]), None)
-        if found is None:
-            return {}
-        with contextlib.suppress(MessageError):
-            return sensors_of(TOUCH_SENSORS_TYPE.decode(found[2].data))
-        return {}
+        found: dict[str, tuple[TouchSensor, ...]] = {}
+        # All messages: there is another one when a further device has measured for the first time.
+        for schema, _, message in self._stored([self._touch_topics[1]]):
+            with contextlib.suppress(MessageError):
+                kind = _recorded(TYPES[TOUCH_SENSORS], schema)
+                found = {**sensors_of(kind.decode(message.data)), **found}
+        return found
 
     def object_description(self) -> ObjectDescription | None:
         """Return what a simulated device grasped, if it did."""
@@ -201,6 +198,12 @@ class RecordedStates:
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _recorded(name: str, schema: Schema | None) -> MessageType:
+    """Return a type by the recording's own schema, which may be of another version."""
+    text = schema.data.decode("utf-8", "replace") if schema else ""
+    return recorded_type(name, text) if text else message_type(name)
 
 
 def _channels(fields: dict[str, Any]) -> Extras:

@@ -19,11 +19,14 @@ from rtee.messages.codec import header
 from rtee.messages.schema import message_type
 from rtee.messages.state import actuator_state_fields
 from rtee.messages.topics import log_topic
+from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
 from rtee.sample import ActuatorState
+from rtee.touch import TouchSensor, TouchState
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 
 pytestmark = pytest.mark.anyio
 KIND = message_type("rtee_msgs/msg/ActuatorState")
+TOUCH_TYPE = message_type("rtee_msgs/msg/Touch")
 FURTHER = message_type("rtee_msgs/msg/Channels")
 RECORDED = ("thumb", "index")
 STATES = 1234
@@ -217,6 +220,50 @@ async def test_it_can_be_closed_and_opened_again(recording: Path) -> None:
             await player.sense()
         await player.driver.configure()
         assert (await player.sense()).position[1] == 0
+
+
+async def test_touch_sensors_that_were_known_later_are_played_too(tmp_path: Path) -> None:
+    """The recorder tells the sensors anew when a further device has measured for the first time."""
+    states = {
+        name: TouchState(name, (TouchSensor(f"{name}_tip", 2),), np.array(values), 70.0)
+        for name, values in (("palm", [1.0, 2.0]), ("tips", [3.0, 4.0]))
+    }
+    known: dict[str, TouchState] = {}
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channel = {}
+        for topic, kind in (
+            ("actuator_states", KIND),
+            ("touch_sensors", TOUCH_SENSORS),
+            ("touch", TOUCH_TYPE),
+        ):
+            schema = writer.register_schema(kind.name, "ros2msg", kind.schema.encode())
+            channel[topic] = writer.register_channel(log_topic("claw", topic), "cdr", schema)
+        encoder = TouchEncoder()
+        for k in range(30):
+            if k in (10, 20):
+                state = states["palm" if k == 10 else "tips"]
+                known[state.device] = state
+                sensors = TOUCH_SENSORS.encode(sensors_fields(known.values()))
+                writer.add_message(channel["touch_sensors"], k, sensors, k)
+                writer.add_message(channel["touch"], k, encoder.encode(state, k), k)
+            fields = actuator_state_fields(RECORDED) | {"tick": k, "time": 70.0 + k * PERIOD}
+            writer.add_message(channel["actuator_states"], k, KIND.encode(fields), k)
+        writer.finish()
+    async with Player(tmp_path / "a.mcap") as player:
+        declared = [sensor.name for sensor in player.driver.capabilities.touch]
+        assert sorted(declared) == ["palm_tip", "tips_tip"]
+        felt = []
+        for k in (5, 15, 25):
+            player.seconds = 5.0 + k * PERIOD + 1e-9
+            touch = (await player.sense()).touch
+            felt.append(None if touch is None else sorted(touch.values.tolist()))
+    assert felt[0] is None
+    assert felt[1] is not None
+    assert felt[1][:2] == [1.0, 2.0]
+    assert np.isnan(felt[1][2:]).all()
+    assert felt[2] == [1.0, 2.0, 3.0, 4.0]
 
 
 async def test_it_goes_on_when_it_is_activated_again(recording: Path) -> None:
