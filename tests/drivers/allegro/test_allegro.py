@@ -108,6 +108,25 @@ def test_a_joint_without_reference_gets_no_torque() -> None:
     assert made.receive(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
 
 
+@pytest.mark.parametrize("lost", range(4))
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
+def test_a_lost_frame_does_not_make_the_sets_after_it_of_two_moments(
+    lost: int, order: tuple[int, ...]
+) -> None:
+    made = control(period=0.003)
+    moments = []
+    for number in range(9):
+        for place, finger in enumerate(order):
+            stamp = 1.0 + 0.003 * number + 1e-4 * place
+            if (number, place) == (3, lost):
+                continue
+            if made.receive(finger, (100 * number,) * 4, stamp) is not None:
+                counts = [made.scale.to_count(angle) for angle in made.position[::4]]
+                moments.append(sorted({count // 100 for count in counts}))
+    assert moments[:3] == [[0], [1], [2]]
+    assert moments[-3:] == [[6], [7], [8]]
+
+
 def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
     made = JointControl(
         codec.SCALES[4], kp=0.0, kd=0.1, max_torque=1.0, smoothing=0.005, period=0.003
