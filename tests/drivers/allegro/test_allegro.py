@@ -308,6 +308,61 @@ async def test_faults_are_named_and_recovered() -> None:
             await made.sense()
 
 
+def torques_when_switched_on(hand: AllegroEmulator) -> list[list[int]]:
+    """Let a hand note the torques of each finger that it was sent last when it is switched on."""
+    last, noted = [9] * 4, []
+    answer = hand.on_frame
+
+    def hear(frame: CanFrame, now: float) -> list[CanFrame]:
+        command = codec.split(frame.id)[0]
+        finger = command - Command.SET_TORQUE
+        if 0 <= finger < 4:
+            last[finger] = max(map(abs, codec.read_counts(frame.data)))
+        if command == Command.SYSTEM_ON:
+            noted.append(list(last))
+        return answer(frame, now)
+
+    hand.on_frame = hear  # type: ignore[method-assign]
+    return noted
+
+
+@pytest.mark.anyio
+async def test_recovering_does_not_switch_on_with_the_last_torques() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=1)) as made:
+        await made.activate()
+        noted = torques_when_switched_on(hand(pool))
+        await made.move(Reference.at(np.full(16, 1.0)))
+        await until(lambda: max(map(abs, made.control.torque)) > 0.1)
+        hand(pool).inject("communication")
+        with pytest.raises(DeviceFault, match="communication"):
+            await made.sense()
+        hand(pool).clear()
+        await made.recover()
+        assert noted == [[0, 0, 0, 0]]
+
+
+@pytest.mark.anyio
+async def test_an_activation_that_fails_leaves_the_hand_without_torque(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def silent(*, patient: bool = False) -> HandInfo:
+        await until(lambda: Command.SET_TORQUE in hand(pool).frames)
+        raise BusTimeout("can0", "no answer")
+
+    async with BusPool() as pool, connected(pool, device()) as made:
+        monkeypatch.setattr(made.connection.link, "info", silent)
+        with pytest.raises(BusTimeout):
+            await made.activate()
+        sets = made.control.sets
+        await until(lambda: made.control.sets > sets + 2)
+        assert not any(made.control.torque)
+        await until(lambda: not any(joint.torque for joint in hand(pool).joints))
+        sent = hand(pool).frames[Command.SET_TORQUE]
+        sets = made.control.sets
+        await until(lambda: made.control.sets > sets + 2)
+        assert hand(pool).frames[Command.SET_TORQUE] == sent
+
+
 @pytest.mark.anyio
 async def test_a_hand_that_falls_silent_is_noticed() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
