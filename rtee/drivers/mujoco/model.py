@@ -207,7 +207,7 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
             continue
         slide = actuator.kind is JointKind.PRISMATIC
         body = mount.add_body(name=name, gravcomp=1.0)  # a rotor has no weight that turns it
-        _set_tiny(body)
+        set_tiny(body)
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
         joint = body.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0])
         _limit(joint, actuator)
@@ -243,7 +243,8 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
     return False
 
 
-def _set_tiny(body: mujoco.MjsBody) -> None:
+def set_tiny(body: mujoco.MjsBody) -> None:
+    """Give a body that has none a mass that changes nothing."""
     # With its centre of mass: MuJoCo writes no inertia of a body without it.
     body.mass, body.ipos, body.inertia = _TINY_MASS, [0.0, 0.0, 0.0], [_TINY_INERTIA] * 3
     body.explicitinertial = True
@@ -295,7 +296,7 @@ def _add_links(
             if not _set_inertia(body, link, geoms):
                 without_inertia.append(name)
         elif not link.collisions and joint is not None and joint.moving:
-            _set_tiny(body)
+            set_tiny(body)
             without_mass.append(name)
         elif link.collisions:
             without_mass.append(name)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
-from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled
+from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, set_tiny
 from rtee.drivers.mujoco.objects import OBJECT, ObjectShape, add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
@@ -115,6 +115,9 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
     mount.quat = quat
     # The carrier is moved by its servos alone; its weight would only make them sag.
     mount.gravcomp = 1.0
+    if _is_nothing(mount):
+        # A base that is but a frame: MuJoCo moves nothing without mass.
+        set_tiny(mount)
     for index, axis in enumerate(AXES):
         if options.carrier == "lift" and axis != "z":
             continue
@@ -129,6 +132,13 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
             name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         motor.set_to_position(kp=_STIFFNESS[index], dampratio=1.0)
+
+
+def _is_nothing(body: mujoco.MjsBody) -> bool:
+    """Return whether a body has neither mass nor shape, nor what is fixed to it."""
+    if body.geoms or (body.explicitinertial and body.mass > 0.0):
+        return False
+    return all(_is_nothing(each) for each in body.bodies if not each.joints)
 
 
 def add_table(spec: mujoco.MjSpec, height: float) -> None:

@@ -172,6 +172,16 @@ def test_a_carried_hand_reaches_down(name: str) -> None:
     assert np.linalg.det(downward(hand)) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("carrier", ["lift", "arm"])
+def test_a_hand_whose_base_is_but_a_frame_is_carried(tmp_path: Path, carrier: str) -> None:
+    hand = model(tmp_path, joint("bend", "tip") + TIP)
+    simulation = simulate(hand, carrier=carrier)
+    simulation.surroundings.carry(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    for _ in range(250):
+        simulation.advance()
+    assert simulation.surroundings.base_pose[2, 3] == pytest.approx(0.1, abs=2e-3)
+
+
 def test_real_models_with_meshes_compile_without_deep_contacts(shared: Path) -> None:
     folder = shared / "hands" / "robotiq_2f_85"
     urdf, srdf = folder / "robotiq_2f_85.urdf", folder / "robotiq_2f_85.srdf"
