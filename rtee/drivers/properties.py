@@ -55,6 +55,9 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
         return TypeAdapter(kind).validate_python(given)
     except ValidationError as error:
         first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        said = first["msg"].lower().replace("tuple", "list") + _FORMS.get(first["type"], "")
-        raise ConfigError(f"property '{name}' of the emulated device: {said}") from None
+        name = ".".join(str(part) for part in first["loc"] if part != "[key]")
+        said = first["msg"].removeprefix("Value error, ").lower().replace("tuple", "list")
+        said += _FORMS.get(first["type"], "")
+        # Without a name, properties do not fit one another.
+        what = f"property '{name}'" if name else "properties"
+        raise ConfigError(f"{what} of the emulated device: {said}") from None

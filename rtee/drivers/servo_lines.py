@@ -6,6 +6,7 @@ A calibration is the reading of each servo at 0 rad, and the identity of the ser
 from __future__ import annotations
 
 import json
+import math
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -136,6 +137,10 @@ def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
     try:
         stored = json.loads(path.read_text("utf-8"))
         servos = [Calibrated(**entry) for entry in stored["servos"]]
+        for servo in servos:
+            # Not bool, a kind of int; not NaN either, which JSON as Python reads it may hold.
+            if type(servo.zero) not in (int, float) or not math.isfinite(servo.zero):
+                raise ValueError(f"the zero of '{servo.actuator}' is {servo.zero!r}, not a number")
     except FileNotFoundError:
         raise CalibrationError(
             device, f"there is no calibration at {path}; `rtee calibrate` makes one"

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.model import compiled
 from rtee.drivers.mujoco.objects import ObjectShape, add_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, build_hand
@@ -122,7 +123,7 @@ def _simulation(
     add_carrier(built.spec, pose[:3, :3], options)
     with TemporaryDirectory() as folder:
         _add_pieces(built.spec, thing, pose @ place, Path(folder))
-        model: mujoco.MjModel = built.spec.compile()
+        model = compiled(built.spec, hand)
     return Simulation(
         model,
         hand,

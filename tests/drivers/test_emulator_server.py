@@ -107,6 +107,22 @@ def test_mistakes_are_named() -> None:
         Player("schunk_svh", baudrate=115200)
 
 
+@pytest.mark.parametrize(
+    ("name", "properties", "sentence"),
+    [
+        ("orca_touch", {"taxels": {"thumb": -1}}, "property 'taxels.thumb' of .* greater"),
+        ("orca_touch", {"taxels": {"thumb": 70_000}}, "property 'taxels.thumb' of .* less"),
+        ("orca_touch", {"taxels": {"pinkie": 51}}, "property 'taxels.pinkie' of .* 'pinky'"),
+        ("xbot2", {"lower": 1.0, "upper": 1.0}, "properties of .*: lower, 1, is not below upper"),
+    ],
+)
+def test_properties_that_no_device_has_are_refused(
+    name: str, properties: dict[str, object], sentence: str
+) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        Player(name, properties)
+
+
 def test_a_hand_with_two_wires_is_played_on_either() -> None:
     with Player("linkerhand") as line:
         request, answer = "27 04 00 00 00 06 77 0E", "27 04 0C" + " 00 FF" * 6

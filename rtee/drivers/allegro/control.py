@@ -61,6 +61,10 @@ class JointControl:
         self._smoothing = smoothing
         # Nine tenths: a set that is only a little early keeps its own time.
         self._least = 0.9 * period
+        # The frames of a set follow one another: half a period without one parts two sets.
+        self._pause = 0.5 * period if period else math.inf
+        self._heard = -math.inf
+        self._parted = False
         self._most_integral = most_integral
         self._integral = [0.0] * JOINTS
         self._period = 0.0
@@ -92,6 +96,12 @@ class JointControl:
             counts: Its four joints.
             stamp: When they came [s].
         """
+        pause, self._heard = stamp - self._heard > self._pause, stamp
+        if pause and self._fresh and not self._parted:
+            # It began amid the frames of a set, since one was lost: the next one would, too.
+            self._fresh.clear()
+        if not self._fresh:
+            self._parted = pause
         self._fresh[finger] = tuple(self.scale.to_rad(count) for count in counts)
         # All four, so that the torques of one moment belong to positions of one moment.
         if len(self._fresh) < FINGERS:

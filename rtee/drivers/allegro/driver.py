@@ -170,11 +170,17 @@ class AllegroDriver(Driver):
     async def activate(self) -> None:
         """Switch the motors on and hold the measured pose."""
         self._hold()
-        await self.connection.link.order(Command.SYSTEM_ON)
-        await asyncio.sleep(_PAUSE)
-        # Before the check: only then does it notice motors that have stayed off.
-        self._driving = True
-        self._refuse(await self.connection.link.info(patient=True))
+        try:
+            await self.connection.link.order(Command.SYSTEM_ON)
+            await asyncio.sleep(_PAUSE)
+            # Before the check: only then does it notice motors that have stayed off.
+            self._driving = True
+            self._refuse(await self.connection.link.info(patient=True))
+        except BaseException:
+            # Cut short, too: a hand that does not count as active must not be driven.
+            with contextlib.suppress(BusError):
+                self._let_go()
+            raise
         # Again: a limp hand may have sunk while its motors were switched on.
         self._hold()
 
@@ -189,13 +195,17 @@ class AllegroDriver(Driver):
 
     async def deactivate(self) -> None:
         """Send no torque, then switch the motors off."""
+        self._let_go()
+        if self.connection.is_open:
+            await self.connection.link.order(Command.SYSTEM_OFF)
+
+    def _let_go(self) -> None:
+        """End the control and send no torque; raises `BusError`."""
         self._driving = False
         self.control.limp()
         if self.connection.is_open:
-            link = self.connection.link
             # The hand may keep its last torques and apply them when it is switched on again.
-            link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
-            await link.order(Command.SYSTEM_OFF)
+            self.connection.link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
 
     async def close(self) -> None:
         """Switch the hand off, silence it and give the bus back."""
@@ -296,10 +306,8 @@ class AllegroDriver(Driver):
 
     async def recover(self) -> None:
         """Switch the hand off and on, which clears what can be cleared; it stays limp."""
-        self._driving = False
-        self.control.limp()
         link = self.connection.link
-        await link.order(Command.SYSTEM_OFF)
+        await self.deactivate()
         await asyncio.sleep(_PAUSE)
         # A hand whose supply was cut has forgotten them and sends nothing.
         await link.set_periods(Periods(self._period(self.control.scale.version)))

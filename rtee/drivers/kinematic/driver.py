@@ -112,18 +112,24 @@ class KinematicDriver(Driver):
     def place_object(self, name: str, fraction: float) -> None:
         """Put an object in the way of a finger or an actuator.
 
+        Actuators of a finger that turn without end have no way that it could be a part of.
+
         Args:
             name: The finger or actuator.
             fraction: Where, as a part of the way from rest to the farthest bound, 0 to 1.
 
         Raises:
-            ConfigError: if there is no such finger or actuator, or the fraction is out of range.
+            ConfigError: if there is no such finger or actuator, it turns without end, or the
+                fraction is out of range.
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
             raise ConfigError(f"an object is 0 to 1 of the way, not {fraction:g}")
         for plant in self.plants:
-            if name == plant.spec.name or name in plant.spec.fingers:
+            endless = not math.isfinite(plant.spec.farthest)
+            if name == plant.spec.name and endless:
+                raise ConfigError(f"'{name}' turns without end, so an object has no place there")
+            if not endless and (name == plant.spec.name or name in plant.spec.fingers):
                 plant.obstacle = plant.at(fraction)
 
     def remove_object(self, name: str | None = None) -> None:

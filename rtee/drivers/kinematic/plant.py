@@ -80,7 +80,8 @@ class Plant:
         at = self.obstacle
         if at is None:
             return after
-        if self.spec.rest <= at:
+        # Not by where the object is: one at the rest position says nothing about the direction.
+        if self.spec.farthest >= self.spec.rest:
             # One that is beyond the object already, when that is placed, is not thrown back.
             return after if after <= at or before > at else at
         return after if after >= at or before < at else at

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -20,7 +21,7 @@ from rtee.drivers.mujoco.couplings import (
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, rest_position
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
-from rtee.errors import ModelError
+from rtee.errors import ConfigError, ModelError
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.urdf import UrdfGeometry, UrdfJoint, UrdfLink
 from rtee.sample import FloatArray
@@ -206,7 +207,7 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
             continue
         slide = actuator.kind is JointKind.PRISMATIC
         body = mount.add_body(name=name, gravcomp=1.0)  # a rotor has no weight that turns it
-        _set_tiny(body)
+        set_tiny(body)
         kind = mujoco.mjtJoint.mjJNT_SLIDE if slide else mujoco.mjtJoint.mjJNT_HINGE
         joint = body.add_joint(name=name, type=kind, axis=[0.0, 0.0, 1.0])
         _limit(joint, actuator)
@@ -242,7 +243,8 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
     return False
 
 
-def _set_tiny(body: mujoco.MjsBody) -> None:
+def set_tiny(body: mujoco.MjsBody) -> None:
+    """Give a body that has none a mass that changes nothing."""
     # With its centre of mass: MuJoCo writes no inertia of a body without it.
     body.mass, body.ipos, body.inertia = _TINY_MASS, [0.0, 0.0, 0.0], [_TINY_INERTIA] * 3
     body.explicitinertial = True
@@ -294,7 +296,7 @@ def _add_links(
             if not _set_inertia(body, link, geoms):
                 without_inertia.append(name)
         elif not link.collisions and joint is not None and joint.moving:
-            _set_tiny(body)
+            set_tiny(body)
             without_mass.append(name)
         elif link.collisions:
             without_mass.append(name)
@@ -334,6 +336,32 @@ def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData
             2.0 * _PASSIVE_DAMPING * math.sqrt(stiffness * inertia),
         )
         added.stiffness, added.damping = [stiffness, 0.0, 0.0], [damping, 0.0, 0.0]
+
+
+def compiled(
+    spec: mujoco.MjSpec, hand: Hand, object_file: tuple[str, Path] | None = None
+) -> mujoco.MjModel:
+    """Compile a model.
+
+    Args:
+        spec: The model.
+        hand: The hand in it.
+        object_file: Name in the model and file of the object's mesh, if it has one.
+
+    Raises:
+        ModelError: if MuJoCo refuses it, with what it says: of a mesh without volume, for example.
+        ConfigError: if that is the object's mesh.
+    """
+    try:
+        return spec.compile()
+    except ValueError as error:
+        # MuJoCo says on a second line which element it means.
+        said, _, element = str(error).removeprefix("Error: ").partition("\nElement name ")
+        name = element.partition(",")[0].strip("'")
+        if object_file is not None and name == object_file[0]:
+            raise ConfigError(f"cannot be simulated: {said}", path=object_file[1]) from error
+        of = f" of '{name}'" if name and f"'{name}'" not in said else ""
+        raise ModelError(f"cannot be simulated: {said}{of}", path=hand.urdf.path) from error
 
 
 def build(
@@ -376,7 +404,7 @@ def build(
     add_locks(spec, hand)
     following = add_couplings(spec, hand, servos, options)
     # A first compilation gives masses and contacts at rest, on which the rest depends.
-    resting = mujoco.MjData(spec.compile())
+    resting = mujoco.MjData(compiled(spec, hand))
     resting.qpos[:] = rest_position(resting.model, hand)
     mujoco.mj_forward(resting.model, resting)
     _hold_passive_joints_up(spec, hand, resting)

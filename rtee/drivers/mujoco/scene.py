@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
-from rtee.drivers.mujoco.model import CARRIER, Built, build
+from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, set_tiny
 from rtee.drivers.mujoco.objects import OBJECT, ObjectShape, add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
@@ -114,6 +115,9 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
     mount.quat = quat
     # The carrier is moved by its servos alone; its weight would only make them sag.
     mount.gravcomp = 1.0
+    if _is_nothing(mount):
+        # A base that is but a frame: MuJoCo moves nothing without mass.
+        set_tiny(mount)
     for index, axis in enumerate(AXES):
         if options.carrier == "lift" and axis != "z":
             continue
@@ -128,6 +132,13 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
             name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         motor.set_to_position(kp=_STIFFNESS[index], dampratio=1.0)
+
+
+def _is_nothing(body: mujoco.MjsBody) -> bool:
+    """Return whether a body has neither mass nor shape, nor what is fixed to it."""
+    if body.geoms or (body.explicitinertial and body.mass > 0.0):
+        return False
+    return all(_is_nothing(each) for each in body.bodies if not each.joints)
 
 
 def add_table(spec: mujoco.MjSpec, height: float) -> None:
@@ -183,10 +194,13 @@ def _clear_of_palm(
 
     Returns:
         The first such place along the hand's reach; the same place where there is none near.
+
+    Raises:
+        ConfigError: if the object's mesh cannot be used.
     """
     probe = spec.copy()
     add_object(probe, shape, mass=1.0, pose=mount @ place)
-    model = probe.compile()
+    model = compiled(probe, hand, _file_of(shape))
     data = mujoco.MjData(model)
     start = model.joint(OBJECT).qposadr[0]
     origin, way = model.qpos0[start : start + 3].copy(), approach(hand)
@@ -208,6 +222,11 @@ def _clear_of_palm(
             moved[:3, 3] += out * way
             return moved
     return place
+
+
+def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
+    """Return the name in a model and the file of an object's mesh, if it has one."""
+    return None if shape is None or shape.path is None else (OBJECT, shape.path)
 
 
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
@@ -252,8 +271,9 @@ def make_simulation(
 
     Raises:
         ModelError: if the hand cannot be simulated.
-        ConfigError: if the object is none.
+        ConfigError: if the object is none, or its mesh cannot be used.
     """
+    shape: ObjectShape | None = None
     built = build_hand(hand, options)
     pose = np.eye(4)
     if options.carrier != "fixed":
@@ -272,7 +292,7 @@ def make_simulation(
             add_table(built.spec, shape.lowest(pose))
             if container is not None:
                 add_container(built.spec, shape.lowest(pose), container)
-    model: mujoco.MjModel = built.spec.compile()
+    model = compiled(built.spec, hand, _file_of(shape))
     return Simulation(
         model, hand, options, actuators, period, built.servos, (*built.notes, *built.following)
     )

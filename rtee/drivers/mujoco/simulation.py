@@ -98,8 +98,15 @@ class Simulation:
         self.object_description = describe(model, self.data, options)
 
     def reset(self) -> None:
-        """Go back to the beginning: the hand at rest, everything else as modelled."""
+        """Go back to the beginning: the hand at rest, everything else as modelled.
+
+        Only gains that were set stay as they are.
+        """
         mujoco.mj_resetData(self.model, self.data)
+        # What is kept in the model is no part of the data: integrals and effort limits.
+        self.power(True)
+        self.model.actuator_forcerange[self._motor, 0] = -self.effort_limit
+        self.model.actuator_forcerange[self._motor, 1] = self.effort_limit
         self.data.qpos[:] = rest_position(self.model, self._hand)
         names = self._hand.actuator_names
         self.data.ctrl[[self.model.actuator(n).id for n in names]] = self._hand.rest

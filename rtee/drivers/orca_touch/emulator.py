@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import Field
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.timing import wire_time
@@ -32,7 +33,11 @@ _SPARE = 0.9
 """Share of the line's time that frames take: replies have to pass, too."""
 
 
-def _taxels() -> dict[str, int]:
+_Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
+_Taxels = Annotated[int, Field(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
+
+
+def _taxels() -> dict[_Finger, _Taxels]:
     return {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
 
 
@@ -46,7 +51,7 @@ class OrcaTouchProperties:
         period: Time between two frames [s]; 0: as the line allows.
     """
 
-    taxels: dict[str, int] = field(default_factory=_taxels)
+    taxels: dict[_Finger, _Taxels] = field(default_factory=_taxels)
     encoders: bool = False
     period: Duration = 0.0
 

@@ -19,7 +19,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.options import read_options
 from rtee.drivers.replay.states import Block, RecordedStates
 from rtee.errors import NotConnected
-from rtee.sample import MEASURED, NOTHING, ActuatorState
+from rtee.sample import MEASURED, NOTHING, ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchState
 from rtee.types import DeviceSpec, Reference
 
@@ -40,7 +40,9 @@ class ReplayOptions(BaseModel):
 
 
 class ReplayDriver(Driver):
-    """Plays back the states of a recording, from the moment it is activated.
+    """Plays back the states of a recording, from the moment it is first activated.
+
+    Disabling it does not interrupt that, nor does activating it again.
 
     Attributes:
         now: The clock that it follows [s].
@@ -66,7 +68,7 @@ class ReplayDriver(Driver):
         self._shown = -1
         self._begin: float | None = None
         self._patience = 0.0
-        self._devices: tuple[str, ...] = ()
+        self._blank: dict[str, FloatArray] = {}
         self._felt: Mapping[str, TouchState] = NOTHING
         self._touch: TouchReading | None = None
         self.capabilities = Capabilities(
@@ -82,7 +84,8 @@ class ReplayDriver(Driver):
         )
         self.object_description = await anyio.to_thread.run_sync(self._states.object_description)
         sensors = await anyio.to_thread.run_sync(self._states.touch_sensors)
-        self._devices = tuple(sensors)
+        taxels = {name: sum(sensor.taxels for sensor in each) for name, each in sensors.items()}
+        self._blank = {name: np.full(count, np.nan) for name, count in taxels.items()}
         together = tuple(sensor for each in sensors.values() for sensor in each)
         self.capabilities = replace(self.capabilities, touch=together)
         await self._rewind()
@@ -91,7 +94,9 @@ class ReplayDriver(Driver):
 
     async def activate(self) -> None:
         """See `Driver.activate`."""
-        self._begin = self.now()
+        # Begun once: the blocks before the present one are read no more.
+        if self._begin is None:
+            self._begin = self.now()
 
     async def sense(self) -> ActuatorState:
         """See `Driver.sense`."""
@@ -118,9 +123,10 @@ class ReplayDriver(Driver):
         # The same mapping means that no message came since, and the reading stands.
         if states is not self._felt:
             self._felt = states
-            values = [states[name].values for name in self._devices if name in states]
-            current = values and not any(state.stale for state in states.values())
-            if len(values) == len(self._devices) and current:
+            current = {name: state.values for name, state in states.items() if not state.stale}
+            # Of a device that has measured nothing, or nothing lately, the values are not known.
+            values = [current.get(name, blank) for name, blank in self._blank.items()]
+            if not self._blank.keys().isdisjoint(current):
                 self._touch = TouchReading(np.concatenate(values), self.now())
         return self._touch
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+import struct
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, MessageError
@@ -27,13 +30,16 @@ from rtee.messages.topics import (
     TYPES,
     log_topic,
 )
-from rtee.messages.touch import TOUCH_SENSORS as TOUCH_SENSORS_TYPE
 from rtee.messages.touch import sensors_of, touch_of
 from rtee.object_description import ObjectDescription
 from rtee.sample import COLUMNS, MEASURED, FloatArray
 from rtee.touch import TouchSensor, TouchState
 
 Extras = Mapping[str, FloatArray]
+
+_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, EOFError, RuntimeError)
+"""What the mcap package raises for damaged bytes: its own, and what decompression raises; that of
+LZ4 is a `RuntimeError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +64,8 @@ class Block:
 class RecordedStates:
     """Reads the states of some actuators from a recording; all methods may block.
 
+    Whatever is read where the file is damaged raises `LogError`.
+
     Args:
         path: The recording.
         hand: The hand; a recording of one other hand will do, if it has the actuators.
@@ -74,18 +82,19 @@ class RecordedStates:
         except OSError as error:
             raise LogError(f"cannot be opened: {error.strerror}", path=path) from error
         try:
-            self._reader = make_reader(self._file)
+            # What was damaged may well be decompressed, to other numbers.
+            self._reader = make_reader(self._file, validate_crcs=True)
             self._topic = self._choose(hand)
             before = self._topic.removesuffix(ACTUATOR_STATES)
             self._extras_topic = f"{before}{CHANNELS}"
             self._touch_topics = (f"{before}{TOUCH}", f"{before}{TOUCH_SENSORS}")
             self._columns = self._find(actuators)
-        except (McapError, MessageError, ValueError) as error:
-            self._file.close()
-            raise LogError(f"is not a recording: {error}", path=path) from error
         except LogError:
             self._file.close()
             raise
+        except (*_DAMAGE, MessageError) as error:
+            self._file.close()
+            raise LogError(f"is not a recording: {error}", path=path) from error
 
     def _choose(self, hand: str) -> str:
         summary = self._reader.get_summary()
@@ -115,6 +124,14 @@ class RecordedStates:
             raise LogError(f"has no states of the actuator '{missing[0]}'", path=self.path)
         return [names.index(name) for name in actuators]
 
+    def _stored(self, topics: Sequence[str]) -> Iterator[tuple[Schema | None, Channel, Message]]:
+        """Yield the messages of some topics as they are stored; raises `LogError`."""
+        try:
+            yield from self._reader.iter_messages(topics=topics)
+        except (*_DAMAGE, OSError) as error:
+            text = f"is damaged: {error}; `rtee log recover` keeps the rest"
+            raise LogError(text, path=self.path) from error
+
     def _messages(self) -> Iterator[tuple[dict[str, Any], Extras, Mapping[str, TouchState]]]:
         """Yield every state, with further channels and readings of touch as they were last."""
         extras: Extras = {}
@@ -123,13 +140,10 @@ class RecordedStates:
         touch: Mapping[str, TouchState] = {}
         topics = [self._topic, self._extras_topic, *self._touch_topics]
         kinds: dict[str, MessageType] = {}
-        for schema, channel, message in self._reader.iter_messages(topics=topics):
+        for schema, channel, message in self._stored(topics):
             topic = channel.topic
             if topic not in kinds:
-                name = TYPES[topic.rpartition("/")[2]]
-                text = schema.data.decode("utf-8", "replace") if schema else ""
-                # By the recording's own schema, which may be of another version.
-                kinds[topic] = recorded_type(name, text) if text else message_type(name)
+                kinds[topic] = _recorded(TYPES[topic.rpartition("/")[2]], schema)
             fields = kinds[topic].decode(message.data)
             if topic == self._topic:
                 yield fields, extras, touch
@@ -167,22 +181,29 @@ class RecordedStates:
 
     def touch_sensors(self) -> dict[str, tuple[TouchSensor, ...]]:
         """Return the touch sensors by device, as they were first known."""
-        found = next(self._reader.iter_messages(topics=[self._touch_topics[1]]), None)
-        if found is None:
-            return {}
-        with contextlib.suppress(MessageError):
-            return sensors_of(TOUCH_SENSORS_TYPE.decode(found[2].data))
-        return {}
+        found: dict[str, tuple[TouchSensor, ...]] = {}
+        # All messages: there is another one when a further device has measured for the first time.
+        for schema, _, message in self._stored([self._touch_topics[1]]):
+            with contextlib.suppress(MessageError):
+                kind = _recorded(TYPES[TOUCH_SENSORS], schema)
+                found = {**sensors_of(kind.decode(message.data)), **found}
+        return found
 
     def object_description(self) -> ObjectDescription | None:
         """Return what a simulated device grasped, if it did."""
         topic = f"{self._topic.removesuffix(ACTUATOR_STATES)}{OBJECT}"
-        found = next(self._reader.iter_messages(topics=[topic]), None)
+        found = next(self._stored([topic]), None)
         return None if found is None else convert.OBJECT.decode(found[2].data)
 
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _recorded(name: str, schema: Schema | None) -> MessageType:
+    """Return a type by the recording's own schema, which may be of another version."""
+    text = schema.data.decode("utf-8", "replace") if schema else ""
+    return recorded_type(name, text) if text else message_type(name)
 
 
 def _channels(fields: dict[str, Any]) -> Extras:

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar
 
+import numpy as np
+
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
@@ -17,6 +19,7 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
+from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.xbot2 import codec
@@ -31,14 +34,11 @@ from rtee.errors import (
     RteeError,
     suggestion,
 )
-from rtee.sample import ActuatorState
+from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
 _STALE = 0.3
 """A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
-
-_SAME = 2e-3
-"""A reference this near to the measured position asks for no motion, as part of the range."""
 
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
@@ -50,9 +50,9 @@ class XBot2Driver(Driver):
     """Joints behind XBot2.
 
     XBot2 owns the motors: it powers them, interpolates references and watches over them. This
-    driver is one of its clients. It sends nothing until a reference asks for something, so a joint
-    that holds is not touched by connecting. No joint is given a position and an effort together,
-    but where the effort is known to limit it.
+    driver is one of its clients. It sends a joint nothing until a reference asks it for something,
+    so one that holds is touched neither by connecting nor by the motion of others. No joint is
+    given a position and an effort together, but where the effort is known to limit it.
     """
 
     Options: ClassVar[type[XBot2Options]] = XBot2Options
@@ -79,7 +79,7 @@ class XBot2Driver(Driver):
         self._index: list[int] = []
         self._stamp = -math.inf
         self._seen = -math.inf
-        self._touched = False
+        self._attached = Attached(spec.actuators)
         self._arrived = asyncio.Event()
         effort = self.options.control != "position"
         self._limits = [math.inf] * len(names)
@@ -97,6 +97,8 @@ class XBot2Driver(Driver):
         """Connect, see that the server has the joints, and wait for their first state."""
         # Connecting again starts here too; the old subscription must not stay.
         await self.close()
+        # Of no joint it is known whether it holds something.
+        self._attached.begin(range(len(self._names)))
         options = self.options
         joints = {
             a.name: {"joint": n} for a, n in zip(self.spec.actuators, self._names, strict=True)
@@ -176,8 +178,6 @@ class XBot2Driver(Driver):
             self._undo()
             self._undo = None
         self._state = None
-        # After connecting again, a joint that holds must be left alone again.
-        self._touched = False
         await super().close()
 
     # --- every cycle -------------------------------------------------------------------------
@@ -210,8 +210,9 @@ class XBot2Driver(Driver):
 
     async def move(self, reference: Reference) -> None:
         """Send position references, or efforts where that is how it is controlled."""
-        chosen = [i for i in range(len(self._names)) if reference.mask[i]]
-        if not chosen or not self._asked(chosen, reference):
+        left = self._attached.left(reference, self._here()) if self._attached else ()
+        chosen = [i for i in range(len(self._names)) if reference.mask[i] and i not in left]
+        if not chosen:
             return
         if self.options.control == "limited":
             for i in chosen:
@@ -236,16 +237,13 @@ class XBot2Driver(Driver):
         names = tuple(self._names[i] for i in chosen)
         self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
 
-    def _asked(self, chosen: list[int], reference: Reference) -> bool:
-        """Return whether a reference has ever asked the joints for motion."""
-        if not self._touched and self._state is not None:
-            for i in chosen:
-                actuator = self.spec.actuators[i]
-                here = self._reported[i].to_si(self._state.position[self._index[i]])
-                span = actuator.upper - actuator.lower
-                near = _SAME * (span if math.isfinite(span) else 1.0)
-                self._touched |= abs(float(reference.position[i]) - here) > near
-        return self._touched
+    def _here(self) -> FloatArray:
+        """Return where the joints were last ``(n,)`` [rad | m]; ``NaN``: not known."""
+        state = self._state
+        if state is None:
+            return np.full(len(self._names), math.nan)
+        pairs = zip(self._index, self._reported, strict=True)
+        return np.array([scale.to_si(state.position[i]) for i, scale in pairs])
 
     def _effort(self, i: int, reference: Reference) -> float:
         """Return the effort that drives a joint to its reference; 0 where it is near enough."""
@@ -284,6 +282,7 @@ class XBot2Driver(Driver):
         with contextlib.suppress(RteeError, OSError):
             state = await patiently(self.sense)
             n = len(self._names)
+            self._attached.begin()
             self._send_positions(list(range(n)), [float(q) for q in state.position])
 
     async def recover(self) -> None:

@@ -41,6 +41,11 @@ class ServerProperties:
     effort: Positive = 10.0
     rate: Positive = 100.0
 
+    def __post_init__(self) -> None:
+        """Check that there is a way between the ends."""
+        if not self.lower < self.upper:
+            raise ValueError(f"lower, {self.lower:g}, is not below upper, {self.upper:g}")
+
 
 class XBot2Emulator(Emulator, Grasps):
     """The server.

@@ -108,6 +108,25 @@ def test_a_joint_without_reference_gets_no_torque() -> None:
     assert made.receive(3, (0, 0, 0, 0), 1.0) == [[120, 0, 0, 0], *[[0] * 4] * 3]
 
 
+@pytest.mark.parametrize("lost", range(4))
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1)])
+def test_a_lost_frame_does_not_make_the_sets_after_it_of_two_moments(
+    lost: int, order: tuple[int, ...]
+) -> None:
+    made = control(period=0.003)
+    moments = []
+    for number in range(9):
+        for place, finger in enumerate(order):
+            stamp = 1.0 + 0.003 * number + 1e-4 * place
+            if (number, place) == (3, lost):
+                continue
+            if made.receive(finger, (100 * number,) * 4, stamp) is not None:
+                counts = [made.scale.to_count(angle) for angle in made.position[::4]]
+                moments.append(sorted({count // 100 for count in counts}))
+    assert moments[:3] == [[0], [1], [2]]
+    assert moments[-3:] == [[6], [7], [8]]
+
+
 def test_sets_that_waited_in_the_computer_make_no_speed_of_their_own() -> None:
     made = JointControl(
         codec.SCALES[4], kp=0.0, kd=0.1, max_torque=1.0, smoothing=0.005, period=0.003
@@ -287,6 +306,61 @@ async def test_faults_are_named_and_recovered() -> None:
         hand(pool).servo = False
         with pytest.raises(DeviceFault, match="motors off"):
             await made.sense()
+
+
+def torques_when_switched_on(hand: AllegroEmulator) -> list[list[int]]:
+    """Let a hand note the torques of each finger that it was sent last when it is switched on."""
+    last, noted = [9] * 4, []
+    answer = hand.on_frame
+
+    def hear(frame: CanFrame, now: float) -> list[CanFrame]:
+        command = codec.split(frame.id)[0]
+        finger = command - Command.SET_TORQUE
+        if 0 <= finger < 4:
+            last[finger] = max(map(abs, codec.read_counts(frame.data)))
+        if command == Command.SYSTEM_ON:
+            noted.append(list(last))
+        return answer(frame, now)
+
+    hand.on_frame = hear  # type: ignore[method-assign]
+    return noted
+
+
+@pytest.mark.anyio
+async def test_recovering_does_not_switch_on_with_the_last_torques() -> None:
+    async with BusPool() as pool, connected(pool, device(info_every=1)) as made:
+        await made.activate()
+        noted = torques_when_switched_on(hand(pool))
+        await made.move(Reference.at(np.full(16, 1.0)))
+        await until(lambda: max(map(abs, made.control.torque)) > 0.1)
+        hand(pool).inject("communication")
+        with pytest.raises(DeviceFault, match="communication"):
+            await made.sense()
+        hand(pool).clear()
+        await made.recover()
+        assert noted == [[0, 0, 0, 0]]
+
+
+@pytest.mark.anyio
+async def test_an_activation_that_fails_leaves_the_hand_without_torque(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def silent(*, patient: bool = False) -> HandInfo:
+        await until(lambda: Command.SET_TORQUE in hand(pool).frames)
+        raise BusTimeout("can0", "no answer")
+
+    async with BusPool() as pool, connected(pool, device()) as made:
+        monkeypatch.setattr(made.connection.link, "info", silent)
+        with pytest.raises(BusTimeout):
+            await made.activate()
+        sets = made.control.sets
+        await until(lambda: made.control.sets > sets + 2)
+        assert not any(made.control.torque)
+        await until(lambda: not any(joint.torque for joint in hand(pool).joints))
+        sent = hand(pool).frames[Command.SET_TORQUE]
+        sets = made.control.sets
+        await until(lambda: made.control.sets > sets + 2)
+        assert hand(pool).frames[Command.SET_TORQUE] == sent
 
 
 @pytest.mark.anyio

@@ -650,6 +650,21 @@ async def test_a_calibration_makes_the_rest_posture_the_present_one(tmp_path: Pa
             await session.driver.configure()
 
 
+@pytest.mark.parametrize("zero", [None, "2048", float("nan"), True])
+async def test_a_calibration_whose_zero_is_no_number_is_refused(
+    tmp_path: Path, zero: object
+) -> None:
+    path = tmp_path / "servos.json"
+    async with Session(case()) as session:
+        await calibrated(session, path, [0.0, 0.0, 0.0])
+    stored = json.loads(path.read_text())
+    stored["servos"][1]["zero"] = zero
+    path.write_text(json.dumps(stored))
+    async with Session(case(calibration=str(path))) as session:
+        with pytest.raises(CalibrationError, match="not a calibration of servos: the zero of 'j1'"):
+            await session.driver.configure()
+
+
 async def test_a_pair_is_calibrated_by_its_servos(tmp_path: Path) -> None:
     path = tmp_path / "servos.json"
     places = {1: {"start": 400}, 2: {"start": 640}, 3: {"start": 391}, 4: {"start": 630}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -138,6 +139,33 @@ async def test_an_object_behind_the_finger_is_not_met() -> None:
     await driver.move(Reference.at([0.0, 0.0]))
     clock.seconds += 5.0
     assert (await driver.sense()).position[0] == pytest.approx(0.0, abs=1e-6)
+
+
+async def test_an_object_at_rest_lets_no_finger_close() -> None:
+    """The one bends upwards, the other downwards; both are free to go the other way."""
+    driver, clock = await active(objects={"index": 0.0})
+    await driver.move(Reference.at([2.0, -1.0], max_effort=[0.7, 0.4]))
+    clock.seconds += 5.0
+    state = await driver.sense()
+    assert state.position.tolist() == [0.0, 0.0]
+    assert state.effort.tolist() == [0.7, -0.4]
+    await driver.move(Reference.at([0.0, 0.2]))
+    clock.seconds += 5.0
+    assert (await driver.sense()).position[1] == pytest.approx(0.2)
+
+
+async def test_what_turns_without_end_has_no_place_for_an_object() -> None:
+    turn = replace(BEND, name="turn", kind=JointKind.CONTINUOUS, lower=-math.inf, upper=math.inf)
+    driver = KinematicDriver(DeviceSpec("dummy", "test", "kinematic", (turn, BEND)), BusPool())
+    with pytest.raises(ConfigError, match="'turn' turns without end"):
+        driver.place_object("turn", 0.0)
+    driver.place_object("index", 0.0)
+    driver.now = clock = Time()
+    await driver.configure()
+    await driver.activate()
+    await driver.move(Reference.at([3.0, 2.0]))
+    clock.seconds += 5.0
+    assert (await driver.sense()).position == pytest.approx([3.0, 0.0], abs=1e-6)
 
 
 async def test_temperature_follows_effort() -> None:

@@ -151,6 +151,24 @@ def test_an_integral_never_exceeds_the_effort_limit(tmp_path: Path) -> None:
     assert simulation.position[0] == pytest.approx(0.2, abs=0.02)
 
 
+def test_after_a_reset_all_goes_as_at_first(tmp_path: Path) -> None:
+    hand = replace(rod(tmp_path), dynamics={"turn": ActuatorDynamics(kp=1.0, kd=0.1, ki=2.0)})
+    simulation = simulate(hand)
+    ways = []
+    for _ in range(2):
+        way = []
+        for _ in range(100):
+            simulation.advance()
+            way.append(float(simulation.position[0]))
+        ways.append(way)
+        simulation.command(np.array([0.8]), np.array([0.01]), np.ones(1, dtype=bool))
+        simulation.advance()
+        simulation.power(False)
+        simulation.reset()
+    assert ways[0] == ways[1]
+    assert simulation.model.actuator_forcerange[0].tolist() == [-2.0, 2.0]
+
+
 def fixed_object(hand: Hand, shape: str, offset: tuple[float, float, float]) -> Simulation:
     """Return a hand around an object that does not move, beside the middle of the fingertips."""
     place = np.eye(4)

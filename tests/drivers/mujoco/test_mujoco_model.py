@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtee.errors import ModelError
+from rtee.errors import ConfigError, ModelError
 from rtee.hand.catalog import hand_names
 from rtee.hand.load import load_hand, load_model
 
@@ -130,6 +130,32 @@ def test_fingers_inside_each_other_are_refused(tmp_path: Path) -> None:
         build_hand(hand, SimOptions())
 
 
+FLAT = "v 0 0 0\nv 0.05 0 0\nv 0 0.05 0\nv 0.05 0.05 0\nf 1 2 3\nf 2 4 3\n"
+
+
+def test_a_mesh_of_the_hand_without_volume_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "flat.obj").write_text(FLAT)
+    shape = '<collision><geometry><mesh filename="flat.obj"/></geometry></collision>'
+    hand = model(tmp_path, joint("bend", "tip") + f'<link name="tip">{shape}</link>')
+    with pytest.raises(ModelError, match=r"test\.urdf: cannot be simulated: mesh 'tip/0' .*planar"):
+        build_hand(hand, SimOptions())
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("flat.obj", FLAT), ("text.stl", "solid a\nendsolid a\n"), ("empty.obj", "")],
+)
+def test_a_mesh_of_an_object_that_is_none_is_refused(
+    tmp_path: Path, name: str, content: str
+) -> None:
+    hand = model(tmp_path, joint("bend", "tip") + TIP)
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ConfigError, match="cannot be simulated") as caught:
+        simulate(hand, object=str(tmp_path / name))
+    assert caught.value.path == tmp_path / name
+    assert "\n" not in str(caught.value)
+
+
 def test_pairs_disabled_in_the_srdf_are_never_checked() -> None:
     hand = load_hand("schunk_svh")
     assert hand.disabled_collisions
@@ -144,6 +170,16 @@ def test_a_carried_hand_reaches_down(name: str) -> None:
     hand = load_hand(name)
     assert downward(hand) @ approach(hand) == pytest.approx([0.0, 0.0, -1.0])
     assert np.linalg.det(downward(hand)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("carrier", ["lift", "arm"])
+def test_a_hand_whose_base_is_but_a_frame_is_carried(tmp_path: Path, carrier: str) -> None:
+    hand = model(tmp_path, joint("bend", "tip") + TIP)
+    simulation = simulate(hand, carrier=carrier)
+    simulation.surroundings.carry(np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
+    for _ in range(250):
+        simulation.advance()
+    assert simulation.surroundings.base_pose[2, 3] == pytest.approx(0.1, abs=2e-3)
 
 
 def test_real_models_with_meshes_compile_without_deep_contacts(shared: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from rtee.buses.pool import BusPool
@@ -18,11 +19,14 @@ from rtee.messages.codec import header
 from rtee.messages.schema import message_type
 from rtee.messages.state import actuator_state_fields
 from rtee.messages.topics import log_topic
+from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
 from rtee.sample import ActuatorState
+from rtee.touch import TouchSensor, TouchState
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
 
 pytestmark = pytest.mark.anyio
 KIND = message_type("rtee_msgs/msg/ActuatorState")
+TOUCH_TYPE = message_type("rtee_msgs/msg/Touch")
 FURTHER = message_type("rtee_msgs/msg/Channels")
 RECORDED = ("thumb", "index")
 STATES = 1234
@@ -218,6 +222,61 @@ async def test_it_can_be_closed_and_opened_again(recording: Path) -> None:
         assert (await player.sense()).position[1] == 0
 
 
+async def test_touch_sensors_that_were_known_later_are_played_too(tmp_path: Path) -> None:
+    """The recorder tells the sensors anew when a further device has measured for the first time."""
+    states = {
+        name: TouchState(name, (TouchSensor(f"{name}_tip", 2),), np.array(values), 70.0)
+        for name, values in (("palm", [1.0, 2.0]), ("tips", [3.0, 4.0]))
+    }
+    known: dict[str, TouchState] = {}
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channel = {}
+        for topic, kind in (
+            ("actuator_states", KIND),
+            ("touch_sensors", TOUCH_SENSORS),
+            ("touch", TOUCH_TYPE),
+        ):
+            schema = writer.register_schema(kind.name, "ros2msg", kind.schema.encode())
+            channel[topic] = writer.register_channel(log_topic("claw", topic), "cdr", schema)
+        encoder = TouchEncoder()
+        for k in range(30):
+            if k in (10, 20):
+                state = states["palm" if k == 10 else "tips"]
+                known[state.device] = state
+                sensors = TOUCH_SENSORS.encode(sensors_fields(known.values()))
+                writer.add_message(channel["touch_sensors"], k, sensors, k)
+                writer.add_message(channel["touch"], k, encoder.encode(state, k), k)
+            fields = actuator_state_fields(RECORDED) | {"tick": k, "time": 70.0 + k * PERIOD}
+            writer.add_message(channel["actuator_states"], k, KIND.encode(fields), k)
+        writer.finish()
+    async with Player(tmp_path / "a.mcap") as player:
+        declared = [sensor.name for sensor in player.driver.capabilities.touch]
+        assert sorted(declared) == ["palm_tip", "tips_tip"]
+        felt = []
+        for k in (5, 15, 25):
+            player.seconds = 5.0 + k * PERIOD + 1e-9
+            touch = (await player.sense()).touch
+            felt.append(None if touch is None else sorted(touch.values.tolist()))
+    assert felt[0] is None
+    assert felt[1] is not None
+    assert felt[1][:2] == [1.0, 2.0]
+    assert np.isnan(felt[1][2:]).all()
+    assert felt[2] == [1.0, 2.0, 3.0, 4.0]
+
+
+async def test_it_goes_on_when_it_is_activated_again(recording: Path) -> None:
+    async with Player(recording) as player:
+        player.seconds += 1100 * PERIOD + 1e-9
+        assert (await player.sense()).position[1] == 1100
+        await player.driver.disable()
+        await player.driver.deactivate()
+        await player.driver.activate()
+        player.seconds += 7 * PERIOD
+        assert (await player.sense()).position[1] == 1107
+
+
 def test_a_recording_of_one_other_hand_will_do(tmp_path: Path) -> None:
     path = write(tmp_path / "other.mcap", hand="other", count=3)
     states = RecordedStates(path, "claw", ("thumb",))
@@ -243,6 +302,28 @@ def test_files_that_cannot_be_played_are_refused(tmp_path: Path) -> None:
     for path, actuators, reason in cases:
         with pytest.raises(LogError, match=reason):
             RecordedStates(path, "claw", actuators)
+
+
+async def test_a_damaged_recording_is_played_up_to_the_damage_and_then_refused(
+    tmp_path: Path,
+) -> None:
+    """Damage that is decompressed to other numbers, too."""
+    whole = write(tmp_path / "whole.mcap").read_bytes()
+    with (tmp_path / "whole.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    place = summary.chunk_indexes[-1]
+    for at in (place.chunk_length - place.compressed_size, place.chunk_length - 40):
+        damaged = bytearray(whole)
+        damaged[place.chunk_start_offset + at] ^= 0x10
+        path = tmp_path / "damaged.mcap"
+        path.write_bytes(damaged)
+        async with Player(path) as player:
+            player.seconds += 3 * PERIOD + 1e-9
+            assert (await player.sense()).position[1] == 3
+            player.seconds += STATES * PERIOD
+            with pytest.raises(LogError, match=r"damaged\.mcap: is damaged"):
+                await player.sense()
 
 
 def test_wrong_options_are_named(recording: Path) -> None:

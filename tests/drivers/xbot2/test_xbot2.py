@@ -203,6 +203,30 @@ async def test_connecting_to_a_joint_that_holds_sends_nothing() -> None:
 
 
 @pytest.mark.anyio
+async def test_a_joint_that_holds_goes_on_holding_while_another_moves() -> None:
+    """Its reference begins where it is measured, which would end its grip."""
+    spec = device("thumb", "index")
+    async with BusPool() as pool:
+        async with connected(pool, spec) as first:
+            server(pool).grip_object("thumb", 0.5)
+            thumb = server(pool).axes["thumb"]
+            with anyio.fail_after(5.0):
+                while (await first.sense()).position[0] < 0.5 or not thumb.blocked:
+                    await first.move(Reference.at([0.9, 0.2]))
+        gripped = thumb.target
+        assert gripped == pytest.approx(0.9)
+        async with connected(pool, spec) as second:
+            await second.activate()
+            here = float((await second.sense()).position[0])
+            with anyio.fail_after(5.0):
+                while (await second.sense()).position[1] < 0.69:
+                    await second.move(Reference.at([here, 0.7]))
+                assert thumb.target == gripped
+                while (await second.sense()).position[0] > 0.31:
+                    await second.move(Reference.at([0.3, 0.7]))
+
+
+@pytest.mark.anyio
 async def test_silence_is_noticed_and_stop_holds() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.move(Reference.at([1.0]))
