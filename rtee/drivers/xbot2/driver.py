@@ -223,17 +223,18 @@ class XBot2Driver(Driver):
         if self.options.control != "effort":
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
-        efforts = tuple(self._effort(i, reference) for i in chosen)
-        if not any(efforts):
+        pushed = [self._effort(i, reference) for i in chosen]
+        if all(effort is None for effort in pushed):
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
         # The server keeps only the newest message, so what stays and what pushes share one.
         positions: tuple[float, ...] = ()
-        if not all(efforts):
+        if any(effort is None for effort in pushed):
             positions = tuple(
                 self._commanded[i].to_raw(float(reference.position[i])) for i in chosen
             )
-        control = tuple(Control.EFFORT if effort else Control.POSITION for effort in efforts)
+        control = tuple(Control.POSITION if e is None else Control.EFFORT for e in pushed)
+        efforts = tuple(0.0 if effort is None else effort for effort in pushed)
         names = tuple(self._names[i] for i in chosen)
         self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
 
@@ -245,19 +246,19 @@ class XBot2Driver(Driver):
         pairs = zip(self._index, self._reported, strict=True)
         return np.array([scale.to_si(state.position[i]) for i, scale in pairs])
 
-    def _effort(self, i: int, reference: Reference) -> float:
-        """Return the effort that drives a joint to its reference; 0 where it is near enough."""
+    def _effort(self, i: int, reference: Reference) -> float | None:
+        """Return the effort that drives a joint to its reference; ``None``: its position does."""
         if self._state is None:
-            return 0.0
+            return None
         actuator = self.spec.actuators[i]
         here = self._reported[i].to_si(self._state.position[self._index[i]])
         error = float(reference.position[i]) - here
         if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
-            return 0.0
+            return None
         size = min(float(reference.max_effort[i]), actuator.effort)
         # An effort without bound cannot be sent, so the position drives the joint.
         if not math.isfinite(size):
-            return 0.0
+            return None
         return math.copysign(size, error) * self._signs[i]
 
     def _send_positions(self, chosen: list[int], positions: list[float]) -> None:

@@ -157,6 +157,21 @@ async def test_effort_control_closes_with_the_limit_and_then_stays() -> None:
 
 
 @pytest.mark.anyio
+async def test_without_effort_nothing_moves_under_effort_control() -> None:
+    """A limit of 0, as of a motor that is too hot, is no permission to use all there is."""
+    async with BusPool() as pool, connected(pool, device("a", "b", control="effort")) as made:
+        before = (await made.sense()).position.copy()
+        for _ in range(30):
+            await made.sense()
+            await made.move(Reference.at([0.9, 0.6], max_effort=np.array([0.0, 3.0])))
+            await anyio.sleep(0.01)
+        state = await made.sense()
+        assert state.effort[0] == 0.0
+        assert state.position[0] == pytest.approx(before[0], abs=0.01)
+        assert state.position[1] == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.anyio
 async def test_limited_control_sends_the_limit_beside_the_position() -> None:
     async with BusPool() as pool, connected(pool, device("a", "b", control="limited")) as made:
         taken: list[Command] = []
