@@ -32,8 +32,8 @@ class BusPool:
     A driver whose device is emulated passes the factory of its emulator; the pool then plays it on
     a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that instead
     of to the address. The emulated device lives as long as the pool, as a real one outlives its
-    connection. Emulated lines and servers belong to one hand each, even where the configurations of
-    several name the same address; the devices of one hand share them.
+    connection. Emulated lines, channels, networks and servers belong to one hand each, even where
+    the configurations of several name the same address; the devices of one hand share them.
 
     Attributes:
         trace: Hook given to every bus made from now on.
@@ -232,13 +232,14 @@ class BusPool:
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 
-        ring = emulator and self._ends.ethercat(interface, owner, emulator)
+        place = self._apart(interface, owner, emulator)
+        ring = emulator and self._ends.ethercat(place, owner, emulator)
         return await self._acquire(
-            interface,
+            place,
             EthercatBus,
             None,
             owner,
-            lambda: EthercatBus(interface, ring or (lambda: PysoemRing(interface))),
+            lambda: EthercatBus(place, ring or (lambda: PysoemRing(interface))),
         )
 
     async def aclose(self) -> None:
@@ -310,6 +311,7 @@ class BusPool:
         emulator: EmulatorFactory | None,
     ) -> C:
         simulation = None
+        channel = self._apart(channel, owner, emulator)
         if emulator is not None:
             # python-can's virtual channels belong to the process: another pool must not hear this
             # one.

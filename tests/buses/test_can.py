@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import cast
 
 import pytest
 
@@ -81,6 +82,16 @@ async def test_unplugging_breaks_and_connecting_mends(pool: BusPool) -> None:
     pool.simulation("a").replug()
     await bus.connect()
     assert (await bus.request(CanFrame(0x10, b"z"), answer, 1.0)).data == b"z"
+
+
+async def test_emulated_channels_belong_to_one_hand_each(pool: BusPool) -> None:
+    left = await bus_in(pool, "left/motors")
+    assert await bus_in(pool, "left/wrist") is left
+    right = await bus_in(pool, "right/motors")
+    assert right is not left
+    await right.request(CanFrame(0x10, b"abc"), answer, 1.0)
+    played = [cast("CanCounter", pool.played(f"{hand}/motors")) for hand in ("left", "right")]
+    assert [one.heard for one in played] == [0, 1]
 
 
 async def test_a_closed_bus_says_so(pool: BusPool) -> None:
