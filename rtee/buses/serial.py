@@ -60,6 +60,7 @@ class SerialBus(Bus):
         self._transport: asyncio.Transport | None = None
         self._protocol: asyncio.Protocol | None = None
         self._lock = asyncio.Lock()
+        self._queue = 0  # who waits for the line
         self._answer: asyncio.Future[Any] | None = None
         self._parser: Parser[Any] | None = None
         self._accept: Callable[[Any], bool] | None = None
@@ -99,8 +100,9 @@ class SerialBus(Bus):
         # The parser outlives the transaction: only its new errors are of this one.
         errors = parser.errors
         received = 0
-        # A free lock is taken without a timeout context, which costs more than the lock.
-        if self._lock.locked():
+        # A free lock is taken without a timeout context, which costs more than the lock. One that
+        # was just released is not free: it goes to the first who waits, for as long as that takes.
+        if self._lock.locked() or self._queue:
             await self._wait_for_line(deadline)
         else:
             await self._lock.acquire()
@@ -198,12 +200,15 @@ class SerialBus(Bus):
             self._lock.release()
 
     async def _wait_for_line(self, deadline: float) -> None:
+        self._queue += 1
         try:
             async with asyncio.timeout(deadline):
                 await self._lock.acquire()
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
+        finally:
+            self._queue -= 1
 
     def listen(self, listener: Callable[[bytes], None] | None) -> None:
         """Pass bytes that no request waits for to ``listener``, for devices that send unasked."""

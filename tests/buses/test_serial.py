@@ -90,6 +90,25 @@ async def test_transactions_wait_for_each_other(pool: BusPool, url: str) -> None
     assert answers == [text.upper() for text in texts]
 
 
+async def test_a_deadline_holds_behind_who_waits_for_the_line(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+
+    async def ask_twice() -> None:
+        for sentence in ("no answer within", "the line was not free within"):
+            with pytest.raises(BusTimeout, match=sentence):
+                await bus.transact(frame_of(b"?"), StarParser(), 0.02, retries=0)
+
+    asking = asyncio.create_task(ask_twice())
+    await asyncio.sleep(0)
+    # It waits when the first request gives up, and has the line when the second one comes.
+    slow = asyncio.create_task(bus.transact(frame_of(b"?"), StarParser(), 30.0, retries=0))
+    await asking
+    assert not slow.done()
+    slow.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await slow
+
+
 async def test_a_cancelled_transaction_frees_the_line(pool: BusPool, url: str) -> None:
     bus = await bus_in(pool, url)
     task = asyncio.create_task(bus.transact(frame_of(b"?"), StarParser(), 10.0))
