@@ -153,20 +153,28 @@ class SerialBus(Bus):
         def ask() -> None:
             if answer.done():
                 return  # the time is up, or the link is broken
+            if self._not_silent(ask):
+                return
             if self.fresh and isinstance(self._transport, SerialTransport):
                 self._transport.read_now()  # without a parser, what comes is thrown away
+                if self._not_silent(ask):
+                    return
             self._parser, self._accept = parser, accept
             self._write(data)
 
-        if self.gap and (due := self._last + self.gap) > time.monotonic():
-            # The request is made while the silence lasts and goes out from the timer's callback.
-            self._pause.start(due, ask)
-        else:
-            ask()
+        ask()
         # A timer costs less than asyncio.timeout, and is made after the request, so that this goes
         # out sooner: it happens in every cycle.
         self._timer = loop.call_later(share, _give_up, answer)
         return answer
+
+    def _not_silent(self, ask: Callable[[], None]) -> bool:
+        """Return whether the gap is not over yet; then ``ask`` is called when it may be."""
+        # Looked at again each time: a late answer that comes meanwhile must not be talked over.
+        if not self.gap or (due := self._last + self.gap) <= time.monotonic():
+            return False
+        self._pause.start(due, ask)
+        return True
 
     def _asked(self) -> None:
         self._answer = self._parser = self._accept = None

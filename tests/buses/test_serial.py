@@ -8,7 +8,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 import serial
@@ -340,6 +340,27 @@ async def test_the_gap_before_a_request_is_kept() -> None:
         await bus.close()
     sent, received = stamps[0::2], stamps[1::2]
     assert all(after - before >= 0.01 for before, after in zip(received, sent[1:], strict=False))
+
+
+async def test_a_request_waits_until_bytes_stop_coming(monkeypatch: pytest.MonkeyPatch) -> None:
+    with SimulatedLine([Echo()]) as line:
+        bus = SerialBus(line.address, Line())
+        await bus.connect()
+        await bus.transact(frame_of(b"a"), StarParser(), 1.0)
+        sent = bus.counters.bytes_sent
+        # Longer than the test lasts: whenever the wait is over, something has come meanwhile.
+        bus.gap = 1000.0
+        over: list[Callable[[], None]] = []
+        monkeypatch.setattr(bus._pause, "start", lambda due, callback: over.append(callback))
+        asking = asyncio.create_task(bus.transact(frame_of(b"b"), StarParser(), 30.0))
+        await asyncio.sleep(0)
+        for _ in range(3):
+            over.pop()()
+            assert bus.counters.bytes_sent == sent
+        bus.gap = 0.0
+        over.pop()()
+        assert await asking == b"B"
+        await bus.close()
 
 
 async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(
