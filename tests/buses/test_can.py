@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from typing import cast
 
@@ -138,3 +139,44 @@ async def test_blocking_calls_have_a_deadline(pool: BusPool) -> None:
     with pytest.raises(BusTimeout, match=r"within 0\.050 s"):
         await bus.run(lambda: node.sdo.upload(0x1000, 0), 0.05)
     assert bus.network.nmt is not None
+
+
+@pytest.mark.parametrize("cut", ["unplugged", "closed"])
+async def test_a_blocking_call_ends_with_the_bus_s_own_error(pool: BusPool, cut: str) -> None:
+    import canopen
+
+    bus = await pool.canopen("can3", owner="a", emulator=CanCounter)
+    node = bus.network.add_node(5, canopen.ObjectDictionary())
+    began, go = asyncio.Event(), threading.Event()
+    loop = asyncio.get_running_loop()
+
+    def call() -> None:
+        loop.call_soon_threadsafe(began.set)
+        go.wait()
+        node.sdo.upload(0x1000, 0)
+
+    calling = asyncio.create_task(bus.run(call, 30.0))
+    await began.wait()
+    ending = asyncio.create_task(bus.close()) if cut == "closed" else None
+    if ending is None:
+        broken = asyncio.Event()
+        bus.watch(broken.set)
+        pool.simulation("a").unplug()
+        await broken.wait()
+    await asyncio.sleep(0)
+    go.set()
+    with pytest.raises(BusBroken if ending is None else BusClosed, match=r"unplugged|is closed"):
+        await calling
+    if ending is not None:
+        await ending
+
+
+async def test_a_blocking_call_s_own_error_is_kept(pool: BusPool) -> None:
+    bus = await pool.canopen("can3", owner="a", emulator=CanCounter)
+
+    def silent() -> None:
+        raise BusTimeout(bus.name, "node 5 does not answer")
+
+    with pytest.raises(BusTimeout, match="node 5"):
+        await bus.run(silent, 2.0)
+    assert bus.counters.timeouts == 1
