@@ -10,8 +10,11 @@ import can
 import pytest
 import serial
 
+from rtee.buses.emulator import Emulator
+from rtee.buses.simulated import SimulatedLine
+from rtee.buses.simulated_zmq import SimulatedZmq
 from rtee.drivers.emulator_server import Player
-from rtee.errors import BusBroken, ConfigError
+from rtee.errors import BusBroken, ConfigError, RteeError
 
 STATUS = bytes.fromhex("09 03 07 D0 00 03 04 0E")
 
@@ -164,6 +167,38 @@ def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
         service.connect(f"tcp://127.0.0.1:{base + 1}")
         service.send(b"type: joint_names\n")
         assert b"claw" in service.recv()
+
+
+def test_a_zeromq_server_whose_port_was_taken_meanwhile_can_be_plugged_in_later() -> None:
+    pytest.importorskip("zmq")
+    with SimulatedZmq() as simulation:
+        simulation.unplug()
+        port = int(simulation.endpoints.command.rpartition(":")[2])
+        with socket.create_server(("127.0.0.1", port)):
+            with pytest.raises(BusBroken, match="cannot listen there"):
+                simulation.replug()
+            assert not simulation.plugged
+        simulation.replug()
+        assert simulation.plugged
+
+
+class Fragile(Emulator):
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        raise ValueError("a mistake of its author")
+
+    def power_cycle(self, now: float) -> None:
+        pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_emulator_that_fails_leaves_nobody_waiting() -> None:
+    with SimulatedLine([Fragile()], name="fragile") as line:
+        with serial.Serial(line.address) as port:
+            port.write(b"x")
+            assert line._thread is not None
+            line._thread.join()
+        with pytest.raises(RteeError, match="'fragile' is not played any more"):
+            line.power_cycle()
 
 
 @pytest.mark.parametrize(
