@@ -123,14 +123,19 @@ class BusPool:
 
         A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
         Modbus TCP. Arguments and errors as for `serial`, ``behind`` and ``gap`` as for
-        `ModbusBus`; on a shared line, the gap is that of the device that opened it.
+        `ModbusBus`; on a shared line, the longest gap that a device asks for is kept.
         """
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
         # An emulated line without wire time has no frames to tell apart by silence.
-        gap = gap if emulator is None or self.wire_time else 0.0
-        return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap, behind=behind)
+        told_apart = emulator is None or self.wire_time
+        usual = None if told_apart else 0.0
+        bus = await self._on_line(ModbusBus, url, line, owner, emulator, gap=usual, behind=behind)
+        if told_apart and gap is not None:
+            # Not one of the settings, in which all devices of a line have to agree.
+            bus.gap = max(bus.gap, gap)
+        return bus
 
     async def dynamixel(
         self,
