@@ -42,6 +42,22 @@ def test_a_path_that_is_taken_is_left_alone(tmp_path: Path) -> None:
     assert link.read_text() == "mine"
 
 
+def test_a_link_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    link = tmp_path / "ttyHand"
+    link.symlink_to("ttyUSB0")
+    with pytest.raises(BusBroken, match="cannot make this link"):
+        Player("robotiq_2f", link=link).__enter__()
+    assert str(link.readlink()) == "ttyUSB0"
+
+
+def test_a_link_that_was_taken_over_stays(tmp_path: Path) -> None:
+    link = tmp_path / "gripper"
+    with Player("robotiq_2f", link=link) as first, Player("robotiq_2f", link=link):
+        first.command("unplug")
+        assert asked(str(link), STATUS, 11)
+    assert not link.is_symlink()
+
+
 def test_a_network_device_speaks_modbus_tcp_and_a_raw_port_does_not() -> None:
     request = bytes.fromhex("00 02 00 00 00 06 41 03 01 00 00 04")
     with Player("onrobot_3fg", tcp=0) as player:
