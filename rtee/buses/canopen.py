@@ -9,7 +9,7 @@ from rtee.buses.can import CanBus
 from rtee.buses.can_guard import frame_of
 from rtee.buses.emulator import CanFrame
 from rtee.buses.worker import Worker
-from rtee.errors import BusBroken, BusTimeout
+from rtee.errors import BusBroken, BusTimeout, RteeError
 
 if TYPE_CHECKING:
     from rtee.buses.simulated_can import SimulatedCan
@@ -55,18 +55,24 @@ class CanopenBus(CanBus):
             BusBroken: if the bus is broken.
             BusClosed: if it is closed.
         """
+        import can
         import canopen
 
         self.check()
         self.counters.transactions += 1
         try:
             return await self._worker.run(function, deadline)
+        except RteeError as error:  # the function's own, which says more; some are TimeoutErrors
+            self.counters.timeouts += isinstance(error, BusTimeout)
+            raise
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"no answer within {deadline:.3f} s") from None
         except canopen.SdoCommunicationError as error:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, str(error)) from error
+        except can.CanError as error:
+            raise BusBroken(self.name, str(error)) from error
 
     def _notify(self, frame: CanFrame) -> None:
         # As the package's own listener, which ignores remote frames.
@@ -78,8 +84,8 @@ class CanopenBus(CanBus):
         self.network.bus = _Outlet(self)
 
     async def _close(self) -> None:
-        # First, so that a call that is still in the worker fails instead of sending.
-        self.network.bus = None
+        # First: what a call that is still in the worker sends is refused, as the bus is not
+        # connected any more.
         await self._worker.close()
         await super()._close()
 
@@ -97,4 +103,5 @@ class _Outlet:
         try:
             self._bus.send_now(frame_of(message))
         except BusBroken as error:
-            raise can.CanOperationError(str(error)) from error
+            # The one kind of error after which the package tries again.
+            raise can.CanOperationError(error.message) from error

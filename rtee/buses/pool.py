@@ -32,8 +32,8 @@ class BusPool:
     A driver whose device is emulated passes the factory of its emulator; the pool then plays it on
     a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that instead
     of to the address. The emulated device lives as long as the pool, as a real one outlives its
-    connection. Emulated lines and servers belong to one hand each, even where the configurations of
-    several name the same address; the devices of one hand share them.
+    connection. Emulated lines, channels, networks and servers belong to one hand each, even where
+    the configurations of several name the same address; the devices of one hand share them.
 
     Attributes:
         trace: Hook given to every bus made from now on.
@@ -123,14 +123,19 @@ class BusPool:
 
         A tty, ``socket://`` and ``rfc2217://`` speak Modbus RTU, ``tcp://host[:502]`` speaks
         Modbus TCP. Arguments and errors as for `serial`, ``behind`` and ``gap`` as for
-        `ModbusBus`; on a shared line, the gap is that of the device that opened it.
+        `ModbusBus`; on a shared line, the longest gap that a device asks for is kept.
         """
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
         # An emulated line without wire time has no frames to tell apart by silence.
-        gap = gap if emulator is None or self.wire_time else 0.0
-        return await self._on_line(ModbusBus, url, line, owner, emulator, gap=gap, behind=behind)
+        told_apart = emulator is None or self.wire_time
+        usual = None if told_apart else 0.0
+        bus = await self._on_line(ModbusBus, url, line, owner, emulator, gap=usual, behind=behind)
+        if told_apart and gap is not None:
+            # Not one of the settings, in which all devices of a line have to agree.
+            bus.gap = max(bus.gap, gap)
+        return bus
 
     async def dynamixel(
         self,
@@ -232,13 +237,14 @@ class BusPool:
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 
-        ring = emulator and self._ends.ethercat(interface, owner, emulator)
+        place = self._apart(interface, owner, emulator)
+        ring = emulator and self._ends.ethercat(place, owner, emulator)
         return await self._acquire(
-            interface,
+            place,
             EthercatBus,
             None,
             owner,
-            lambda: EthercatBus(interface, ring or (lambda: PysoemRing(interface))),
+            lambda: EthercatBus(place, ring or (lambda: PysoemRing(interface))),
         )
 
     async def aclose(self) -> None:
@@ -310,6 +316,7 @@ class BusPool:
         emulator: EmulatorFactory | None,
     ) -> C:
         simulation = None
+        channel = self._apart(channel, owner, emulator)
         if emulator is not None:
             # python-can's virtual channels belong to the process: another pool must not hear this
             # one.

@@ -60,6 +60,7 @@ class SerialBus(Bus):
         self._transport: asyncio.Transport | None = None
         self._protocol: asyncio.Protocol | None = None
         self._lock = asyncio.Lock()
+        self._queue = 0  # who waits for the line
         self._answer: asyncio.Future[Any] | None = None
         self._parser: Parser[Any] | None = None
         self._accept: Callable[[Any], bool] | None = None
@@ -99,8 +100,9 @@ class SerialBus(Bus):
         # The parser outlives the transaction: only its new errors are of this one.
         errors = parser.errors
         received = 0
-        # A free lock is taken without a timeout context, which costs more than the lock.
-        if self._lock.locked():
+        # A free lock is taken without a timeout context, which costs more than the lock. One that
+        # was just released is not free: it goes to the first who waits, for as long as that takes.
+        if self._lock.locked() or self._queue:
             await self._wait_for_line(deadline)
         else:
             await self._lock.acquire()
@@ -151,20 +153,28 @@ class SerialBus(Bus):
         def ask() -> None:
             if answer.done():
                 return  # the time is up, or the link is broken
+            if self._not_silent(ask):
+                return
             if self.fresh and isinstance(self._transport, SerialTransport):
                 self._transport.read_now()  # without a parser, what comes is thrown away
+                if self._not_silent(ask):
+                    return
             self._parser, self._accept = parser, accept
             self._write(data)
 
-        if self.gap and (due := self._last + self.gap) > time.monotonic():
-            # The request is made while the silence lasts and goes out from the timer's callback.
-            self._pause.start(due, ask)
-        else:
-            ask()
+        ask()
         # A timer costs less than asyncio.timeout, and is made after the request, so that this goes
         # out sooner: it happens in every cycle.
         self._timer = loop.call_later(share, _give_up, answer)
         return answer
+
+    def _not_silent(self, ask: Callable[[], None]) -> bool:
+        """Return whether the gap is not over yet; then ``ask`` is called when it may be."""
+        # Looked at again each time: a late answer that comes meanwhile must not be talked over.
+        if not self.gap or (due := self._last + self.gap) <= time.monotonic():
+            return False
+        self._pause.start(due, ask)
+        return True
 
     def _asked(self) -> None:
         self._answer = self._parser = self._accept = None
@@ -198,12 +208,15 @@ class SerialBus(Bus):
             self._lock.release()
 
     async def _wait_for_line(self, deadline: float) -> None:
+        self._queue += 1
         try:
             async with asyncio.timeout(deadline):
                 await self._lock.acquire()
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"the line was not free within {deadline:.3f} s") from None
+        finally:
+            self._queue -= 1
 
     def listen(self, listener: Callable[[bytes], None] | None) -> None:
         """Pass bytes that no request waits for to ``listener``, for devices that send unasked."""

@@ -23,6 +23,7 @@ from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
+from rtee.errors import RteeError
 
 
 class Simulation(ABC):
@@ -95,7 +96,11 @@ class Simulation(ABC):
         self.call(lambda: self.emulators.append(emulator))
 
     def call(self, function: Callable[[], Any]) -> Any:
-        """Run a function between two turns of the simulation's thread and return its result."""
+        """Run a function between two turns of the simulation's thread and return its result.
+
+        Raises:
+            RteeError: if nothing is played any more, as an error of a device has ended the thread.
+        """
         # In its own thread it would wait for itself.
         if not self._running or threading.current_thread() is self._thread:
             return function()
@@ -113,7 +118,9 @@ class Simulation(ABC):
 
         self._tasks.put(task)
         self._wake()
-        done.wait()
+        while not done.wait(_LOOK):
+            if not (self._thread and self._thread.is_alive()) and not done.is_set():
+                raise RteeError(f"'{self.name}' is not played any more: it ended by an error")
         if failed:
             raise failed[0]
         return box[0]
@@ -156,6 +163,9 @@ class Simulation(ABC):
         while not self._tasks.empty():
             self._tasks.get()()
 
+
+_LOOK = 0.2
+"""Time between two looks whether the thread that is waited for is still there [s]."""
 
 _SPIN = 1e-4
 """Longest time to spin before something is due [s]: the usual lateness of a sleep."""

@@ -76,9 +76,11 @@ class Pty:
         if self._link is None:
             self._folder = tempfile.mkdtemp(prefix="rtee-")
             self._link = Path(self._folder) / "port"
-        if self._link.is_symlink():
-            self._link.unlink()
         try:
+            # One to a pty is another emulator's, mostly one that was killed; any other belongs to
+            # somebody else, such as udev.
+            if self._leads_to().startswith("/dev/pts/"):
+                self._link.unlink()
             self._link.symlink_to(self._name)
         except OSError as error:
             self.unplug()
@@ -86,7 +88,8 @@ class Pty:
 
     def unplug(self) -> None:
         """Let it vanish."""
-        if self._link is not None and self._link.is_symlink() and self.open:
+        # Another emulator may have taken the link over meanwhile.
+        if self._link is not None and self.open and self._leads_to() == self._name:
             self._link.unlink()
         if self._changes is not None:
             self._changes.close()
@@ -94,6 +97,12 @@ class Pty:
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
+
+    def _leads_to(self) -> str:
+        """Return where the link leads; empty where there is none."""
+        if self._link is None or not self._link.is_symlink():
+            return ""
+        return os.readlink(self._link)
 
     def dispose(self) -> None:
         """Leave nothing behind."""

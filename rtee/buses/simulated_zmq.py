@@ -87,6 +87,9 @@ class SimulatedZmq(Simulation):
             try:
                 made.bind(place)
             except zmq.ZMQError as error:
+                made.close()
+                # None or all: one without the others would be a server that cannot be served.
+                self._unplug()
                 raise BusBroken(place, f"cannot listen there: {error}") from error
             self._sockets.append(made)
             bound.append(made.getsockopt_string(zmq.LAST_ENDPOINT))

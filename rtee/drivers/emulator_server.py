@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -163,9 +164,12 @@ class Player:
                     f"unknown fault of the wire '{name}'; {suggestion(name, WIRE_FAULTS)}"
                 )
             try:
-                setattr(faults, name, float(share))
+                found = float(share)
             except ValueError:
-                raise ConfigError(f"'{part}' should look like {name}=0.05") from None
+                found = math.nan
+            if not 0.0 <= found <= 1.0:
+                raise ConfigError(f"'{part}' should look like {name}=0.05: a share is 0 to 1")
+            setattr(faults, name, found)
         return faults
 
     def _object(self, text: str) -> None:

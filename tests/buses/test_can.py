@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
+from typing import cast
 
 import pytest
 
@@ -83,6 +85,16 @@ async def test_unplugging_breaks_and_connecting_mends(pool: BusPool) -> None:
     assert (await bus.request(CanFrame(0x10, b"z"), answer, 1.0)).data == b"z"
 
 
+async def test_emulated_channels_belong_to_one_hand_each(pool: BusPool) -> None:
+    left = await bus_in(pool, "left/motors")
+    assert await bus_in(pool, "left/wrist") is left
+    right = await bus_in(pool, "right/motors")
+    assert right is not left
+    await right.request(CanFrame(0x10, b"abc"), answer, 1.0)
+    played = [cast("CanCounter", pool.played(f"{hand}/motors")) for hand in ("left", "right")]
+    assert [one.heard for one in played] == [0, 1]
+
+
 async def test_a_closed_bus_says_so(pool: BusPool) -> None:
     bus = await bus_in(pool)
     await bus.detach("a")
@@ -127,3 +139,44 @@ async def test_blocking_calls_have_a_deadline(pool: BusPool) -> None:
     with pytest.raises(BusTimeout, match=r"within 0\.050 s"):
         await bus.run(lambda: node.sdo.upload(0x1000, 0), 0.05)
     assert bus.network.nmt is not None
+
+
+@pytest.mark.parametrize("cut", ["unplugged", "closed"])
+async def test_a_blocking_call_ends_with_the_bus_s_own_error(pool: BusPool, cut: str) -> None:
+    import canopen
+
+    bus = await pool.canopen("can3", owner="a", emulator=CanCounter)
+    node = bus.network.add_node(5, canopen.ObjectDictionary())
+    began, go = asyncio.Event(), threading.Event()
+    loop = asyncio.get_running_loop()
+
+    def call() -> None:
+        loop.call_soon_threadsafe(began.set)
+        go.wait()
+        node.sdo.upload(0x1000, 0)
+
+    calling = asyncio.create_task(bus.run(call, 30.0))
+    await began.wait()
+    ending = asyncio.create_task(bus.close()) if cut == "closed" else None
+    if ending is None:
+        broken = asyncio.Event()
+        bus.watch(broken.set)
+        pool.simulation("a").unplug()
+        await broken.wait()
+    await asyncio.sleep(0)
+    go.set()
+    with pytest.raises(BusBroken if ending is None else BusClosed, match=r"unplugged|is closed"):
+        await calling
+    if ending is not None:
+        await ending
+
+
+async def test_a_blocking_call_s_own_error_is_kept(pool: BusPool) -> None:
+    bus = await pool.canopen("can3", owner="a", emulator=CanCounter)
+
+    def silent() -> None:
+        raise BusTimeout(bus.name, "node 5 does not answer")
+
+    with pytest.raises(BusTimeout, match="node 5"):
+        await bus.run(silent, 2.0)
+    assert bus.counters.timeouts == 1

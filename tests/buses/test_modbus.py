@@ -205,3 +205,13 @@ async def test_a_cancellation_that_comes_together_with_the_answer_is_not_lost(
         await reading
     bus.trace = None
     assert await bus.read(9, 0, 2, deadline=1.0) == (0, 0)
+
+
+async def test_a_shared_line_keeps_the_longest_gap() -> None:
+    async with BusPool() as pool:
+        gaps = []
+        for owner, gap in (("a", None), ("b", 0.01), ("c", 0.005)):
+            bus = await pool.modbus("/dev/ttyUSB9", owner=owner, gap=gap, emulator=Registers)
+            gaps.append(bus.gap)
+        assert bus.owners == {"a", "b", "c"}
+    assert gaps == [0.00175, 0.01, 0.01]

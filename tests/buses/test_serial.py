@@ -8,7 +8,7 @@ import select
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 import serial
@@ -88,6 +88,25 @@ async def test_transactions_wait_for_each_other(pool: BusPool, url: str) -> None
         *(bus.transact(frame_of(text), StarParser(), 2.0) for text in texts)
     )
     assert answers == [text.upper() for text in texts]
+
+
+async def test_a_deadline_holds_behind_who_waits_for_the_line(pool: BusPool, url: str) -> None:
+    bus = await bus_in(pool, url)
+
+    async def ask_twice() -> None:
+        for sentence in ("no answer within", "the line was not free within"):
+            with pytest.raises(BusTimeout, match=sentence):
+                await bus.transact(frame_of(b"?"), StarParser(), 0.02, retries=0)
+
+    asking = asyncio.create_task(ask_twice())
+    await asyncio.sleep(0)
+    # It waits when the first request gives up, and has the line when the second one comes.
+    slow = asyncio.create_task(bus.transact(frame_of(b"?"), StarParser(), 30.0, retries=0))
+    await asking
+    assert not slow.done()
+    slow.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await slow
 
 
 async def test_a_cancelled_transaction_frees_the_line(pool: BusPool, url: str) -> None:
@@ -321,6 +340,27 @@ async def test_the_gap_before_a_request_is_kept() -> None:
         await bus.close()
     sent, received = stamps[0::2], stamps[1::2]
     assert all(after - before >= 0.01 for before, after in zip(received, sent[1:], strict=False))
+
+
+async def test_a_request_waits_until_bytes_stop_coming(monkeypatch: pytest.MonkeyPatch) -> None:
+    with SimulatedLine([Echo()]) as line:
+        bus = SerialBus(line.address, Line())
+        await bus.connect()
+        await bus.transact(frame_of(b"a"), StarParser(), 1.0)
+        sent = bus.counters.bytes_sent
+        # Longer than the test lasts: whenever the wait is over, something has come meanwhile.
+        bus.gap = 1000.0
+        over: list[Callable[[], None]] = []
+        monkeypatch.setattr(bus._pause, "start", lambda due, callback: over.append(callback))
+        asking = asyncio.create_task(bus.transact(frame_of(b"b"), StarParser(), 30.0))
+        await asyncio.sleep(0)
+        for _ in range(3):
+            over.pop()()
+            assert bus.counters.bytes_sent == sent
+        bus.gap = 0.0
+        over.pop()()
+        assert await asking == b"B"
+        await bus.close()
 
 
 async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(

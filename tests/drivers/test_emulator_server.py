@@ -10,8 +10,11 @@ import can
 import pytest
 import serial
 
+from rtee.buses.emulator import Emulator
+from rtee.buses.simulated import SimulatedLine
+from rtee.buses.simulated_zmq import SimulatedZmq
 from rtee.drivers.emulator_server import Player
-from rtee.errors import BusBroken, ConfigError
+from rtee.errors import BusBroken, ConfigError, RteeError
 
 STATUS = bytes.fromhex("09 03 07 D0 00 03 04 0E")
 
@@ -37,6 +40,22 @@ def test_a_path_that_is_taken_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(BusBroken, match="cannot make this link"):
         Player("robotiq_2f", link=link).__enter__()
     assert link.read_text() == "mine"
+
+
+def test_a_link_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
+    link = tmp_path / "ttyHand"
+    link.symlink_to("ttyUSB0")
+    with pytest.raises(BusBroken, match="cannot make this link"):
+        Player("robotiq_2f", link=link).__enter__()
+    assert str(link.readlink()) == "ttyUSB0"
+
+
+def test_a_link_that_was_taken_over_stays(tmp_path: Path) -> None:
+    link = tmp_path / "gripper"
+    with Player("robotiq_2f", link=link) as first, Player("robotiq_2f", link=link):
+        first.command("unplug")
+        assert asked(str(link), STATUS, 11)
+    assert not link.is_symlink()
 
 
 def test_a_network_device_speaks_modbus_tcp_and_a_raw_port_does_not() -> None:
@@ -74,7 +93,9 @@ def test_typing_makes_faults() -> None:
         assert player.command("wire drop=0.5 noise=0.1") == ""
         assert player.simulation.faults.drop == 0.5
         assert "unknown fault of the wire 'drip'" in player.command("wire drip=1")
-        assert "should look like drop=0.05" in player.command("wire drop=much")
+        for share in ("much", "5", "-1", "nan"):
+            assert "should look like drop=0.05" in player.command(f"wire drop={share}")
+        assert player.simulation.faults.drop == 0.5
         assert player.command("unplug") == ""
         assert not player.simulation.plugged
         assert player.command("replug").startswith("at /")
@@ -180,6 +201,38 @@ def test_a_zeromq_server_has_three_ports_side_by_side() -> None:
         service.connect(f"tcp://127.0.0.1:{base + 1}")
         service.send(b"type: joint_names\n")
         assert b"claw" in service.recv()
+
+
+def test_a_zeromq_server_whose_port_was_taken_meanwhile_can_be_plugged_in_later() -> None:
+    pytest.importorskip("zmq")
+    with SimulatedZmq() as simulation:
+        simulation.unplug()
+        port = int(simulation.endpoints.command.rpartition(":")[2])
+        with socket.create_server(("127.0.0.1", port)):
+            with pytest.raises(BusBroken, match="cannot listen there"):
+                simulation.replug()
+            assert not simulation.plugged
+        simulation.replug()
+        assert simulation.plugged
+
+
+class Fragile(Emulator):
+    def feed(self, data: bytes, now: float) -> list[bytes]:
+        raise ValueError("a mistake of its author")
+
+    def power_cycle(self, now: float) -> None:
+        pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_emulator_that_fails_leaves_nobody_waiting() -> None:
+    with SimulatedLine([Fragile()], name="fragile") as line:
+        with serial.Serial(line.address) as port:
+            port.write(b"x")
+            assert line._thread is not None
+            line._thread.join()
+        with pytest.raises(RteeError, match="'fragile' is not played any more"):
+            line.power_cycle()
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,9 @@ class Node:
                 self.add(base + n, 2, "B", 255)
                 self.add(base + _MAP + n, 0, "B", 0, changed=self._check_map(base + _MAP + n))
                 for slot in range(1, 9):
-                    self.add(base + _MAP + n, slot, "I", 0)
+                    self.add(
+                        base + _MAP + n, slot, "I", 0, changed=self._while_empty(base + _MAP + n)
+                    )
 
     def _check_map(self, index: int) -> Callable[[int], Abort | None]:
         def check(count: int) -> Abort | None:
@@ -113,6 +115,13 @@ class Node:
                     return Abort.NOT_MAPPABLE
                 size += mapped & 0xFF
             return Abort.PDO_LENGTH if size > 8 * cia301.FULL else None
+
+        return check
+
+    def _while_empty(self, index: int) -> Callable[[int], Abort | None]:
+        def check(mapped: int) -> Abort | None:
+            # What is in force was checked when it was counted (CiA 301, 7.5.2.36).
+            return Abort.UNSUPPORTED if self.get(index, 0) else None
 
         return check
 

@@ -149,6 +149,8 @@ class Servo:
             goal = table.GOAL_PWM.address <= register.address <= table.GOAL_POSITION.address
             if tripped and goal:
                 return Error.DATA_RANGE
+            if register == table.OPERATING_MODE and value not in set(Mode):
+                return Error.DATA_RANGE  # between the modes there are numbers without meaning
             if self._beyond(register, value):
                 return Error.DATA_LIMIT
         return self._windows(after, address, end)

@@ -213,10 +213,11 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             case Instruction.REBOOT:
                 servo.reboot(now)
                 return b""
-            case Instruction.CALIBRATE:
+            case Instruction.CALIBRATE if len(params) in (0, 2):
                 where = int.from_bytes(params, self.family.order) if params else MIDDLE
                 servo.make_present(where)
-            case Instruction.PING | Instruction.BACK_UP | Instruction.RESET:
+            # A position has two bytes; what any other number of them means is not known.
+            case Instruction.PING | Instruction.BACK_UP | Instruction.RESET | Instruction.CALIBRATE:
                 pass
             case _:
                 return b""

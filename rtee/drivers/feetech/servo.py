@@ -262,7 +262,7 @@ class Servo:
             most = min(most, float(self.get(table.TORQUE_LIMIT)))
         elif self._family.limits_torque == "current":
             current, full = self.get(table.GOAL_TIME), self.get(table.PROTECTION_CURRENT)
-            most = min(current / full, 1.0) * FULL
+            most = min(current / full, 1.0) * FULL if full else 0.0
         if Status.OVERLOAD in self._latched and self._family.protection is not None:
             protective = self.get(Register(self._family.protection[0], 1))
             most = min(most, protective * FULL / 100)

@@ -35,6 +35,9 @@ _AROUND = 5
 """Bytes of a frame that its length byte does not count: header, number, length and checksum."""
 _INSIDE = 3
 """Bytes it counts besides the data: command and address."""
+MOST_DATA = 0xFF - _INSIDE
+"""Most bytes of data of a frame, whose length is told by one byte."""
+
 _LONGEST = 0xFF + _AROUND
 """Bytes of the longest frame."""
 _ERRORS = 0x1F

@@ -14,6 +14,7 @@ from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, Mod
 from rtee.drivers.axis import VirtualObject
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
+    MOST_DATA,
     OPEN,
     Command,
     Frame,
@@ -125,7 +126,8 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         for frame in self._frames.feed(data):
             if frame.hand == self.memory.properties.unit:
                 answer = self._answer(frame)
-                if answer is not None:
+                # More than a frame can carry, or nothing, cannot be told.
+                if answer and len(answer) <= MOST_DATA:
                     reply = Frame(frame.hand, frame.command, frame.address, answer)
                     replies.append(reply.to_bytes(ReplyParser.HEADER))
         return replies

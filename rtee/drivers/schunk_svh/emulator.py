@@ -6,8 +6,9 @@ request's index, what a packet that comes too early does, which channels need th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Duplex, Emulator
@@ -254,11 +255,16 @@ class SchunkSvhEmulator(Emulator, Grasps):
         if command is Command.SET_CONTROL_COMMAND:
             self._target(packet.channel, codec.read_target(packet))
         elif command is Command.SET_POSITION_SETTINGS:
-            channel.position = codec.PositionSettings.from_bytes(packet)
-            channel.axis.max_velocity = channel.position.max_rate * self.options.haste
+            position = codec.PositionSettings.from_bytes(packet)
+            # No motor can be driven by what is no number: such settings are not taken.
+            if all(map(math.isfinite, astuple(position))):
+                channel.position = position
+                channel.axis.max_velocity = position.max_rate * self.options.haste
         elif command is Command.SET_CURRENT_SETTINGS:
-            channel.current = codec.CurrentSettings.from_bytes(packet)
-            channel.axis.max_effort = max(channel.current.maximum, 0.0)
+            current = codec.CurrentSettings.from_bytes(packet)
+            if all(map(math.isfinite, astuple(current))):
+                channel.current = current
+                channel.axis.max_effort = max(current.maximum, 0.0)
         if command in {Command.GET_POSITION_SETTINGS, Command.SET_POSITION_SETTINGS}:
             return channel.position.to_bytes()
         if command in {Command.GET_CURRENT_SETTINGS, Command.SET_CURRENT_SETTINGS}:

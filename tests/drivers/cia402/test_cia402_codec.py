@@ -147,6 +147,16 @@ def test_the_node_boots_beats_and_answers_as_in_the_sheet() -> None:
     assert host.send("605 40 41 60 00 00 00 00 00") == []
 
 
+def test_a_mapping_in_force_cannot_be_changed() -> None:
+    host = Host()
+    done = "585 60 00 1A {:02X} 00 00 00 00"
+    assert host.send("605 23 00 1A 01 10 00 41 60") == [done.format(1)]
+    assert host.send("605 2F 00 1A 00 01 00 00 00") == [done.format(0)]
+    assert host.send("605 23 00 1A 01 08 00 00 7F") == ["585 80 00 1A 01 00 00 01 06"]
+    assert host.send("605 2F 00 1A 00 00 00 00 00") == [done.format(0)]
+    assert host.send("605 23 00 1A 01 20 00 64 60") == [done.format(1)]
+
+
 def test_strings_come_in_segments() -> None:
     host = Host(name="a name of more than seven")
     (first,) = host.send("605 40 08 10 00 00 00 00 00")

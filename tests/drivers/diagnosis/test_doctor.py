@@ -297,6 +297,7 @@ async def test_more_than_the_wire_gives_is_a_warning() -> None:
     [
         ("tcp://127.0.0.1:1", "127.0.0.1 refuses port 1"),
         ("tcp://no-such-host.invalid", "nobody knows the name 'no-such-host.invalid'"),
+        ("tcp://192.168..5", "'192.168..5' is no name of a host"),
     ],
 )
 async def test_network_addresses(address: str, text: str) -> None:
@@ -354,6 +355,13 @@ async def test_a_network_device_that_is_not_there_is_named() -> None:
         check = wrong(await check_device(gripper(options={"port": address}), pool))
     assert "127.0.0.1 refuses port" in check.text
     assert "ping" in check.remedy
+
+
+async def test_an_address_that_is_mistyped_is_named() -> None:
+    spec = gripper(options={"port": "tcp://192.168..5"})
+    async with BusPool() as pool:
+        check = wrong(await check_device(spec, pool))
+    assert check.text == "'192.168..5' is no name of a host"
 
 
 def drive(channel: str, **options: Any) -> DeviceSpec:

@@ -304,3 +304,10 @@ def test_the_makers_sdk_hears_the_same_errors() -> None:
         assert packets.write4ByteTxRx(port, 1, 116, 2100) == (sdk.COMM_SUCCESS, 0)
         assert packets.read2ByteTxRx(port, 1, 168) == (208, sdk.COMM_SUCCESS, 0)
         port.closePort()
+
+
+@pytest.mark.parametrize("mode", [2, 6, 15])
+def test_a_number_that_is_no_operating_mode_is_refused(mode: int) -> None:
+    master = line()
+    assert master.write(1, table.OPERATING_MODE, mode) == Error.DATA_RANGE
+    assert master.read(1, table.OPERATING_MODE) == Mode.POSITION

@@ -266,3 +266,18 @@ def test_properties_that_cannot_be_are_told() -> None:
         make_emulator("feetech", {"emulator": {"ids": [300]}})
     with pytest.raises(ConfigError, match="unknown fault 'broken'"):
         line().inject("broken")
+
+
+def test_a_position_to_calibrate_to_has_two_bytes() -> None:
+    servos = line("sts")
+    before = ask(servos, "FF FF 01 04 02 38 02 BE")
+    # Three bytes: no source says what they mean, so they are acknowledged without effect.
+    assert ask(servos, "FF FF 01 05 0B 03 02 FF EA") == ["FF FF 01 02 00 FC"]
+    assert ask(servos, "FF FF 01 04 02 38 02 BE") == before
+
+
+def test_a_servo_whose_protection_allows_no_current_has_no_torque() -> None:
+    servos = line("hls")
+    for register, value in ((table.PROTECTION_CURRENT, 0), (table.TORQUE, 1)):
+        write(servos, 1, register, value)
+    assert not servos.servos[1].axis.enabled

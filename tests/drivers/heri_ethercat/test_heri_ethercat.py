@@ -328,6 +328,17 @@ def test_a_network_interface_that_is_not_there_is_told() -> None:
 
 
 @pytest.mark.anyio
+async def test_emulated_networks_belong_to_one_hand_each() -> None:
+    async with BusPool() as pool:
+        left = await pool.ethercat("eth1", owner="left/boards", emulator=HeriEmulator)
+        right = await pool.ethercat("eth1", owner="right/boards", emulator=HeriEmulator)
+        assert right is not left
+        await right.run(lambda ring: ring.request(State.OPERATIONAL, 1.0), 2.0)
+        played = [cast("HeriEmulator", pool.played(f"{hand}/boards")) for hand in ("left", "right")]
+        assert [one.state for one in played] == [State.PRE_OPERATIONAL, State.OPERATIONAL]
+
+
+@pytest.mark.anyio
 async def test_a_ring_that_cannot_be_opened_is_closed() -> None:
     class Dead:
         closed = 0

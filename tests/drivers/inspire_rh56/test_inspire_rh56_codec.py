@@ -230,6 +230,9 @@ def test_it_is_silent_or_refuses_where_it_must() -> None:
     assert asked(hand, "EB 90 01 04 11 0A 06 0C 33") == "", "a wrong checksum"
     assert asked(hand, "EB 90 02 04 11 0A 06 0C 33") == "", "another hand"
     assert asked(hand, REQUESTS[7][0]) == "", "registers without meaning"
+    for count in (0, 253, 255):
+        request = Frame(1, READ, Register.HAND_ID, bytes([count])).to_bytes(RequestParser.HEADER)
+        assert asked(hand, request.hex()) == "", "more than a frame can carry, or nothing"
     over = Frame(1, WRITE, Register.SPEED_SET, codec.table([1001] * 6))
     assert asked(hand, over.to_bytes(RequestParser.HEADER).hex()).endswith("12 F2 05 00 0E")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import struct
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -386,3 +387,12 @@ def test_the_emulator_answers_a_client_that_knows_only_the_sheet() -> None:
     assert svh.feed(bytes(broken), 0.01) == []
     assert len(svh.feed(request + request, 0.02)) == 2
     assert svh.early == 2
+
+
+@pytest.mark.parametrize("command", [Command.SET_POSITION_SETTINGS, Command.SET_CURRENT_SETTINGS])
+def test_the_emulator_takes_no_settings_that_are_no_numbers(command: Command) -> None:
+    svh = SchunkSvhEmulator()
+    before = svh.channels[3].position, svh.channels[3].current
+    wrong = struct.pack("<10f", *[math.nan] * 10)
+    assert len(svh.feed(Packet(command, 3, wrong).to_bytes(), 0.0)) == 1
+    assert (svh.channels[3].position, svh.channels[3].current) == before
