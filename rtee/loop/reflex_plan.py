@@ -12,7 +12,7 @@ from rtee.actions.types import Action, Primitive
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip
-from rtee.loop.opening_plan import DeviceForces, tip_speed_share
+from rtee.loop.opening_plan import DeviceForces, check_tip_speed, tip_speed_share
 from rtee.types import Goal, Stage
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def check_reflexes(goal: Goal, hand: Hand) -> None:
             raise GoalRejected("a touch takes no opening, force or on_contact: it stops by itself")
         if goal.stage is not Stage.BOTH:
             raise GoalRejected("a touch has no stages")
+        check_tip_speed(goal)
 
 
 def grip_of(

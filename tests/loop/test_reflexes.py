@@ -284,6 +284,10 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
         (Goal("", ("ring",), touch=True), "unknown finger 'ring'"),
         (Goal("", touch=True), "no action closes the fingertips of 'small'"),
         (Goal("fist", touch=True, tip_speed=0.01), "has no opening: give the speed as a share"),
+        (Goal("fist", touch=True, tip_speed=0.0), "the speed must be above 0 m/s, not 0"),
+        (Goal("fist", touch=True, tip_speed=-0.01), "above 0 m/s, not -0.01"),
+        (Goal("fist", touch=True, tip_speed=NAN), "above 0 m/s, not nan"),
+        (Goal("fist", touch=True, tip_speed=0.01, speed=0.5), "as a share or in m/s, not both"),
     ],
 )
 def test_what_cannot_be_is_refused(small: Hand, goal: Goal, reason: str) -> None:
