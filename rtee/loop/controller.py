@@ -482,7 +482,7 @@ class Controller:
         self._thermal_due = stamp + _THERMAL_EVERY
         derating = any(factor != 1.0 for factor in self._thermal.factor)
         found = self._heat.step(stamp, measured.temperature, measured.current)
-        for change in self._thermal.step(stamp, found):
+        for change in self._thermal.step(stamp, found, self.active):
             name = self.hand.actuator_names[change.index]
             estimated = math.isnan(measured.temperature[change.index])
             self.outbox.items.append(change.event(name, stamp, estimated=estimated))
