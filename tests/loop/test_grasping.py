@@ -52,6 +52,22 @@ async def test_one_finger_may_hold_while_the_other_arrives(hand: Hand) -> None:
         assert result.position["index_base"] == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize("by", ["goal", "jog"])
+async def test_a_goal_that_is_preempted_tells_what_it_held(hand: Hand, by: str) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        rig.loop.submit(Goal("fist", speed=0.1))
+        await rig.run(4.0)
+        assert not rig.watcher.results, "the thumb is on its way"
+        if by == "goal":
+            rig.loop.submit(Goal("open"))
+        else:
+            rig.loop.jog({"index_base": 0.0})
+        result = await rig.result()
+        assert result.preempted
+        assert result.grasped
+        assert result.grasped_fingers == ("index",)
+
+
 async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> None:
     settings = LoopSettings(grasp=GraspSettings(effort=0.95))
     async with running(hand, settings, objects={"index": 0.9}, full_effort_at=1.0) as rig:
