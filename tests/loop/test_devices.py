@@ -262,6 +262,35 @@ async def test_a_fault_is_named_and_recovered_without_a_jump(hand: Hand) -> None
         assert (await rig.do("open")).reached
 
 
+class NotHomed(Trouble):
+    """It answers, and is only to be activated once it was recovered."""
+
+    async def activate(self) -> None:
+        if "recover" not in self.log:
+            raise DeviceFault(self.spec.name, 2, "not homed")
+        await super().activate()
+
+    async def recover(self) -> None:
+        self.log.append("recover")
+        await super().recover()
+
+
+async def test_what_was_disabled_in_fault_is_recovered_from_it(hand: Hand) -> None:
+    settings = device(hand)
+    driver = NotHomed(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert status(rig).fault_name == "not homed"
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.disable)
+            await rig.run(0.2)
+        assert status(rig).lifecycle is Lifecycle.INACTIVE
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.recover)
+            await rig.run(0.2)
+        assert driver.log.count("recover") == 1
+        assert (status(rig).lifecycle, status(rig).fault_name) == (Lifecycle.ACTIVE, "")
+
+
 async def test_a_fault_that_persists_is_told_who_recovers(hand: Hand) -> None:
     class Stubborn(Trouble):
         async def recover(self) -> None:
