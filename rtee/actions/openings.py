@@ -157,6 +157,9 @@ class Opening:
 
         Args:
             pairs: Intensities and the openings measured there [m].
+
+        Raises:
+            ActionError: if the corrected table does not fall anywhere.
         """
         measured = sorted(pairs)
         if not measured:
@@ -172,6 +175,12 @@ class Opening:
             # Only a falling table has one intensity for each width, and no width is below 0.
             if width[i] < width[keep[-1]] and width[keep[-1]] > 0.0:
                 keep.append(i)
+        # A single point has no way from it to another opening.
+        if len(keep) < 2:
+            raise ActionError(
+                f"the openings of {self.label} measured in hand.yaml do not fall with its "
+                "intensity; mend or delete them there: each is [intensity, opening in metres]"
+            )
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
         return Opening(
             self.action,

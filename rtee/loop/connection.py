@@ -137,6 +137,8 @@ class Connection:
         self._size = len(settings.spec.actuators)
         # Only the first time: a device that comes back must not move before somebody recovers it.
         self._activate_on_connect = True
+        self._linked_before = False
+        self._told = ""
         self._backoff = BACKOFF[0]
         # Connect at the first tick.
         self._next_at = -math.inf
@@ -194,6 +196,7 @@ class Connection:
     async def connect(self) -> None:
         """Try to connect, and to activate the device if it is to be; cannot raise."""
         self._runner.begin(CONNECT_WITHIN)
+        then = "" if self._activate_on_connect else "; it is inactive until recovered"
         try:
             await self._configure()
             if self._activate_on_connect:
@@ -208,24 +211,30 @@ class Connection:
             if not isinstance(error, DeviceFault):
                 self.lifecycle = Lifecycle.UNCONFIGURED
             await self.failed(error)
+        # Not before it is active, too: one that fails there is tried again as rarely as any other.
+        if self.lifecycle is not Lifecycle.UNCONFIGURED:
+            self._linked(then)
         self._runner.end()
         self.tried.set()
 
     async def _configure(self) -> None:
-        again = self.states > 0
         await self._driver.configure()
         self._pace()
         self.accept(await self._driver.sense())
-        self._backoff = BACKOFF[0]
         self._next_at = -math.inf
         self.counters.in_row = 0
         self.lifecycle = Lifecycle.INACTIVE
         self.trouble = "it is inactive"
         self.message = ""
-        if again:
+
+    def _linked(self, then: str) -> None:
+        """Note that the link stands; ``then``: what the device waits for, in words."""
+        self._backoff = BACKOFF[0]
+        self._told = ""
+        if self._linked_before:
             self.counters.reconnects += 1
-            then = "" if self._activate_on_connect else "; it is inactive until recovered"
             self._report("reconnected", f"is connected again{then}", "info")
+        self._linked_before = True
 
     def _pace(self) -> None:
         """Choose every how many ticks it is due, by what its wire gives."""
@@ -260,6 +269,7 @@ class Connection:
         try:
             if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._configure()
+                self._linked("")
             if self.lifecycle is Lifecycle.FAULT:
                 await self._driver.recover()
                 self.fault = None
@@ -322,9 +332,9 @@ class Connection:
         # Doubling: quick after a loose plug, quiet with a device that stays off.
         self._backoff = min(2 * self._backoff, BACKOFF[1])
         text = _words(error)
-        if text != self.message:
+        if text != self._told:
             self._report("device_unreachable", f"cannot be reached: {text}", "warning")
-        self.message = self.trouble = text
+        self._told = self.message = self.trouble = text
         await self.close()
 
     async def _miss(self, error: Exception) -> None:
@@ -338,7 +348,7 @@ class Connection:
 
     async def _lose(self, error: Exception) -> None:
         self.counters.errors += 1
-        self.message = _words(error)
+        self._told = self.message = _words(error)
         self.trouble = f"it is lost: {self.message}"
         self.lifecycle = Lifecycle.UNCONFIGURED
         self.fault = None

@@ -119,8 +119,7 @@ class Controller:
         self._holding: set[int] = set()
         self._kept: frozenset[int] = frozenset()
         self._settling: dict[int, float] = {}
-        self._thermal_due = -math.inf
-        self._limited_reported = -math.inf
+        self._thermal_due = self._limited_reported = -math.inf
         self._restart(dict(enumerate(hand.rest.tolist())))
         nothing = [math.nan] * n
         self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
@@ -170,6 +169,8 @@ class Controller:
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
+        # Before anything is forgotten: its result says what it holds.
+        self._executor.end(stamp, self._measured, preempted=True)
         self._let_go(plan.legs[0].targets)
         self._leave_hold(plan.involved)
         kept = {i: e for i, e in self._goal_effort.items() if i not in plan.involved}
@@ -181,8 +182,7 @@ class Controller:
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
         if lost := [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]:
-            why = f"the device of {lost[0]} is not active any more"
-            self._fail(list(plan.involved), stamp, why)
+            self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
     def _let_go(self, targets: Mapping[int, float]) -> None:
         """Restart references that press on something from where the actuators are.
@@ -364,7 +364,7 @@ class Controller:
             stream.step(stamp, self._limiter.position, self._limiter.velocity, wanted)
         return wanted
 
-    def _fail(self, indices: list[int], stamp: float, reason: str) -> None:
+    def _fail(self, indices: Collection[int], stamp: float, reason: str) -> None:
         plan = self.running
         if plan is None or not plan.involved.intersection(indices):
             return
@@ -482,7 +482,7 @@ class Controller:
         self._thermal_due = stamp + _THERMAL_EVERY
         derating = any(factor != 1.0 for factor in self._thermal.factor)
         found = self._heat.step(stamp, measured.temperature, measured.current)
-        for change in self._thermal.step(stamp, found):
+        for change in self._thermal.step(stamp, found, self.active):
             name = self.hand.actuator_names[change.index]
             estimated = math.isnan(measured.temperature[change.index])
             self.outbox.items.append(change.event(name, stamp, estimated=estimated))

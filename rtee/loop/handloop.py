@@ -24,8 +24,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.devices import CONFIRM_WITHIN, Devices
 from rtee.loop.histogram import TickStatistics
 from rtee.loop.observer import LoopObserver, Observers
-from rtee.loop.opening_plan import wants_opening
-from rtee.loop.plan import NO_DEVICES, OPEN, Plan, make_plan
+from rtee.loop.plan import OPEN, Plan, make_plan
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.streams.intake import StreamIntake
 from rtee.loop.supervisor import Supervisor
@@ -289,7 +288,7 @@ class HandLoop:
             self.hand,
             self.library,
             self.settings,
-            devices=self._devices.forces() if goal.effort or wants_opening(goal) else NO_DEVICES,
+            devices=self._devices.forces(),
         )
         movable = self._devices.movable()
         if partly and not plan.involved.isdisjoint(movable) and not plan.involved <= movable:

@@ -91,8 +91,7 @@ def check_opening(goal: Goal) -> None:
         raise GoalRejected(f"the {name} must be 0 m or more, not {goal.opening:g}")
     if goal.force is not None and not 0.0 < goal.force < math.inf:
         raise GoalRejected(f"the force must be above 0 N, not {goal.force:g}")
-    if goal.tip_speed is not None and not 0.0 < goal.tip_speed < math.inf:
-        raise GoalRejected(f"the speed must be above 0 m/s, not {goal.tip_speed:g}")
+    check_tip_speed(goal)
     for side, value in (("narrower", goal.narrower), ("wider", goal.wider)):
         if not 0.0 <= value < math.inf:
             raise GoalRejected(f"the tolerance '{side}' must be 0 m or more, not {value:g}")
@@ -102,7 +101,19 @@ def check_opening(goal: Goal) -> None:
         raise GoalRejected("give a stage or an opening, not both")
     if goal.force is not None and goal.effort:
         raise GoalRejected("give efforts or a force, not both")
-    if goal.tip_speed is not None and goal.speed != 1.0:
+
+
+def check_tip_speed(goal: Goal) -> None:
+    """Refuse a speed of the opening that cannot be used.
+
+    Raises:
+        GoalRejected: if it cannot be used.
+    """
+    if goal.tip_speed is None:
+        return
+    if not 0.0 < goal.tip_speed < math.inf:
+        raise GoalRejected(f"the speed must be above 0 m/s, not {goal.tip_speed:g}")
+    if goal.speed != 1.0:
         raise GoalRejected("give the speed as a share or in m/s, not both")
 
 

@@ -18,7 +18,13 @@ from rtee.loop.opening_plan import (
     plan_opening,
     wants_opening,
 )
-from rtee.loop.reflex_plan import check_reflexes, grip_of, slowly, touching_action
+from rtee.loop.reflex_plan import (
+    check_reflexes,
+    grip_of,
+    slowly,
+    touching_action,
+    touching_time,
+)
 from rtee.types import Goal, Stage, from_rest
 
 if TYPE_CHECKING:
@@ -139,6 +145,9 @@ def make_plan(
     if goal.touch:
         goal = slowly(goal, hand, grip, action.name)
     plan = _made(goal, action, legs, effort, settings, timed)
+    if goal.touch and goal.timeout is None:
+        way = touching_time(goal, hand, [leg.targets for leg in legs])
+        plan = replace(plan, timeout=plan.timeout + way)
     if grip is None and not goal.touch:
         return plan
     return replace(plan, elements=action.elements, grip=grip)

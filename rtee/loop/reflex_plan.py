@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +12,7 @@ from rtee.actions.types import Action, Primitive
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
 from rtee.loop.grip import Grip
-from rtee.loop.opening_plan import DeviceForces, tip_speed_share
+from rtee.loop.opening_plan import DeviceForces, check_tip_speed, tip_speed_share
 from rtee.types import Goal, Stage
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def check_reflexes(goal: Goal, hand: Hand) -> None:
             raise GoalRejected("a touch takes no opening, force or on_contact: it stops by itself")
         if goal.stage is not Stage.BOTH:
             raise GoalRejected("a touch has no stages")
+        check_tip_speed(goal)
 
 
 def grip_of(
@@ -112,3 +113,20 @@ def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
     # Where the opening falls fastest, so that it is nowhere faster than that.
     steepest = max(grip.intensity, key=grip.slope_at)
     return replace(goal, speed=tip_speed_share(speed, hand, grip, steepest, name))
+
+
+def touching_time(goal: Goal, hand: Hand, legs: Iterable[Mapping[int, float]]) -> float:
+    """Return how long a goal may take longer because it closes slowly until it touches [s].
+
+    Args:
+        goal: The goal, with its speed; see `slowly`.
+        hand: The hand.
+        legs: Where its actuators go from rest, one motion after the other, by index [rad | m].
+    """
+    at = {i: actuator.rest for i, actuator in enumerate(hand.actuators)}
+    time = 0.0
+    for targets in legs:
+        # All arrive together, with the one that takes longest.
+        time += max(abs(to - at[i]) / hand.actuators[i].velocity for i, to in targets.items())
+        at.update(targets)
+    return time / goal.speed

@@ -239,7 +239,11 @@ class Reflexes:
         self.active = True
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or goal.touch:
-                self._begin_lightly(i, each, plan.grip, measured.position[i])
+                # A device with a force of its own in its sheet builds it up by itself, but a touch
+                # has none to build up.
+                sheet = None if goal.touch or plan.grip is None else plan.grip.sheet
+                if sheet is None:
+                    self._begin_lightly(i, each, measured.position[i])
 
     def _threshold(self, i: int, slope: float) -> float:
         """Return the effort of a contact [N·m | N], by the effort that a newton takes."""
@@ -256,10 +260,10 @@ class Reflexes:
         efficiency = (known.efficiency if known is not None else None) or 1.0
         return self._threshold(i, lever / efficiency)
 
-    def _begin_lightly(self, i: int, each: _Watched, grip: Grip | None, here: float) -> None:
+    def _begin_lightly(self, i: int, each: _Watched, here: float) -> None:
         """Have an actuator approach with little effort, unless it presses on something already."""
         full = self._limit(i)
-        if not math.isfinite(full) or (grip is not None and grip.sheet is not None):
+        if not math.isfinite(full):
             return
         if (self._limiter.position[i] - here) * each.ahead > each.tolerance:
             return  # what it holds would be lost

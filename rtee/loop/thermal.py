@@ -17,6 +17,11 @@ _CONFIRM = 0.5
 """A level must last this long before it counts [s]: temperatures rise slowly, noise does not
 last."""
 
+_AGAIN = 1.0
+"""An actuator that is too hot and driven all the same is disabled again after this time [s]: its
+device did not answer, or somebody has recovered it. Longer than a level takes to count, so that
+one that has cooled meanwhile is left alone."""
+
 _HYSTERESIS = 2.0
 """A level is left this far below its threshold [K], more than the resolution of 1 K of most
 sensors."""
@@ -62,11 +67,11 @@ _RISING = (Level.WARN, Level.DERATE, Level.DISABLE)
 
 @dataclass(frozen=True, slots=True)
 class ThermalChange:
-    """An actuator reached another level.
+    """An actuator reached another level, or is still too hot though it is driven.
 
     Attributes:
         index: The actuator.
-        level: Its new level.
+        level: Its level now.
         temperature: What was measured [°C].
     """
 
@@ -106,6 +111,7 @@ class Thermal:
         self.factor = [1.0] * size
         self._pending = [Level.OK] * size
         self._since = [math.nan] * size
+        self._again = [math.inf] * size
 
     def words(self, names: Mapping[int, str]) -> str:
         """Return in words which of some actuators, named by index, are not cool."""
@@ -115,12 +121,18 @@ class Thermal:
             if self.level[i] is not Level.OK
         )
 
-    def step(self, stamp: float, temperature: Sequence[float]) -> list[ThermalChange]:
+    def step(
+        self, stamp: float, temperature: Sequence[float], driven: Sequence[bool] = ()
+    ) -> list[ThermalChange]:
         """Evaluate what was measured; return the actuators whose level changed.
+
+        Those among them that are too hot are to be disabled, and are returned again as long as they
+        are not.
 
         Args:
             stamp: Now [s].
             temperature: Temperatures [°C]; ``NaN``: not measured.
+            driven: Whether an actuator's device may be moved; empty: none.
         """
         changes: list[ThermalChange] = []
         for i, celsius in enumerate(temperature):
@@ -136,6 +148,11 @@ class Thermal:
                 self.level[i] = level
                 self._since[i] = math.nan
                 changes.append(ThermalChange(i, level, celsius))
+            if not (driven and driven[i] and self.level[i] is Level.DISABLE):
+                self._again[i] = stamp + _AGAIN
+            elif stamp >= self._again[i]:
+                self._again[i] = stamp + _AGAIN
+                changes.append(ThermalChange(i, self.level[i], celsius))
             self.factor[i] = self._factor(self.level[i], celsius, self.factor[i])
         return changes
 

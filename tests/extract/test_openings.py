@@ -129,6 +129,15 @@ def test_measured_pairs_correct_the_table(tmp_path: Path) -> None:
     assert found.corrected([]) is found
 
 
+@pytest.mark.parametrize("pairs", [[(0.0, 0.0)], [(0.0, 0.01), (1.0, 0.09)]])
+def test_measured_pairs_that_leave_no_way_are_a_mistake(pairs: list[tuple[float, float]]) -> None:
+    known = library("robotiq_2f_85")
+    wrong = replace(known.hand, openings={"Grasp": tuple(pairs)})
+    openings = replace(known.openings, hand=wrong)
+    with pytest.raises(ActionError, match=r"of Grasp measured in hand\.yaml do not fall"):
+        openings.of(known.find("Grasp"))
+
+
 def test_a_generic_action_has_an_opening_of_the_fingers_it_moves() -> None:
     known = library("robotiq_2f_85")
     posture = Posture({"finger_joint": 0.5}, ("finger_joint",))

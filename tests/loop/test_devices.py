@@ -49,6 +49,7 @@ class Trouble(KinematicDriver):
         super().__init__(*arguments)  # type: ignore[arg-type]
         self.errors: list[Exception] = []
         self.refuse: list[Exception] = []
+        self.refuse_active: Exception | None = None
         self.hang: float = 0
         self.log: list[str] = []
 
@@ -60,6 +61,8 @@ class Trouble(KinematicDriver):
 
     async def activate(self) -> None:
         self.log.append("activate")
+        if self.refuse_active is not None:
+            raise self.refuse_active
         await super().activate()
 
     async def sense(self) -> ActuatorState:
@@ -177,6 +180,27 @@ async def test_attempts_to_reconnect_come_less_and_less_often(hand: Hand) -> Non
         assert len(told) == 1, "the same message is told once"
 
 
+async def test_activation_that_fails_is_tried_less_and_less_often(hand: Hand) -> None:
+    settings, driver = trouble(hand)
+    driver.refuse_active = DriverError("dummy", "does not get enough voltage")
+    async with running(hand, LoopSettings(rate=100.0), [(settings, driver)]) as rig:
+        await rig.run(40.0)
+        # 0.2, 0.4, 0.8, 1.6, 3.2, then every 5 s
+        assert 10 <= driver.log.count("activate") <= 13
+        told = [e for e in rig.watcher.events if "voltage" in e.text]
+        assert len(told) == 1, "the same message is told once"
+        assert "reconnected" not in rig.watcher.kinds()
+        assert status(rig).reconnects == 0
+        driver.refuse_active = None
+        await rig.run(6.0)
+        assert status(rig).lifecycle is Lifecycle.ACTIVE
+        driver.unplug()
+        await rig.run(0.1)
+        driver.plug()
+        await rig.run(0.3)
+        assert status(rig).reconnects == 1, "once it was active, it is soon tried again"
+
+
 async def test_a_hundred_unplugs_leave_no_task_behind(hand: Hand) -> None:
     settings, driver = trouble(hand, reconnect_active=True)
     async with running(hand, LoopSettings(rate=50.0), [(settings, driver)]) as rig:
@@ -236,6 +260,35 @@ async def test_a_fault_is_named_and_recovered_without_a_jump(hand: Hand) -> None
         assert [plant.position for plant in driver.plants] == before
         assert "recovered" in rig.watcher.kinds()
         assert (await rig.do("open")).reached
+
+
+class NotHomed(Trouble):
+    """It answers, and is only to be activated once it was recovered."""
+
+    async def activate(self) -> None:
+        if "recover" not in self.log:
+            raise DeviceFault(self.spec.name, 2, "not homed")
+        await super().activate()
+
+    async def recover(self) -> None:
+        self.log.append("recover")
+        await super().recover()
+
+
+async def test_what_was_disabled_in_fault_is_recovered_from_it(hand: Hand) -> None:
+    settings = device(hand)
+    driver = NotHomed(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        assert status(rig).fault_name == "not homed"
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.disable)
+            await rig.run(0.2)
+        assert status(rig).lifecycle is Lifecycle.INACTIVE
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.loop.recover)
+            await rig.run(0.2)
+        assert driver.log.count("recover") == 1
+        assert (status(rig).lifecycle, status(rig).fault_name) == (Lifecycle.ACTIVE, "")
 
 
 async def test_a_fault_that_persists_is_told_who_recovers(hand: Hand) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import anyio
 import numpy as np
 import pytest
 
@@ -49,6 +50,22 @@ async def test_one_finger_may_hold_while_the_other_arrives(hand: Hand) -> None:
         assert result.stalled
         assert result.grasped_fingers == ("thumb",)
         assert result.position["index_base"] == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("by", ["goal", "jog"])
+async def test_a_goal_that_is_preempted_tells_what_it_held(hand: Hand, by: str) -> None:
+    async with running(hand, objects={"index": 0.4}) as rig:
+        rig.loop.submit(Goal("fist", speed=0.1))
+        await rig.run(4.0)
+        assert not rig.watcher.results, "the thumb is on its way"
+        if by == "goal":
+            rig.loop.submit(Goal("open"))
+        else:
+            rig.loop.jog({"index_base": 0.0})
+        result = await rig.result()
+        assert result.preempted
+        assert result.grasped
+        assert result.grasped_fingers == ("index",)
 
 
 async def test_blocked_without_effort_is_stalled_but_not_grasped(hand: Hand) -> None:
@@ -399,6 +416,35 @@ async def test_heat_warns_then_derates_then_disables(hand: Hand) -> None:
         await rig.run(1.0)
         with pytest.raises(GoalRejected, match="not active"):
             rig.loop.submit(Goal("open"))
+
+
+async def test_what_is_recovered_too_hot_is_disabled_again(hand: Hand) -> None:
+    settings = LoopSettings(rate=50.0)
+    async with running(hand, settings, temperatures=True, thermal_time=1e6) as rig:
+        plant = rig.driver.plants[0]
+
+        async def recovered() -> Lifecycle:
+            async with anyio.create_task_group() as group:
+                group.start_soon(rig.loop.recover)
+                await rig.run(0.2)
+            assert rig.loop.devices["dummy"].lifecycle is Lifecycle.ACTIVE
+            await rig.run(3.0)
+            return rig.loop.devices["dummy"].lifecycle
+
+        plant.temperature = 90.0
+        await rig.run(2.0)
+        assert rig.loop.devices["dummy"].lifecycle is Lifecycle.INACTIVE
+        assert await recovered() is Lifecycle.INACTIVE
+        thermal = [e for e in rig.watcher.events if e.kind == "thermal"]
+        assert [e.severity for e in thermal] == ["error", "error"]
+        plant.temperature = 75.0
+        assert await recovered() is Lifecycle.ACTIVE, "it has cooled"
+
+
+def test_what_does_not_follow_when_it_is_too_hot_is_disabled_again_and_again() -> None:
+    thermal = Thermal(ThermalSettings(60, 70, 80), 1)
+    changes = [c for k in range(41) for c in thermal.step(k * 0.1, [90.0], [True])]
+    assert [change.level for change in changes] == [Level.DISABLE] * 4
 
 
 def test_a_broken_sensor_is_invalid_and_trips_nothing() -> None:

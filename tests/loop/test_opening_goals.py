@@ -9,16 +9,23 @@ from pathlib import Path
 import pytest
 
 from rtee.actions.library import ActionLibrary
+from rtee.buses.pool import BusPool
 from rtee.capabilities import GripForce
+from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ActionError, GoalRejected
 from rtee.hand.load import load_configured
 from rtee.log.plans import encode_plan, plan_of
+from rtee.loop.clock import ManualClock
 from rtee.loop.configure import loop_settings
 from rtee.loop.grip import EFFORT, LIMIT, TIPS, Grip
+from rtee.loop.handloop import HandLoop
+from rtee.loop.observer import Observer
 from rtee.loop.opening_plan import DeviceForces
 from rtee.loop.plan import NO_DEVICES, Plan, make_plan
 from rtee.messages.schema import message_type
-from rtee.types import Goal, Stage
+from rtee.types import Goal, OnContact, Stage
+
+from .hands import device
 
 CONFIG = Path(__file__).parents[2] / "config"
 NAN = float("nan")
@@ -94,6 +101,52 @@ def test_the_sheet_of_a_device_comes_before_the_geometry() -> None:
     assert plan("robotiq_2f_85", grasp(0.03, 20.0), devices).effort == {0: pytest.approx(2.0)}
     with pytest.raises(GoalRejected, match=r"at least 20 N .*not 10 N; the nearest is 20 N"):
         plan("robotiq_2f_85", grasp(0.03, 10.0), devices)
+
+
+class WithSheet(KinematicDriver):
+    """A kinematic device whose data sheet has a force."""
+
+    SHEET = GripForce((2.0, 24.0), (20.0,), (235.0,))
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)  # type: ignore[arg-type]
+        self.capabilities = replace(self.capabilities, grip={"finger_joint": self.SHEET})
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    "goal",
+    [
+        Goal("Grasp", touch=True),
+        Goal("Grasp", on_contact={"": OnContact.SQUEEZE}),
+        grasp(0.03),
+    ],
+)
+async def test_goals_that_feel_contacts_know_the_sheet_of_the_device(goal: Goal) -> None:
+    hand, config = load_configured(CONFIG / "robotiq_2f_85")
+    library = ActionLibrary.load(hand, CONFIG / "robotiq_2f_85" / "actions")
+    settings, clock = loop_settings(config), ManualClock(config.loop.rate)
+    one = device(hand, rate=settings.rate)
+    driver = WithSheet(one.spec, BusPool())
+    driver.now = clock.now
+    loop, plans = HandLoop(hand, library, settings, [(one, driver)], now=clock.now), list[Plan]()
+
+    class Plans(Observer):
+        def on_plan(self, plan: Plan, stamp: float) -> None:
+            plans.append(plan)
+
+    loop.add_observer(Plans())
+    async with loop:
+        await loop.ready()
+        for _ in range(5):
+            await clock.settle()
+            loop.tick(clock.next())
+        loop.submit(goal)
+        loop.tick(clock.next())
+        light = loop.controller.reference_effort[0]
+    assert [plan.grip and plan.grip.sheet for plan in plans] == [WithSheet.SHEET]
+    full = hand.actuators[0].effort
+    assert light < 0.5 * full if goal.touch else light == full, "a touch is light on any device"
 
 
 def test_devices_that_cannot_limit_an_effort_refuse_a_force() -> None:

@@ -294,6 +294,26 @@ def test_a_seed_in_mid_motion_stands_and_the_others_go_on(kind: ProfileKind) -> 
     assert profile.position[1] == pytest.approx(1.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("kind", list(ProfileKind))
+@pytest.mark.parametrize("speed", [1e-5, 1e-9, 1e-200, 5e-324])
+def test_a_motion_may_take_days(kind: ProfileKind, speed: float) -> None:
+    profile = make(kind, 100.0)
+    slowly = {i: speed * LIMITS.velocity[i] for i in range(SIZE)}
+    targets = {0: 1.2, 1: 0.9, 2: 0.03, 3: 2.0}
+    start_at(profile, [0.5] * SIZE)
+    before = list(profile.position)
+    profile.go(targets, velocity=slowly)
+    for _ in range(50):
+        profile.advance()
+    for i, position in enumerate(profile.position):
+        assert abs(position - before[i]) <= 0.5 * max(slowly[i], 1e-9) * 1.001
+    # The next motion is as fast as ever.
+    profile.go(targets, velocity=dict(enumerate(LIMITS.velocity)))
+    for _ in range(1000):
+        profile.advance()
+    assert profile.position == pytest.approx([targets[i] for i in range(SIZE)])
+
+
 def unlimited_filter(rate: float, bandwidth: float) -> Filter:
     wide = replace(
         LIMITS,

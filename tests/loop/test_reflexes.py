@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -273,6 +274,26 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
     assert where < 0.9
 
 
+def test_a_touch_may_take_as_long_as_its_slow_way(small: Hand) -> None:
+    world = World(small, {THUMB: 0.75}, tips=True)
+    goal = Goal("PinchTight", ("index", "thumb"), touch=True)
+    settings = replace(world.settings, goal_timeout=2.0)
+    # At a twentieth of 2 rad/s, the thumb takes 7.5 s to its wall.
+    world.controller.accept(make_plan(goal, small, make_library(small), settings), world.time)
+    result = world.until_result()
+    assert not result.timed_out
+    assert result.touched == ("thumb",)
+    given = make_plan(replace(goal, timeout=3.0), small, make_library(small), settings)
+    assert given.timeout == 3.0, "a timeout that was asked for stands"
+
+
+def test_a_touch_by_a_timed_action_has_time_for_each_way(small: Hand) -> None:
+    settings = LoopSettings(goal_timeout=2.0)
+    plan = make_plan(Goal("drill", touch=True), small, make_library(small), settings)
+    ways = 1.5 / 3.0 + 1.0 / 2.0 + 1.0 / 2.0  # [rad] / [rad/s], the longest of each leg
+    assert plan.timeout == pytest.approx(3 * 2.0 + 0.7 + ways / 0.05)
+
+
 @pytest.mark.parametrize(
     ("goal", "reason"),
     [
@@ -284,6 +305,10 @@ def test_a_touch_stops_all_fingers_at_the_first_contact(small: Hand) -> None:
         (Goal("", ("ring",), touch=True), "unknown finger 'ring'"),
         (Goal("", touch=True), "no action closes the fingertips of 'small'"),
         (Goal("fist", touch=True, tip_speed=0.01), "has no opening: give the speed as a share"),
+        (Goal("fist", touch=True, tip_speed=0.0), "the speed must be above 0 m/s, not 0"),
+        (Goal("fist", touch=True, tip_speed=-0.01), "above 0 m/s, not -0.01"),
+        (Goal("fist", touch=True, tip_speed=NAN), "above 0 m/s, not nan"),
+        (Goal("fist", touch=True, tip_speed=0.01, speed=0.5), "as a share or in m/s, not both"),
     ],
 )
 def test_what_cannot_be_is_refused(small: Hand, goal: Goal, reason: str) -> None:

@@ -7,6 +7,10 @@ from collections.abc import Collection, Mapping
 
 from rtee.loop.motion import Limits
 
+_SLOWEST = 1e-9
+"""Lower velocity limits count as this one [rad/s | m/s]: no device resolves it in a day, and times
+are quotients by it, which must stay finite."""
+
 
 class Profile(ABC):
     """Moves the references of all actuators of a hand; pure: only `advance` lets time pass.
@@ -81,13 +85,13 @@ class Profile(ABC):
             targets: Position to go to, by index [rad | m]; clamped into the limits.
             brake: Actuators to be stopped as soon as the limits allow. Those in neither go on.
             velocity: Velocity limits to be used from now on, by index; others keep theirs, which
-                begin as those of the hand and are never exceeded.
+                begin as those of the hand and are never exceeded. They are above 0.
         """
 
     def _aim(self, targets: Mapping[int, float], velocity: Mapping[int, float] | None) -> None:
         """Note where to go and how fast at most; what has a target no longer brakes."""
         for index, top in (velocity or {}).items():
-            self._top[index] = min(top, self.limits.velocity[index])
+            self._top[index] = min(max(top, _SLOWEST), self.limits.velocity[index])
         for index, target in targets.items():
             self.target[index] = self.limits.clamp(index, target)
             self._braking[index] = False

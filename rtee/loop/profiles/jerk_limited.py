@@ -90,7 +90,9 @@ class JerkLimited(Profile):
             given.per_dof_synchronization = synchronisation
             try:
                 result = self._ruckig.calculate(given, self._trajectory)
-            except RuckigError:
+            # Of motions longer than two hours it gives a result that its Python binding cannot
+            # name, which raises a ValueError.
+            except (RuckigError, ValueError):
                 continue
             if result == Result.Working and self._inside():
                 break
