@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -91,6 +92,17 @@ def test_events(served: Served) -> None:
             pass
         other.stop()
         assert first.result().kind == "stop"
+        events.close()
+
+
+def test_a_script_that_fails_after_a_jog_counts_as_lost(served: Served) -> None:
+    with rtee.connect_blocking("small", client="other") as other:
+        events = other.events()
+        with contextlib.suppress(ZeroDivisionError), rtee.connect_blocking("small") as remote:
+            remote.jog({"near": 0.1})
+            raise ZeroDivisionError
+        lost = next(event for event in events if event.kind == "client_lost")
+        assert lost.source == remote.client
         events.close()
 
 
