@@ -284,7 +284,9 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
         while (item := _wait(portal, following)) is not None:
             yield item[0]
     finally:
-        portal.call(close)
+        # Collected when the hand was left already, as at the end of a script: all is closed then.
+        with contextlib.suppress(RuntimeError):
+            portal.call(close)
 
 
 def connect_blocking(

@@ -117,6 +117,17 @@ def test_a_script_that_forgets_to_close_ends_all_the_same(served: Served) -> Non
     assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
 
 
+def test_what_is_still_iterated_over_at_the_end_of_a_script_says_nothing(served: Served) -> None:
+    code = (
+        "import rtee\n"
+        "hand = rtee.connect_blocking('small')\n"
+        "states = hand.states(50.0)\n"
+        "print(next(states).tick > 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")
+
+
 def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path: Path) -> None:
     code = (
         "import _thread, rtee\n"
