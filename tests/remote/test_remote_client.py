@@ -159,6 +159,37 @@ async def test_a_taken_hand_stays_taken_until_given_back(
         await two.release()
 
 
+async def test_a_hand_is_held_until_the_outermost_context_ends(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        async with one.held():
+            async with one.held():
+                pass
+            with pytest.raises(LeaseHeld):
+                await two.acquire()
+        await two.acquire()
+        with pytest.raises(LeaseHeld):
+            async with one.held():
+                pass
+        async with two.held():
+            pass
+        assert (await one.status()).holder == two.client, "it has acquired the hand besides"
+        await two.release()
+
+
+async def test_who_gives_up_before_it_holds_the_hand_does_not_keep_it(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        with anyio.CancelScope() as scope:
+            scope.cancel()  # while the answer is waited for
+            async with one.held():
+                pass
+        await two.acquire()
+        await two.release()
+
+
 async def test_stop_needs_no_lease(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
         running = await one.start("fist", speed=0.1)
