@@ -84,9 +84,13 @@ def add_client(
     # Before the certificate is made: one that cannot be stored would be admitted all the same.
     if path.exists():
         raise ConfigError("is there already", path=path)
-    authority = _authority()
-    made, text = authority.add_client(_folder(hand), name, _role(role), days)
-    authority.write_private(path, text)
+    authority, folder = _authority(), _folder(hand)
+    made, text = authority.add_client(folder, name, _role(role), days)
+    try:
+        authority.write_private(path, text)
+    except ConfigError:
+        authority.revoke(folder, made.name)  # nobody has it
+        raise
     print(f"{made.name}: {role}, until {_date(made.until)}, in {path}")
     print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
     print("~/.config/rtee/identity.pem or where RTEE_IDENTITY says, and delete it here.")

@@ -11,9 +11,10 @@ import os
 import re
 import secrets
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -21,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import sync_folder, write_atomically
+from rtee.hand.files import reason, sync_folder, write_atomically
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -55,6 +56,7 @@ _SPARE = 8
 _PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_\-]{0,30}\Z")
 
 Key = ec.EllipticCurvePrivateKey
+T = TypeVar("T")
 
 
 def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
@@ -66,7 +68,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
         days: How long the hand's certificate holds [days].
 
     Raises:
-        ConfigError: if there is an authority already.
+        ConfigError: if there is an authority already, or the folder cannot be written.
     """
     if (folder / AUTHORITY_KEY).exists():
         raise ConfigError(
@@ -74,7 +76,10 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
             " it yourself if you mean to begin again",
             path=folder / AUTHORITY_KEY,
         )
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
     made = _builder(subject, subject, key, _AUTHORITY_DAYS)
@@ -111,7 +116,7 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
         What is entered in the list, and the text of the person's file.
 
     Raises:
-        ConfigError: if the name cannot be used, or there is no authority.
+        ConfigError: if the name cannot be used, or there is no authority whose files can be.
     """
     if _PERSON.match(who) is None:
         raise ConfigError(
@@ -158,7 +163,18 @@ def _known(folder: Path) -> Credentials:
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a file that only its owner can read; it is never readable by others meanwhile."""
+    """Write a file that only its owner can read; it is never readable by others meanwhile.
+
+    Raises:
+        ConfigError: if it cannot be written.
+    """
+    try:
+        _write_private(path, text)
+    except OSError as error:
+        raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
+
+
+def _write_private(path: Path, text: str) -> None:
     # Private from its creation on: a later chmod would leave a moment in which others can open
     # it. The name is new, so that a file or link that somebody has put there is not followed.
     descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
@@ -184,8 +200,8 @@ def _issued(
     if not path.is_file():
         raise ConfigError("is missing; 'rtee secure init HAND' makes it", path=path)
     check_private(path)
-    signer = serialization.load_pem_private_key(path.read_bytes(), None)
-    authority = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+    signer = _loaded(path, lambda data: serialization.load_pem_private_key(data, None))
+    authority = _loaded(folder / AUTHORITY, x509.load_pem_x509_certificate)
     if not isinstance(signer, ec.EllipticCurvePrivateKey):
         raise ConfigError("is not a key of 'rtee secure init'", path=path)
     made = _builder(_name(name), authority.subject, key, days)
@@ -197,6 +213,15 @@ def _issued(
         x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")]), critical=False
     )
     return made.sign(signer, hashes.SHA256())
+
+
+def _loaded(path: Path, load: Callable[[bytes], T]) -> T:
+    try:
+        return load(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
+    except (ValueError, TypeError):  # the latter for a key with a passphrase
+        raise ConfigError("is not as 'rtee secure init' has made it", path=path) from None
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: Key, days: int) -> x509.CertificateBuilder:

@@ -20,6 +20,7 @@ from collections.abc import (
 )
 from concurrent.futures import Future
 from functools import partial, wraps
+from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 
 import anyio
@@ -132,10 +133,14 @@ class BlockingHand:
         client: This client's name on the network.
     """
 
-    def __init__(self, portal: BlockingPortal, hand: RemoteHand, exit_: Callable[[], None]) -> None:
+    def __init__(
+        self, portal: BlockingPortal, hand: RemoteHand, opened: contextlib.ExitStack
+    ) -> None:
         self._portal = portal
         self._hand = hand
-        self._exit = exit_
+        self._opened = opened
+        # Zenoh's threads must not outlive the interpreter.
+        self._exit = atexit.register(opened.close)
         self.name = hand.name
         self.client = hand.client
 
@@ -143,14 +148,19 @@ class BlockingHand:
         """Return the hand itself."""
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Leave the hand."""
-        self.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the hand; after an error that counts as losing the client, as with `connect`."""
+        atexit.unregister(self._exit)
+        self._opened.__exit__(kind, error, trace)
 
     def close(self) -> None:
         """Leave the hand; may be called more than once."""
-        self._exit()
-        atexit.unregister(self._exit)
+        self.__exit__(None, None, None)
 
     def start(self, action: str, *elements: str, **options: Unpack[GoalOptions]) -> BlockingGoal:
         """Begin an action and return at once; see `RemoteHand.start`."""
@@ -274,7 +284,9 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
         while (item := _wait(portal, following)) is not None:
             yield item[0]
     finally:
-        portal.call(close)
+        # Collected when the hand was left already, as at the end of a script: all is closed then.
+        with contextlib.suppress(RuntimeError):
+            portal.call(close)
 
 
 def connect_blocking(
@@ -294,10 +306,7 @@ def connect_blocking(
         stack.callback(lambda: portal.call(portal.stop))  # also if connecting fails
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
-        leave = stack.pop_all().close
-    # Zenoh's threads must not outlive the interpreter.
-    atexit.register(leave)
-    return BlockingHand(portal, remote, leave)
+        return BlockingHand(portal, remote, stack.pop_all())
 
 
 def _start_portal() -> BlockingPortal:

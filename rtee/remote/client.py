@@ -53,6 +53,7 @@ class LeaseClient:
     def __init__(self, link: Link) -> None:
         self._link = link
         self._acquired = False
+        self._holding = 0  # contexts of `held` that last
         self.jogged = False
 
     async def acquire(self) -> None:
@@ -71,21 +72,33 @@ class LeaseClient:
         If the lease was acquired, or a goal of this client runs, the hand does what is configured
         for a lost client instead.
         """
-        if self.jogged and not self._acquired:
+        if self.jogged and not (self._acquired or self._holding):
             self.jogged = False
             with contextlib.suppress(RemoteError):
                 await self._link.request("release", within=_LEAVE_WITHIN)
 
     @contextlib.asynccontextmanager
     async def held(self) -> AsyncIterator[None]:
-        """Hold the lease for as long as the context lasts."""
-        await self.acquire()
+        """Hold the lease for as long as the context lasts.
+
+        After `acquire`, and in another such context, it is not released at the end.
+        """
+        refused = False
+        self._holding += 1
         try:
+            try:
+                await self._link.request("acquire")
+            except RemoteError:
+                refused = True
+                raise
             yield
         finally:
-            # Shielded, since a task that is cancelled must not keep the lease from the others.
-            with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                await self.release()
+            self._holding -= 1
+            # Also if it was cancelled before the answer came: the hand has given it by then.
+            if not (refused or self._acquired or self._holding):
+                # Shielded, since a task that is cancelled must not keep the lease from the others.
+                with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
+                    await self.release()
 
 
 def _part(

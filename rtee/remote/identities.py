@@ -19,7 +19,7 @@ from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import IncomingRequest, accepted
-from rtee.remote.rates import Ignored, Rates
+from rtee.remote.rates import REFUSALS, Ignored, Rates
 
 _MOST_CLIENTS = 64
 """Clients that may come the same way, such as with the same certificate: far more than work."""
@@ -241,6 +241,11 @@ class Identities:
         if not self._strangers.allow(request.name):
             raise Ignored
         return ""
+
+    def answers_junk(self) -> bool:
+        """Return whether one more message that is no request is answered with the reason."""
+        # Nobody has signed it, so it counts for all.
+        return self._strangers.allow(REFUSALS)
 
     def way(self, name: str) -> str:
         """Return how the client of a name came to the hand, see `HELLO`."""

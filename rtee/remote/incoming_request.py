@@ -101,6 +101,10 @@ Check = Callable[[Request, bytes | None, bytes], str]
 question; raises `RteeError` if the request is refused."""
 
 
+def _always() -> bool:
+    return True
+
+
 def handle_request(
     message: zenoh.Query | zenoh.Sample,
     group: str,
@@ -108,6 +112,7 @@ def handle_request(
     handle: Handler,
     send: Send,
     later: Later | None = None,
+    answers_junk: Callable[[], bool] = _always,
 ) -> None:
     """Check a request of a group, have it handled, and send the answer or the reason against it.
 
@@ -118,9 +123,15 @@ def handle_request(
         handle: Handles it.
         send: Sends the answer.
         later: Tells those who send too much, after a while; without it they are told at once.
+        answers_junk: Tells whether one more message that is no request of the group is answered.
     """
     try:
-        request, question = read(message, group)
+        try:
+            request, question = read(message, group)
+        except MessageError:
+            if not answers_junk():
+                raise Ignored from None
+            raise
         client = check(request, attachment_of(message), question)
     except Ignored:
         if later is not None:

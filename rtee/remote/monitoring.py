@@ -123,6 +123,12 @@ class Monitoring:
     def _has_gone(self) -> NoHand:
         return NoHand(f"the hand '{self._link.hand}' has gone")
 
+    async def _next(self, queue: asyncio.Queue[T | None]) -> T | None:
+        """Return what comes next; ``None`` once the hand has gone and all that came is taken."""
+        if self._link.gone and queue.empty():
+            return None
+        return await queue.get()
+
     async def state(self) -> State:
         """Return the newest state."""
         return decode_state(await self._link.send("state"))
@@ -145,7 +151,7 @@ class Monitoring:
         self._state_queues.add(queue)
         try:
             with self._link.subscribed(topic, receive, _MOST_WAITING):
-                while not self._link.gone and (state := await queue.get()) is not None:
+                while (state := await self._next(queue)) is not None:
                     yield state
         finally:
             self._state_queues.discard(queue)
@@ -210,7 +216,7 @@ class Monitoring:
         return self._drained(queue)
 
     async def _drained(self, queue: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
-        while not self._link.gone and (event := await queue.get()) is not None:
+        while (event := await self._next(queue)) is not None:
             yield event
         raise self._has_gone()
 
@@ -239,7 +245,7 @@ class Monitoring:
             with self._link.subscribed(
                 topic, lambda data: _put(queue, decode(data)), _MOST_WAITING
             ):
-                while not self._link.gone and (message := await queue.get()) is not None:
+                while (message := await self._next(queue)) is not None:
                     yield message
         finally:
             self._message_queues.discard(queue)

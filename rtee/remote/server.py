@@ -224,7 +224,8 @@ class Server:
 
         replier = self._replier(query, self.outbox)
         later = self._later(query, replier)
-        handle_request(query, HELLO, self._identities.welcome, handle, replier, later)
+        check, junk = self._identities.welcome, self._identities.answers_junk
+        handle_request(query, HELLO, check, handle, replier, later, junk)
 
     def _on_stop(self, query: zenoh.Query) -> None:
         send = self._replier(query, self.stops)
@@ -239,12 +240,13 @@ class Server:
                 request.send = answer_later
             self._commands.stop(request)
 
-        handle_request(query, STOP, self._identities.name, handle, send)
+        check, junk = self._identities.name, self._identities.answers_junk
+        handle_request(query, STOP, check, handle, send, answers_junk=junk)
 
     def _on_control(self, query: zenoh.Query) -> None:
         replier, check = self._replier(query, self.outbox), self._identities.check
-        later = self._later(query, replier)
-        handle_request(query, CONTROL, check, self._commands.handle, replier, later)
+        later, junk = self._later(query, replier), self._identities.answers_junk
+        handle_request(query, CONTROL, check, self._commands.handle, replier, later, junk)
 
     def _replier(self, query: zenoh.Query, queue: CallQueue) -> Callable[[bytes, bool], object]:
         """Return a function that has a query answered by a queue."""
@@ -307,7 +309,8 @@ class Server:
                 raise RequestRejected("too many requests are waiting")
 
         replier, check = self._replier(query, self.outbox), self._identities.check
-        handle_request(query, ASK, check, handle, replier, self._later(query, replier))
+        later, junk = self._later(query, replier), self._identities.answers_junk
+        handle_request(query, ASK, check, handle, replier, later, junk)
 
     def _on_client(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr).rpartition("/")[2]

@@ -15,7 +15,7 @@ from rtee.ros2.face import Face
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.topics import stamped
-from rtee.types import DeviceStatus, Lifecycle
+from rtee.types import DeviceStatus, Lifecycle, LoopStatistics
 
 _PERIOD = 1.0
 """Time between two messages [s], as diagnostic_updater has it."""
@@ -47,7 +47,7 @@ class Diagnostics:
         self._pair = face.message("diagnostic_msgs/msg/KeyValue")
         # Absolute, whatever the namespace: tools listen to one topic for the whole robot.
         self._publisher = face.node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-        self._missed = self._dropped = 0
+        self._before: LoopStatistics | None = None
 
     def parameters(self) -> Iterable[Parameter]:
         """Return none: it reads none."""
@@ -90,9 +90,9 @@ class Diagnostics:
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics
-        # As differences: a tick that was missed hours ago must not warn for ever.
-        missed, self._missed = clock.missed - self._missed, clock.missed
-        dropped, self._dropped = clock.dropped - self._dropped, clock.dropped
+        # As differences: a tick that was missed hours ago must not warn for ever, nor at first.
+        before, self._before = self._before or clock, clock
+        missed, dropped = clock.missed - before.missed, clock.dropped - before.dropped
         level, said = Level.OK, status.action or "ready"
         if status.recording_trouble:
             level, said = Level.WARN, status.recording_trouble

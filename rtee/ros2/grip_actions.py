@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rtee.actions.naming import normalise
 from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.messages.state import State
@@ -216,10 +217,12 @@ class Gripper:
             widest = max(self._face.openings, key=lambda one: one.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
+        # As the hand finds actions: spelling and order do not matter.
+        wanted = normalise(action), sorted(elements)
         ranges = [
             one
             for one in self._face.openings
-            if (one.action, one.elements) == (action, tuple(elements)) or not action
+            if not action or (normalise(one.action), sorted(one.elements)) == wanted
         ]
         return Goal(
             action,

@@ -111,7 +111,10 @@ class Services:
 
     async def run(self) -> None:
         """Follow changes of the hand's actions until it goes."""
-        async for event in self._face.hand.events():
+        events = self._face.hand.events()
+        # Asked once more now that changes are heard: making the node takes a moment.
+        self._update(await self._face.hand.actions())
+        async for event in events:
             if event.kind == CHANGED:
                 self._update(await self._face.hand.actions())
 

@@ -263,7 +263,8 @@ class _Following:
     ) -> None:
         self._action, self._motion, self._names, self._limits = action, motion, names, limits
         self._times = times
-        self._begin = time.monotonic()
+        # Feedback counts from where the points do, which the message's stamp may set.
+        self._begin = motion.end - (times[-1] if times else 0.0)
         self._outcome: Outcome | None = None
         self._changed = anyio.Event()
         self._play = Play(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -94,6 +95,17 @@ def test_events(served: Served) -> None:
         events.close()
 
 
+def test_a_script_that_fails_after_a_jog_counts_as_lost(served: Served) -> None:
+    with rtee.connect_blocking("small", client="other") as other:
+        events = other.events()
+        with contextlib.suppress(ZeroDivisionError), rtee.connect_blocking("small") as remote:
+            remote.jog({"near": 0.1})
+            raise ZeroDivisionError
+        lost = next(event for event in events if event.kind == "client_lost")
+        assert lost.source == remote.client
+        events.close()
+
+
 def test_no_hand() -> None:
     with pytest.raises(NoHand):
         rtee.connect_blocking("small")
@@ -103,6 +115,17 @@ def test_a_script_that_forgets_to_close_ends_all_the_same(served: Served) -> Non
     code = "import rtee; hand = rtee.connect_blocking('small'); print(hand.state().tick > 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stdout.strip()) == (0, "True"), done.stderr
+
+
+def test_what_is_still_iterated_over_at_the_end_of_a_script_says_nothing(served: Served) -> None:
+    code = (
+        "import rtee\n"
+        "hand = rtee.connect_blocking('small')\n"
+        "states = hand.states(50.0)\n"
+        "print(next(states).tick > 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "True", "")
 
 
 def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path: Path) -> None:

@@ -13,9 +13,10 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.hand.model import Hand
+from rtee.messages import encode_event
 from rtee.remote.server import Server
 from rtee.remote.session import direct
-from rtee.types import Feedback, Lifecycle
+from rtee.types import Event, Feedback, Lifecycle
 
 from .serving import (
     RATE,
@@ -154,6 +155,37 @@ async def test_a_taken_hand_stays_taken_until_given_back(
             with pytest.raises(LeaseHeld):
                 await two.acquire()
             assert (await one.do("Trig", "index", intensity=0.1)).reached
+        await two.acquire()
+        await two.release()
+
+
+async def test_a_hand_is_held_until_the_outermost_context_ends(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        async with one.held():
+            async with one.held():
+                pass
+            with pytest.raises(LeaseHeld):
+                await two.acquire()
+        await two.acquire()
+        with pytest.raises(LeaseHeld):
+            async with one.held():
+                pass
+        async with two.held():
+            pass
+        assert (await one.status()).holder == two.client, "it has acquired the hand besides"
+        await two.release()
+
+
+async def test_who_gives_up_before_it_holds_the_hand_does_not_keep_it(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small") as two:
+        with anyio.CancelScope() as scope:
+            scope.cancel()  # while the answer is waited for
+            async with one.held():
+                pass
         await two.acquire()
         await two.release()
 
@@ -369,6 +401,19 @@ async def test_a_hand_that_goes_ends_everything(hand: Hand, library: ActionLibra
                 await running.result()
             with pytest.raises(NoHand):
                 await remote.status()
+
+
+async def test_what_came_before_a_hand_goes_is_told(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library), rtee.connect("small") as remote:
+        events = remote.events()
+        for text in ("first", "last"):
+            remote._monitoring._on_event(encode_event(Event("note", "sim", text, 0.0), wall=0))
+        remote._link._on_gone()  # before anybody had a chance to look
+        assert [(await anext(events)).text for _ in range(2)] == ["first", "last"]
+        with pytest.raises(NoHand, match="has gone"):
+            await anext(events)
+        with pytest.raises(NoHand, match="has gone"):
+            await anext(remote.events())
 
 
 async def test_no_hand_and_several_hands(

@@ -172,7 +172,12 @@ async def test_junk_that_is_put_is_refused_or_ignored(
             await until(lambda: not inbox.closed and inbox.subscriber is not None)
             number = remote._link._signer.number("mine")
             key = inbox_key("small", HERE, "do", client)
-            put(key, b"junk", attachment=signed(remote, "do", b"junk", number))
+            publisher = session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+            # What is put before this session knows that the hand listens again goes nowhere.
+            await until(lambda: publisher.matching_status.matching)
+            publisher.put(b"junk", attachment=signed(remote, "do", b"junk", number))
             sample = await anyio.to_thread.run_sync(answers.recv)
             assert sample.attachment.to_string() == f"-{number}", "who did not sign has no answer"
             assert REPLY.decode(sample.payload.to_bytes())["reason"]

@@ -274,6 +274,27 @@ async def test_who_is_not_answered_any_more_waits_for_that(
         assert await anyio.to_thread.run_sync(each.wait, 30)
 
 
+async def test_what_is_no_request_is_not_answered_without_end(
+    hand: Hand,
+    library: ActionLibrary,
+    sessions: list[zenoh.Session],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(rates._RATES, REFUSALS, 1e-6)
+    monkeypatch.setattr(rates, "_BURST", 3e6)
+    async with serving(hand, library) as served:
+        rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
+        sessions.append(rude)
+
+        def ask(key: str, payload: bytes) -> bool:
+            return bool(list(rude.get(f"rtee/small/{key}", payload=payload, timeout=30.0)))
+
+        junk = [("control/do", b""), ("ask/info", bytes(70_000)), ("stop/stop", b"")]
+        junk += [("hello/here", b""), *junk]
+        answered = [await anyio.to_thread.run_sync(ask, *each) for each in junk]
+        assert answered == [True, True, True, False, False, False, False]
+
+
 async def test_stops_are_carried_out_together_and_always_take_effect(
     hand: Hand,
     library: ActionLibrary,

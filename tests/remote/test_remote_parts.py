@@ -4,6 +4,7 @@ import ast
 import fcntl
 import json
 import os
+import re
 import threading
 from functools import partial
 from graphlib import TopologicalSorter
@@ -23,12 +24,14 @@ from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.messages.requests import REQUESTS
+from rtee.messages.requests import HERE, REQUESTS
 from rtee.messages.schema import message_type
 from rtee.remote import directory
 from rtee.remote.actions import action_fields, action_of
 from rtee.remote.call_queue import CallQueue
 from rtee.remote.directory import announced, running, runtime_folder
+from rtee.remote.identities import Identities
+from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.lease import JOGGING, Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields, info_of
@@ -348,3 +351,30 @@ def test_fields_that_are_no_action_are_refused(
 def test_requests_are_complete() -> None:
     assert {request.group for request in REQUESTS.values()} == {"hello", "stop", "control", "ask"}
     assert all(request.text.endswith(".") for request in REQUESTS.values())
+
+
+def test_the_page_of_the_network_names_what_needs_no_payload(repository: Path) -> None:
+    page = (repository / "docs/reference/network.md").read_text("utf-8")
+    (sentence,) = re.findall(r"Only ([^.]*) may have no payload\.", page)
+    empty = {
+        f"{request.group}/{request.name}"
+        for request in REQUESTS.values()
+        if request.question.name.endswith("/Empty")
+    }
+    assert set(re.findall(r"`([^`]*)`", sentence)) == empty
+
+
+def test_the_page_of_the_network_tells_what_hello_is_answered(repository: Path) -> None:
+    page = " ".join((repository / "docs/reference/network.md").read_text("utf-8").split())
+    answers: list[tuple[bytes, bool]] = []
+    identities, token = Identities(), "0" * 32
+    hello = REQUESTS["hello"]
+    question = hello.question.encode({"client": "me", "what": token})
+    asked = IncomingRequest(hello, question, lambda *answer: answers.append(answer), "")
+    identities.came(token)
+    identities.hello(asked, HERE)
+    ((data, _),) = answers
+    secret, role = hello.answer.decode(data)["text"].split(" ")
+    assert len(bytes.fromhex(secret)) == 32
+    assert "secret, in 64 hexadecimal digits, a blank, and the client's role" in page
+    assert f"`{role}`" in page

@@ -362,6 +362,34 @@ def test_the_command_makes_lists_and_revokes(
             secure.add_client("small", name, out=tmp_path / "other.pem")
 
 
+def test_files_that_cannot_be_used_are_named(people: People, tmp_path: Path) -> None:
+    good = {
+        name: (people.folder / name).read_bytes() for name in ("authority.key", "authority.crt")
+    }
+    for name, whole in good.items():
+        for bad in (b"", b"junk", whole[:-60]):
+            (people.folder / name).write_bytes(bad)
+            with pytest.raises(ConfigError, match=f"{name}: is not as 'rtee secure init'"):
+                secure.add_client("small", "ann", out=tmp_path / "ann.pem")
+        (people.folder / name).write_bytes(whole)
+    (people.folder / "authority.crt").unlink()
+    with pytest.raises(ConfigError, match=r"authority\.crt: cannot be read"):
+        secure.renew("small")
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match="cannot be made"):
+        people.authority.make_authority(tmp_path / "file" / "small", "small")
+
+
+def test_a_certificate_that_cannot_be_stored_is_not_admitted(
+    people: People, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="cannot be written: no such file"):
+        secure.add_client("small", "ann", out=tmp_path / "nowhere" / "ann.pem")
+    known = credentials.Credentials(people.folder)
+    known.read()
+    assert not known.admitted
+
+
 def test_doctor_tells_what_expires(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
 ) -> None:

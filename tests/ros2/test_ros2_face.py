@@ -7,6 +7,7 @@ import re
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,11 @@ from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.remote.client import connect
-from rtee.ros2.diagnostics import Level, health
+from rtee.ros2 import Context
+from rtee.ros2.diagnostics import Diagnostics, Level, health
 from rtee.ros2.keys import Kind
 from rtee.ros2.qos import LATCHED
-from rtee.ros2.serving import Shown, overridden, warnings
+from rtee.ros2.serving import Shown, overridden, shown, warnings
 from rtee.ros2.topics import description, ros_name
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading, TouchSensor
@@ -208,6 +210,26 @@ async def test_diagnostics(hand: Hand, library: ActionLibrary, settings: Ros2Set
         assert first["small: device sim"].level == Level.OK
         assert {pair.key for pair in first["small: loop"].values} >= {"rate [Hz]", "missed"}
     assert first["small: loop"].hardware_id == "small"
+
+
+async def test_ticks_missed_before_the_node_came_do_not_warn(
+    hand: Hand, library: ActionLibrary, settings: Ros2Settings
+) -> None:
+    async with (
+        serving(hand, library),
+        connect("small") as remote,
+        Context.open(settings, {}) as context,
+        shown(context, Shown("small", settings, configured=hand), remote) as parts,
+    ):
+        (diagnostics,) = (part for part in parts if isinstance(part, Diagnostics))
+        status = await remote.status()
+        told = []
+        for missed in (7, 7, 9):
+            clock = replace(status.statistics, missed=missed, dropped=0)
+            message: Any = diagnostics.message(replace(status, statistics=clock), 0)
+            told.append((message.status[0].level, message.status[0].message))
+    assert [level for level, _ in told] == [Level.OK, Level.OK, Level.WARN]
+    assert told[-1][1].startswith("2 ticks missed")
 
 
 @pytest.mark.parametrize(

@@ -318,6 +318,10 @@ async def test_the_parameters_of_a_gripper(settings: Ros2Settings) -> None:
         assert outcome.result.position == pytest.approx(0.05, abs=2e-3)
         goal = served.watcher.goals[-1]
         assert (goal.action, goal.elements) == ("PinchTight", ("finger_1", "finger_2"))
+        assert not await put("gripper.action", "pinch_tight finger_2 finger_1")
+        outcome = await (await client.send_goal(simple_goal(client, 0.03, 900.0))).result(30)
+        assert outcome.result.reached_goal, "more force than it has is all that it has"
+        assert served.watcher.goals[-1].force == pytest.approx(222.0, rel=0.01)
         assert not await put("gripper.joint", "finger_joint")
         outcome = await (await client.send_goal(simple_goal(client, 0.3))).result(30)
         assert outcome.result.position == pytest.approx(0.3, abs=0.02)

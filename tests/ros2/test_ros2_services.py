@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import anyio
 import numpy as np
 import pytest
-from remote.serving import until
+from remote.serving import serving, until
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.config_schema import Ros2Settings
 from rtee.hand.model import Hand
 from rtee.remote.client import connect
+from rtee.ros2 import Context
+from rtee.ros2.hand_services import CHANGED, Services
 from rtee.ros2.keys import Kind
+from rtee.ros2.serving import Shown, shown
 
 from .facing import Robot, a_hand_in_ros
 
@@ -93,6 +97,25 @@ async def test_actions_come_and_move(
             )
             assert not refused.accepted
             assert refused.reason
+
+
+async def test_an_action_that_comes_while_the_node_is_made(
+    hand: Hand, library: ActionLibrary, settings: Ros2Settings
+) -> None:
+    async with (
+        serving(hand, library),
+        connect("small") as remote,
+        Context.open(settings, {}) as context,
+        shown(context, Shown("small", settings, configured=hand), remote) as parts,
+        anyio.create_task_group() as group,
+    ):
+        events = remote.events()
+        await remote.add_generic("late", {"near": 0.3})
+        assert (await anext(events)).kind == CHANGED  # nobody is told of it again
+        (services,) = (part for part in parts if isinstance(part, Services))
+        group.start_soon(services.run)
+        await until(lambda: "late" in services._offered)
+        group.cancel_scope.cancel()
 
 
 async def test_what_there_is_to_know(

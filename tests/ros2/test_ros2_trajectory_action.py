@@ -99,6 +99,20 @@ async def test_reached(hand: Hand, library: ActionLibrary, settings: Ros2Setting
         await until(lambda: not served.loop.streams.stream)  # others may move it again
 
 
+async def test_feedback_counts_from_the_stamp(
+    hand: Hand, library: ActionLibrary, settings: Ros2Settings
+) -> None:
+    async with acting(hand, library, settings) as (_, _, client):
+        message = goal(["thumb"], (1.0, [0.1]), (2.0, [0.2]), (5.0, [0.3]))
+        message.trajectory.header.stamp.sec = int(time.time()) - 4
+        heard: list[Any] = []
+        made = await client.send_goal(message, heard.append)
+        await until(lambda: bool(heard))
+        # More than three seconds of it were over when it came.
+        assert heard[0].desired.time_from_start.sec >= 3
+        assert told(await made.result(20.0))[1] is Code.SUCCESSFUL
+
+
 async def test_violated(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:
     async with acting(hand, library, settings) as (served, _, client):
         # The hand needs half a second for it.
