@@ -22,6 +22,7 @@ from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.app import App
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.wording import NOTHING
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
@@ -296,3 +297,25 @@ def _measured(hand: Hand, position: float, velocity: float) -> State:
         joint_position=hand.transmission.joints(at),
         channels={},
     )
+
+
+@pytest.mark.parametrize("typed", ["~nobody-of-this-name/logs", "/" + 300 * "x"])
+async def test_a_folder_that_cannot_be_looked_into_ends_nothing(
+    server: viser.ViserServer, tmp_path: Path, typed: str
+) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        await has(app, ActionKind.TIMED, "wave")
+        assert app.session is not None
+        status = await app.session._remote.status()
+        panel = app.session._recordings
+        panel._folder.value = typed
+        # The loop of another user records where this one may not look, too: as hard to tell.
+        for recording in ("", f"/{300 * 'y'}/small.mcap"):
+            panel.show_status(dataclasses.replace(status, recording=recording))
+        assert panel._folder.value == typed
+        assert panel._file.options == (NOTHING,)
+        group.cancel_scope.cancel()
