@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import anyio
 import numpy as np
@@ -20,6 +21,8 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionKind, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.app import App
+from rtee.gui.bridge import Bridge
+from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
 from rtee.gui.wording import NOTHING
@@ -28,6 +31,9 @@ from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote import credentials
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import RunningGoal
+from rtee.types import Goal, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -273,6 +279,43 @@ def test_the_table_tells_how_fast_every_joint_moves(
     panel.show_state(lost)
     assert panel._joints.content.count("<td") == shown.count("<td")
     assert "nan" not in panel._joints.content
+
+
+async def test_what_is_done_again_is_not_called_replaced(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    execution = Execution(Bridge(server), cast("RemoteHand", None), ())
+
+    async def nothing() -> None:
+        pass
+
+    first, second = (RunningGoal(Goal("Trig", goal_id=name), nothing) for name in "12")
+    answered = anyio.Event()
+
+    async def start(goal: RunningGoal) -> RunningGoal:
+        if goal is second:
+            await answered.wait()
+        return goal
+
+    replaced = anyio.Event()
+
+    async def first_time() -> None:
+        await execution.follow(start(first))
+        replaced.set()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(first_time)
+        await anyio.wait_all_tasks_blocked()
+        group.start_soon(execution.follow, start(second))
+        await anyio.wait_all_tasks_blocked()
+        # As the hand tells it: the end of the first goal before the answer to the second.
+        first.deliver(Result("1", "Trig", preempted=True))
+        await replaced.wait()
+        assert "replaced" not in execution._word.content
+        answered.set()
+        await anyio.wait_all_tasks_blocked()
+        second.deliver(Result("2", "Trig", reached=True))
+    assert "reached" in execution._word.content
 
 
 def _measured(hand: Hand, position: float, velocity: float) -> State:
