@@ -238,8 +238,8 @@ class Access:
         is_socket = bool(request.headers.get_all("Upgrade"))
         if is_socket and request.headers.get_all("Origin") != [self._origin(hosts[0])]:
             return _refusal(http.HTTPStatus.FORBIDDEN, "Only pages of this GUI may connect.")
-        address = urlsplit(request.path)
-        query = parse_qsl(address.query, keep_blank_values=True)
+        # Not `urlsplit`, which takes the path "//[" for a host, and a broken one.
+        query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
         if not is_socket and (given := dict(query).get("token")) is not None:
             if self._role(given) is None:
                 return _refusal(http.HTTPStatus.FORBIDDEN, f"The token is not valid. {_ASK}")
@@ -273,8 +273,10 @@ class Access:
     def _role(self, *given: str) -> Role | None:
         for token, role in self._tokens.items():
             # In constant time, so that answers do not tell how much of a token is right. Encoded,
-            # since a cookie may hold more than ASCII, which compare_digest refuses as text.
-            if any(secrets.compare_digest(token.encode(), each.encode()) for each in given):
+            # since a cookie may hold more than ASCII, which compare_digest refuses as text; such
+            # bytes come as lone surrogates.
+            sent = (each.encode(errors="surrogateescape") for each in given)
+            if any(secrets.compare_digest(token.encode(), each) for each in sent):
                 return role
         return None
 

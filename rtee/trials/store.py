@@ -84,6 +84,9 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         seed=int(varied["seed"]) if varied else 0,
         choosing=int(varied.get("choosing", CHOOSING)) if varied else CHOOSING,
     )
+    survived = int(varied["held"]) if varied else 0
+    if not 0 <= survived <= trial.variations:
+        raise ValueError(f"{survived} of {trial.variations} variations are held")
     x, y, z = (float(value) for value in entry["position"])
     return TrialResult(
         trial,
@@ -96,7 +99,7 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
         float(entry["duration"]),
         int(entry["places"]),
         (x, y, z),
-        int(varied["held"]) if varied else 0,
+        survived,
         bool(entry.get("fits", True)),
     )
 

@@ -93,6 +93,27 @@ def test_the_token_becomes_a_cookie() -> None:
     assert token(access) != token(Access()), "tokens are made at each start"
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET /?token=\xe9 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nCookie: rtee_1=\xc3\xa9\r\n\r\n",
+        b"GET //[ HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    ],
+)
+def test_any_bytes_are_refused_as_what_they_are(head: bytes) -> None:
+    visitors = Visitors(Access())
+    server = visitors.open_server(0)
+    try:
+        with stdlib_socket.create_connection(("127.0.0.1", server.get_port())) as client:
+            client.sendall(head)
+            answer = client.makefile("rb").read()
+    finally:
+        server.stop()
+    assert answer.startswith(b"HTTP/1.1 403 ")
+    assert b"X-Frame-Options: DENY" in answer
+
+
 def test_without_observers_there_is_no_token_for_them() -> None:
     assert list(Access().links(PORT)) == [Role.OPERATOR]
 

@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import anyio
 import numpy as np
@@ -20,13 +21,19 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionKind, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.app import App
+from rtee.gui.bridge import Bridge
+from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.wording import NOTHING
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote import credentials
+from rtee.remote.client import RemoteHand
+from rtee.remote.goal import RunningGoal
+from rtee.types import Goal, Result
 
 pytestmark = pytest.mark.anyio
 
@@ -274,6 +281,43 @@ def test_the_table_tells_how_fast_every_joint_moves(
     assert "nan" not in panel._joints.content
 
 
+async def test_what_is_done_again_is_not_called_replaced(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    execution = Execution(Bridge(server), cast("RemoteHand", None), ())
+
+    async def nothing() -> None:
+        pass
+
+    first, second = (RunningGoal(Goal("Trig", goal_id=name), nothing) for name in "12")
+    answered = anyio.Event()
+
+    async def start(goal: RunningGoal) -> RunningGoal:
+        if goal is second:
+            await answered.wait()
+        return goal
+
+    replaced = anyio.Event()
+
+    async def first_time() -> None:
+        await execution.follow(start(first))
+        replaced.set()
+
+    async with anyio.create_task_group() as group:
+        group.start_soon(first_time)
+        await anyio.wait_all_tasks_blocked()
+        group.start_soon(execution.follow, start(second))
+        await anyio.wait_all_tasks_blocked()
+        # As the hand tells it: the end of the first goal before the answer to the second.
+        first.deliver(Result("1", "Trig", preempted=True))
+        await replaced.wait()
+        assert "replaced" not in execution._word.content
+        answered.set()
+        await anyio.wait_all_tasks_blocked()
+        second.deliver(Result("2", "Trig", reached=True))
+    assert "reached" in execution._word.content
+
+
 def _measured(hand: Hand, position: float, velocity: float) -> State:
     n = len(hand.actuators)
     at, zeros = np.full(n, position), np.zeros(n)
@@ -296,3 +340,25 @@ def _measured(hand: Hand, position: float, velocity: float) -> State:
         joint_position=hand.transmission.joints(at),
         channels={},
     )
+
+
+@pytest.mark.parametrize("typed", ["~nobody-of-this-name/logs", "/" + 300 * "x"])
+async def test_a_folder_that_cannot_be_looked_into_ends_nothing(
+    server: viser.ViserServer, tmp_path: Path, typed: str
+) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await shows(app, "small: connected")
+        await has(app, ActionKind.TIMED, "wave")
+        assert app.session is not None
+        status = await app.session._remote.status()
+        panel = app.session._recordings
+        panel._folder.value = typed
+        # The loop of another user records where this one may not look, too: as hard to tell.
+        for recording in ("", f"/{300 * 'y'}/small.mcap"):
+            panel.show_status(dataclasses.replace(status, recording=recording))
+        assert panel._folder.value == typed
+        assert panel._file.options == (NOTHING,)
+        group.cancel_scope.cancel()

@@ -21,7 +21,7 @@ from rtee.gui.panels.choice import options_at
 from rtee.gui.panels.header import device_line
 from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
-from rtee.gui.trial_results import Tried, key_of, line, tried_in
+from rtee.gui.trial_results import Tried, key_of, line, tried_in, verdict
 from rtee.gui.trial_results import table as tried_table
 from rtee.gui.wording import described, said, short_names, units
 from rtee.hand.load import load_hand, load_model
@@ -256,3 +256,13 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     assert tried_in("") == Tried()
     with pytest.raises(ConfigError, match="not results of trials"):
         tried_in("trials: [1]")
+
+
+@pytest.mark.parametrize("held", [-1, 11])
+def test_more_variations_held_than_there_were_are_no_results(tmp_path: Path, held: int) -> None:
+    file = tmp_path / "trials.yaml"
+    varied = TrialResult(Trial("fist", (), "drill", variations=10), True, survived=9)
+    write_results(file, "0", [varied])
+    assert verdict(*tried_in(file.read_text()).results["fist", ()]).startswith("held, 9 of 10")
+    with pytest.raises(ConfigError, match=f"{held} of 10 variations"):
+        tried_in(file.read_text().replace("held: 9", f"held: {held}"))

@@ -80,9 +80,12 @@ class Execution:
             width: Whether the goal is to hold an object of some width.
         """
         self._reset()
+        # The goal that this one replaces ends before the hand answers, which is no news here.
+        before, self._goal_id = self._goal_id, ""
         try:
             running = await start
         except RteeError as error:
+            self._goal_id = before
             self._say(str(error), BAD)
             raise
         self._goal_id = running.goal.goal_id

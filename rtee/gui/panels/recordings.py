@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from html import escape
@@ -41,7 +42,8 @@ def configured_folder(hand: str) -> Path:
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
     """Return the recordings of a hand in a folder by their labels, newest first."""
-    if not folder.is_dir():
+    # Not `Path.is_dir`: before Python 3.14 it raises an error below somebody's private folder.
+    if not os.path.isdir(folder):
         return {}
     found = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
     return {f"{file.path.stem} · {file.size / 1e6:.1f} MB": file.path for file in found}
@@ -123,14 +125,16 @@ class RecordingsPanel:
             return
         self._status.content = html
         folder = Path(status.recording).parent if status.recording else None
-        if folder is not None and folder.is_dir() and str(folder) != self._folder.value:
+        if folder is not None and os.path.isdir(folder) and str(folder) != self._folder.value:
             self._folder.value = str(folder)
         self._refresh()
 
     # --- the recording being viewed
 
     def _refresh(self) -> None:
-        self._files = files_in(Path(str(self._folder.value)).expanduser(), self._hand.name)
+        # Not `Path.expanduser`, which raises an error while somebody types another user's name.
+        folder = Path(os.path.expanduser(str(self._folder.value)))
+        self._files = files_in(folder, self._hand.name)
         offer(self._file, self._files)
 
     def _clicked(self, what: str) -> None:
