@@ -131,11 +131,14 @@ def thinned(
     """Return at most ``most`` points of a line: the lowest and the highest of every stretch."""
     if len(t) <= most:
         return t, values
-    # Rounded up, two points for each stretch: never more than `most`.
-    stretch = -(-2 * len(t) // most)
-    count = len(t) // stretch
+    # Two points for each stretch, and both ends: never more than `most`.
+    stretch = -(-len(t) // max(1, most // 2 - 1))
+    count = -(-len(t) // stretch)
+    # The last stretch is filled up: what it holds counts like the rest.
+    filled = np.full(count * stretch, np.nan)
+    filled[: len(t)] = values
     # argmin and argmax would return a NaN's place: infinities never win against a number.
-    whole = np.where(np.isnan(values), np.inf, values)[: count * stretch].reshape(count, stretch)
+    whole = np.where(np.isnan(filled), np.inf, filled).reshape(count, stretch)
     low = whole.argmin(axis=1)
     high = np.where(np.isinf(whole), -np.inf, whole).argmax(axis=1)
     base = np.arange(count) * stretch
