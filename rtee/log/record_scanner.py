@@ -136,7 +136,10 @@ def _decompressed(chunk: Chunk) -> bytes:
         import lz4.frame
 
         try:
-            data: bytes = lz4.frame.decompress(chunk.data)
+            # One byte more than it says shows that it is larger, without making all of it.
+            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(
+                chunk.data, max_length=chunk.uncompressed_size + 1
+            )
         except RuntimeError as error:
             raise DamagedRecordError(f"a chunk cannot be decompressed: {error}") from None
         return data

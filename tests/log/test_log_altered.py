@@ -7,23 +7,27 @@ import stat
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from mcap.opcode import Opcode
+from mcap.records import Chunk
 
 from rtee.cli import main
 from rtee.errors import LogError
 from rtee.log import read
 from rtee.log.check import check
-from rtee.log.chunks import MESSAGE
+from rtee.log.chunks import MESSAGE, record_bytes
 from rtee.log.column_reader import walk
 from rtee.log.export import Format, export
 from rtee.log.file_index import survey
 from rtee.log.info import info
 from rtee.log.mcapfile import being_written
-from rtee.log.record_scanner import Record, messages_of, scan
+from rtee.log.record_scanner import DamagedRecordError, Record, messages_of, scan
 from rtee.log.recover import recover
 from rtee.log.rotation import recordings
 
@@ -152,3 +156,26 @@ def test_a_named_pipe_keeps_nobody_waiting(story: Path) -> None:
                 work(pipe)
     finally:
         pipe.unlink()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_that_expands_beyond_what_it_says_takes_no_memory(compression: str) -> None:
+    large = bytes(100_000_000)
+    compress = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression]
+    chunk = Chunk(
+        compression=compression,
+        data=compress(large),
+        message_start_time=0,
+        message_end_time=1,
+        uncompressed_crc=0,
+        uncompressed_size=1000,
+    )
+    content = record_bytes(chunk)[HEAD.size :]
+    del large
+    tracemalloc.start()
+    try:
+        with pytest.raises(DamagedRecordError, match="has not the size it says"):
+            messages_of(content)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()

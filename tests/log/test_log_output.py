@@ -186,12 +186,23 @@ def test_thinning_keeps_every_peak() -> None:
     values[55_555] = -9.0
     values[70_000:71_000] = np.nan
     few_t, few = thinned(t, values)
-    assert len(few) <= MOST_POINTS + 2
+    assert len(few) <= MOST_POINTS
     assert np.nanmax(few) == 9.0
     assert np.nanmin(few) == -9.0
     assert few_t[0] == 0
     assert few_t[-1] == t[-1]
     assert (np.diff(few_t) > 0).all()
+
+
+@pytest.mark.parametrize("count", [MOST_POINTS + 1, 2 * MOST_POINTS, 123_457, 199_999])
+def test_a_peak_at_the_end_is_not_thinned_out(count: int) -> None:
+    t, values = np.arange(count) / 1000.0, np.zeros(count)
+    for place in (2, 3, 20):
+        values[-place] = 9.0 / place
+    few_t, few = thinned(t, values)
+    assert few.max() == 4.5
+    assert len(few) <= MOST_POINTS
+    assert few_t[-1] == t[-1]
 
 
 def test_pictures_and_pages_stand_alone(recording: Recording, tmp_path: Path) -> None:
