@@ -27,6 +27,8 @@ import anyio
 from anyio.from_thread import BlockingPortal
 
 from rtee.commands import StreamStatus
+from rtee.errors import RemoteError
+from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.goal import GoalOptions, RunningGoal
 from rtee.remote.stream import Stream
@@ -109,6 +111,19 @@ def _waiting(
     return call
 
 
+def _starting(
+    method: Callable[Concatenate[RemoteHand, P], Coroutine[Any, Any, RunningGoal]],
+) -> Callable[Concatenate[BlockingHand, P], BlockingGoal]:
+    """Return a method of `BlockingHand` that begins a goal as the method of its `RemoteHand`."""
+
+    @wraps(method)
+    def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> BlockingGoal:
+        start = partial(method, self._hand, *args, **kwargs)
+        return BlockingGoal(self._portal, _wait(self._portal, start))
+
+    return call
+
+
 def _iterating(
     method: Callable[Concatenate[RemoteHand, P], AsyncIterator[T]],
 ) -> Callable[Concatenate[BlockingHand, P], Iterator[T]]:
@@ -124,7 +139,8 @@ def _iterating(
 class BlockingHand:
     """A running hand, made by `connect_blocking`.
 
-    Its methods are those of `RemoteHand`, but wait for what they return.
+    Its methods are those of `RemoteHand`, but wait for what they return; `collected_states`, which
+    collects them without waiting, is missing.
 
     It may be used as a context, or closed by `close`; the end of the program closes it, too.
 
@@ -162,10 +178,10 @@ class BlockingHand:
         """Leave the hand; may be called more than once."""
         self.__exit__(None, None, None)
 
-    def start(self, action: str, *elements: str, **options: Unpack[GoalOptions]) -> BlockingGoal:
-        """Begin an action and return at once; see `RemoteHand.start`."""
-        start = partial(self._hand.start, action, *elements, **options)
-        return BlockingGoal(self._portal, _wait(self._portal, start))
+    @property
+    def role(self) -> Role:
+        """What this client may do; see `RemoteHand.role`."""
+        return self._hand.role
 
     def do(
         self,
@@ -176,7 +192,7 @@ class BlockingHand:
     ) -> Result:
         """Execute an action and wait for its result; an interrupt (Ctrl-C) cancels it.
 
-        See `RemoteHand.do`.
+        So does an error of ``on_feedback``. See `RemoteHand.do`.
         """
         goal = self.start(action, *elements, **options)
         try:
@@ -184,9 +200,12 @@ class BlockingHand:
                 for feedback in goal:
                     on_feedback(feedback)
             return goal.result()
+        except RemoteError:
+            raise
         # Ending the wait does not end the goal, which runs in the hand.
-        except KeyboardInterrupt:
-            goal.cancel()
+        except BaseException:
+            with contextlib.suppress(RemoteError):
+                goal.cancel()
             raise
 
     def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
@@ -211,6 +230,10 @@ class BlockingHand:
         with self._portal.wrap_async_context_manager(self._hand.held()):
             yield
 
+    start = _starting(RemoteHand.start)
+    start_goal = _starting(RemoteHand.start_goal)
+    start_grasp = _starting(RemoteHand.start_grasp)
+    start_touch = _starting(RemoteHand.start_touch)
     move_opening = _waiting(RemoteHand.move_opening)
     grasp = _waiting(RemoteHand.grasp)
     touch = _waiting(RemoteHand.touch)
@@ -230,6 +253,9 @@ class BlockingHand:
     touch_state = _waiting(RemoteHand.touch_state)
     touch_states = _iterating(RemoteHand.touch_states)
     events = _iterating(RemoteHand.events)
+    feedback = _iterating(RemoteHand.feedback)
+    results = _iterating(RemoteHand.results)
+    ask = _waiting(RemoteHand.ask)
     status = _waiting(RemoteHand.status)
     ready = _waiting(RemoteHand.ready)
     info = _waiting(RemoteHand.info)

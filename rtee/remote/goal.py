@@ -225,7 +225,7 @@ class GoalClient:
         """Execute an action and wait for its result; cancelling the call cancels the goal.
 
         Arguments and errors are those of `start`, and ``on_feedback``, which is called with the
-        feedback meanwhile.
+        feedback meanwhile; an error that it raises cancels the goal, too.
         """
         running = await self.start(action, *elements, **options)
         return await self._followed(running, on_feedback)
@@ -233,10 +233,12 @@ class GoalClient:
     async def _followed(
         self, running: RunningGoal, on_feedback: Callable[[Feedback], object] | None
     ) -> Result:
-        """Return the result of a goal; being cancelled cancels the goal."""
+        """Return the result; being cancelled, or an error of ``on_feedback``, cancels the goal."""
         try:
             return await running.result(on_feedback)
-        except anyio.get_cancelled_exc_class():
+        except RemoteError:
+            raise
+        except BaseException:
             # Shielded: the scope that is cancelled would cancel this request, too.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await running.cancel()

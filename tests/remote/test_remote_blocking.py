@@ -15,7 +15,10 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import NoHand, RequestRejected
 from rtee.hand.model import Hand
-from rtee.types import Feedback
+from rtee.messages.requests import Role
+from rtee.remote.blocking import BlockingHand
+from rtee.remote.client import RemoteHand
+from rtee.types import Feedback, Goal
 
 from .serving import Served, serving
 
@@ -81,6 +84,36 @@ def test_a_goal_can_be_watched_and_cancelled(served: Served) -> None:
     assert goal.result().cancelled
     remote.close()
     remote.close()
+
+
+def test_all_that_the_other_does_it_does_too() -> None:
+    missing = {name for name in dir(RemoteHand) if not name.startswith("_")} - set(
+        dir(BlockingHand)
+    )
+    assert missing == {"collected_states", "leave"}  # closing leaves
+
+
+def test_a_goal_of_ones_own_and_what_others_see_of_it(served: Served) -> None:
+    with rtee.connect_blocking("small") as remote:
+        assert remote.role is Role.MAINTAINER
+        feedback = remote.feedback()
+        running = remote.start_goal(Goal("fist", speed=0.2, goal_id="mine"))
+        assert next(feedback).goal_id == "mine"
+        assert next(iter(running)).goal_id == "mine"
+        running.cancel()
+        assert running.result().cancelled
+        feedback.close()
+
+
+def test_an_error_of_ones_own_while_a_goal_runs_cancels_it(served: Served) -> None:
+    def fail(_: Feedback) -> None:
+        raise ZeroDivisionError
+
+    with rtee.connect_blocking("small") as remote:
+        with pytest.raises(ZeroDivisionError):
+            remote.do("fist", speed=0.2, on_feedback=fail)
+        assert remote.open().reached
+    assert served.watcher.results[0].cancelled
 
 
 def test_events(served: Served) -> None:

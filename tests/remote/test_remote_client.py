@@ -123,6 +123,17 @@ async def test_cancelling_the_caller_cancels_the_goal(hand: Hand, library: Actio
         assert served.watcher.results[0].cancelled
 
 
+async def test_an_error_in_feedback_cancels_the_goal(hand: Hand, library: ActionLibrary) -> None:
+    def fail(_: Feedback) -> None:
+        raise ZeroDivisionError
+
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        with pytest.raises(ZeroDivisionError):
+            await remote.do("fist", speed=0.05, on_feedback=fail)
+        await until(lambda: bool(served.watcher.results))
+        assert served.watcher.results[0].cancelled
+
+
 async def test_a_new_goal_preempts_the_own_one(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library), rtee.connect("small") as remote:
         first = await remote.start("fist", speed=0.1)
