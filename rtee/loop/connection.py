@@ -270,7 +270,8 @@ class Connection:
             if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._configure()
                 self._linked("")
-            if self.lifecycle is Lifecycle.FAULT:
+            # A device that was disabled in fault is inactive, and its fault is still there.
+            if self.fault is not None:
                 await self._driver.recover()
                 self.fault = None
                 self.lifecycle = Lifecycle.INACTIVE

@@ -15,6 +15,10 @@ _RIGID: Final = 1e-3
 """How far a rotation's columns may be from orthonormal: single precision and a few products."""
 
 
+_LEAST_WAY: Final = 1e-3
+"""A shorter way has no direction [m]: rounding and models' errors would decide it."""
+
+
 def checked_pose(pose: object, what: str) -> FloatArray:
     """Return a pose ``(4, 4)`` with an exact rotation; the identity for ``None``.
 
@@ -51,6 +55,18 @@ def checked_direction(values: Sequence[float]) -> FloatArray:
     if not (np.isfinite(length) and length > 0.0):
         raise ConfigError(f"an approach is three numbers, not all of them 0, not {values!r}")
     return found / length
+
+
+def direction_of(way: FloatArray, unknown: str) -> FloatArray:
+    """Return the unit vector along a way ``(3,)`` [m].
+
+    Raises:
+        ConfigError: with this sentence, if the way is too short to have a direction.
+    """
+    length = float(np.linalg.norm(way))
+    if length < _LEAST_WAY:
+        raise ConfigError(unknown)
+    return way / length
 
 
 def retreated(pose: FloatArray, way: FloatArray, by: float) -> FloatArray:

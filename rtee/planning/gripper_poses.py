@@ -26,7 +26,7 @@ from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.collisions import Collisions
-from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
+from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp
 from rtee.planning.tips import Fingertips
@@ -295,6 +295,9 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
         action: The action.
         opening: Its opening.
         intensity: How far the hand is closed.
+
+    Raises:
+        ConfigError: if the tips meet at the base frame's origin: they reach in no direction.
     """
     hand = tips.hand
     goal = _goal(hand, action)
@@ -321,8 +324,11 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     tips.go(from_rest(np.array(hand.rest), goal, intensity))
 
     # Perpendicular to the closing, as the axes of the gripper's pose are.
-    along = middle - closing * float(middle @ closing)
-    along /= np.linalg.norm(along)
+    along = direction_of(
+        middle - closing * float(middle @ closing),
+        f"the fingertips of {opening.label} meet at the origin of the hand's base link: in which "
+        "direction they reach is not known",
+    )
     # The side that reaches less decides: beyond it, only the other side would touch.
     reach = min(max(tips.reach(f, along) for f in side) for side in (one, other))
     frame = np.eye(4)

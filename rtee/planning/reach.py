@@ -20,7 +20,7 @@ from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
 from rtee.planning.collisions import Collisions
-from rtee.planning.frames import checked_direction, checked_pose, retreated, rows
+from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import ReachedGrasp, Residual, WantedContact
 from rtee.planning.result import Point
@@ -140,9 +140,10 @@ def reach_contacts(
     _refuse(residuals, wanted, tolerance)
     before = search.before(u, wanted, fingers)
     involved = [hand.actuator_names[i] for i in search.involved(fingers)]
-    middle = np.mean([c.point for c in wanted], axis=0)
     # The wanted points are in the palm's frame here: their middle is the way from its origin.
-    way = base[:3, :3] @ middle if given is None else given
+    middle = base[:3, :3] @ np.mean([c.point for c in wanted], axis=0)
+    no_way = "the palm is in the middle of the contacts: give the direction of its approach"
+    way = direction_of(middle, no_way) if given is None else given
     return ReachedGrasp(
         hand=hand.name,
         fingers=fingers,

@@ -13,8 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtee.actions.library import ActionLibrary
+from rtee.actions.types import Generic, Posture
 from rtee.errors import ConfigError
-from rtee.hand.load import load_hand
+from rtee.extract.openings import opening_of
+from rtee.hand.geometry import HandGeometry
+from rtee.hand.load import load_hand, load_model
+from rtee.hand.model import Hand
 from rtee.planning.collisions import Collisions
 from rtee.planning.gripper_poses import (
     GripperPose,
@@ -68,6 +72,50 @@ class Made:
 @pytest.fixture(scope="module", params=HANDS)
 def made(request: pytest.FixtureRequest) -> Made:
     return Made(request.param)
+
+
+_JAW = """
+  <joint name="{name}" type="prismatic">
+    <parent link="base"/><child link="{name}_tip"/>
+    <origin xyz="0 {y} 0"/><axis xyz="0 {way} 0"/>
+    <limit lower="0" upper="0.04" velocity="0.1" effort="10"/>
+  </joint>
+  <link name="{name}_tip"><collision><geometry><box size="0.02 0.01 0.02"/></geometry></collision>
+  </link>
+"""
+
+
+def around_its_base(folder: Path) -> Hand:
+    """Return two jaws that meet at the origin of the base link."""
+    jaws = _JAW.format(name="a", y=-0.05, way=1) + _JAW.format(name="b", y=0.05, way=-1)
+    (folder / "jaws.urdf").write_text(f'<robot name="jaws"><link name="base"/>{jaws}</robot>')
+    groups = "".join(
+        f'<group name="{name}"><chain base_link="base" tip_link="{name}_tip"/></group>'
+        for name in ("a", "b")
+    )
+    (folder / "jaws.srdf").write_text(f'<robot name="jaws">{groups}</robot>')
+    return load_model(folder / "jaws.urdf", folder / "jaws.srdf", name="jaws")
+
+
+def test_a_palm_in_the_middle_of_the_contacts_needs_an_approach(tmp_path: Path) -> None:
+    hand = around_its_base(tmp_path)
+    contacts = [
+        WantedContact((0.0, -0.02, 0.0), (0.0, 1.0, 0.0)),
+        WantedContact((0.0, 0.02, 0.0), (0.0, -1.0, 0.0)),
+    ]
+    with pytest.raises(ConfigError, match="give the direction of its approach"):
+        reach_contacts(hand, (), contacts)
+    reached = reach_contacts(hand, (), contacts, approach=(0.0, 0.0, 2.0))
+    assert np.array(reached.pre_palm_pose)[:3, 3] == pytest.approx((0.0, 0.0, -0.1))
+
+
+def test_tips_that_meet_at_the_base_take_no_pose_of_a_gripper(tmp_path: Path) -> None:
+    hand = around_its_base(tmp_path)
+    close = Generic("close", Posture({"a": 0.04, "b": 0.04}, ("a", "b")))
+    opening = opening_of(HandGeometry(hand), close)
+    assert opening is not None
+    with pytest.raises(ConfigError, match="in which direction they reach is not known"):
+        reach_gripper_pose(hand, [(close, opening)], GripperPose(POSE, 0.03))
 
 
 @pytest.fixture(scope="module")
