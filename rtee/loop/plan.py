@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -18,13 +18,7 @@ from rtee.loop.opening_plan import (
     plan_opening,
     wants_opening,
 )
-from rtee.loop.reflex_plan import (
-    check_reflexes,
-    grip_of,
-    slowly,
-    touching_action,
-    touching_time,
-)
+from rtee.loop.reflex_plan import check_reflexes, grip_of, slowly, touching_action
 from rtee.types import Goal, Stage, from_rest
 
 if TYPE_CHECKING:
@@ -95,6 +89,10 @@ class Plan:
         return replace(self, legs=left, involved=self.involved.intersection(indices))
 
 
+_LONGEST = 86400.0
+"""Most that slowness adds to a timeout [s]: a day, though no share of the limits is too small."""
+
+
 def make_plan(
     goal: Goal,
     hand: Hand,
@@ -144,10 +142,7 @@ def make_plan(
         )
     if goal.touch:
         goal = slowly(goal, hand, grip, action.name)
-    plan = _made(goal, action, legs, effort, settings, timed)
-    if goal.touch and goal.timeout is None:
-        way = touching_time(goal, hand, [leg.targets for leg in legs])
-        plan = replace(plan, timeout=plan.timeout + way)
+    plan = _made(goal, hand, action, legs, effort, settings, timed)
     if grip is None and not goal.touch:
         return plan
     return replace(plan, elements=action.elements, grip=grip)
@@ -155,6 +150,7 @@ def make_plan(
 
 def _made(
     goal: Goal,
+    hand: Hand,
     action: Action,
     legs: tuple[Leg, ...],
     effort: Mapping[int, float],
@@ -167,7 +163,28 @@ def _made(
         # Waiting that the action asks for must not use up the time for moving.
         margins = sum([leg.before + leg.after for leg in legs])
         timeout = settings.goal_timeout * len(legs) + margins
+        # Nor must the slowness that the goal asks for.
+        timeout += slowness(goal.speed, hand, [leg.targets for leg in legs])
     return Plan(goal, action.name, legs, involved, effort, timeout, timed)
+
+
+def slowness(speed: float, hand: Hand, legs: Iterable[Mapping[int, float]]) -> float:
+    """Return how much longer motions take at a share of the velocity limits [s].
+
+    Args:
+        speed: The share, above 0 up to 1.
+        hand: The hand.
+        legs: Where its actuators go from rest, one motion after the other, by index [rad | m].
+    """
+    at = {i: actuator.rest for i, actuator in enumerate(hand.actuators)}
+    time = 0.0
+    for targets in legs:
+        # All arrive together, with the one that takes longest.
+        time += max(
+            (abs(to - at[i]) / hand.actuators[i].velocity for i, to in targets.items()), default=0.0
+        )
+        at.update(targets)
+    return min(time * (1.0 / speed - 1.0), _LONGEST)
 
 
 def _opening_plan(
@@ -190,7 +207,7 @@ def _opening_plan(
     )
     posture = found.action.waypoints[-1]
     legs = tuple(Leg("", _targets(posture, hand, at)) for at in found.intensities)
-    plan = _made(found.goal, found.action, legs, {**effort, **found.effort}, settings, False)
+    plan = _made(found.goal, hand, found.action, legs, {**effort, **found.effort}, settings, False)
     timeout = plan.timeout if goal.timeout is not None else plan.timeout + closing_time(goal)
     return replace(plan, timeout=timeout, elements=found.action.elements, grip=found.grip)
 

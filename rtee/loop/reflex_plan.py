@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -113,20 +113,3 @@ def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
     # Where the opening falls fastest, so that it is nowhere faster than that.
     steepest = max(grip.intensity, key=grip.slope_at)
     return replace(goal, speed=tip_speed_share(speed, hand, grip, steepest, name))
-
-
-def touching_time(goal: Goal, hand: Hand, legs: Iterable[Mapping[int, float]]) -> float:
-    """Return how long a goal may take longer because it closes slowly until it touches [s].
-
-    Args:
-        goal: The goal, with its speed; see `slowly`.
-        hand: The hand.
-        legs: Where its actuators go from rest, one motion after the other, by index [rad | m].
-    """
-    at = {i: actuator.rest for i, actuator in enumerate(hand.actuators)}
-    time = 0.0
-    for targets in legs:
-        # All arrive together, with the one that takes longest.
-        time += max(abs(to - at[i]) / hand.actuators[i].velocity for i, to in targets.items())
-        at.update(targets)
-    return time / goal.speed

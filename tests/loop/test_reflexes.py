@@ -291,7 +291,20 @@ def test_a_touch_by_a_timed_action_has_time_for_each_way(small: Hand) -> None:
     settings = LoopSettings(goal_timeout=2.0)
     plan = make_plan(Goal("drill", touch=True), small, make_library(small), settings)
     ways = 1.5 / 3.0 + 1.0 / 2.0 + 1.0 / 2.0  # [rad] / [rad/s], the longest of each leg
-    assert plan.timeout == pytest.approx(3 * 2.0 + 0.7 + ways / 0.05)
+    assert plan.timeout == pytest.approx(3 * 2.0 + 0.7 + ways * (1.0 / 0.05 - 1.0))
+
+
+def test_a_slow_goal_may_take_as_long_as_it_is_slow(small: Hand) -> None:
+    settings, library = LoopSettings(goal_timeout=2.0), make_library(small)
+    fast = make_plan(Goal("drill"), small, library, settings).timeout
+    slow = make_plan(Goal("drill", speed=0.01), small, library, settings).timeout
+    ways = 1.5 / 3.0 + 1.0 / 2.0 + 1.0 / 2.0  # [rad] / [rad/s], the longest of each leg
+    assert fast == pytest.approx(3 * 2.0 + 0.7)
+    assert slow == pytest.approx(fast + ways * 99.0)
+    creeping = make_plan(Goal("fist", speed=1e-300), small, library, settings)
+    assert creeping.timeout == pytest.approx(2.0 + 86400.0), "a day at most"
+    given = make_plan(Goal("fist", speed=0.01, timeout=3.0), small, library, settings)
+    assert given.timeout == 3.0
 
 
 @pytest.mark.parametrize(
