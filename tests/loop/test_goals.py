@@ -178,7 +178,7 @@ async def test_a_goal_that_takes_too_long_times_out(hand: Hand) -> None:
 async def test_the_default_timeout_is_the_hands(hand: Hand) -> None:
     settings = LoopSettings(goal_timeout=0.1)
     async with running(hand, settings) as rig:
-        assert (await rig.do("Trig", "index", speed=0.01)).timed_out
+        assert (await rig.do("Trig", "index")).timed_out
 
 
 async def test_speed_scales_the_velocity_limits(hand: Hand) -> None:
