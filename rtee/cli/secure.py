@@ -80,10 +80,13 @@ def add_client(
     days: DaysOption = 825,
 ) -> None:
     """Make a certificate for a client: watch (observer), move (operator), change (maintainer)."""
+    from rtee.hand.files import check_writable
+
     path = out or Path(f"{name}@{hand}.pem")
     # Before the certificate is made: one that cannot be stored would be admitted all the same.
     if path.exists():
         raise ConfigError("is there already", path=path)
+    check_writable(path)
     authority = _authority()
     made, text = authority.add_client(_folder(hand), name, _role(role), days)
     authority.write_private(path, text)

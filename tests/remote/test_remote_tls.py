@@ -362,6 +362,18 @@ def test_the_command_makes_lists_and_revokes(
             secure.add_client("small", name, out=tmp_path / "other.pem")
 
 
+def test_a_certificate_that_cannot_be_stored_is_not_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(credentials.FOLDER_VARIABLE, str(tmp_path / "secure"))
+    secure.init("small")
+    with pytest.raises(ConfigError, match="cannot be written: no such file or directory"):
+        secure.add_client("small", "ann", out=tmp_path / "none" / "ann.pem")
+    capsys.readouterr()
+    secure.list_("small")
+    assert "operator" not in capsys.readouterr().out
+
+
 def test_doctor_tells_what_expires(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path
 ) -> None:
