@@ -218,6 +218,7 @@ def test_links_among_the_files_of_a_hand_are_not_followed(
         ("{port: /dev/../etc/passwd}", {}, "port of 'gripper' must be an absolute"),
         ("{port: /dev/ttyUSB0}", {"gripper": 'X", RUN+="/bin/sh'}, "serial number of 'gripper'"),
         ("{port: /dev/ttyUSB0}", {"griper": "X"}, "no device with a serial port; .*: gripper"),
+        ('{port: "socket://[fe80::1:4001"}', {}, r"'socket://\[fe80::1:4001' is not an address"),
     ],
 )
 def test_no_value_gets_out_of_its_place_in_a_file(
