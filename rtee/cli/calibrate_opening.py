@@ -75,6 +75,7 @@ def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, 
     from rtee.actions.cli_syntax import read_use
 
     openings, found = library.openings, []
+    reason = f"there are none; 'rtee extract {library.hand.name} --save' finds them"
     if words:
         uses = [read_use(word) for word in words]
         named = [library.find(use.action, use.elements) for use in uses]
@@ -83,7 +84,7 @@ def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, 
         try:
             found.append((action, openings.of(action)))
         except ActionError as error:
-            reason = error
+            reason = str(error)
     if not found:
         raise ConfigError(f"no action of '{library.hand.name}' has an opening: {reason}")
     return found

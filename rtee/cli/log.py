@@ -344,12 +344,12 @@ def recover(
         raise LogError("--out goes with one file only")
     for file in paths:
         done = make_whole(file, output)
-        if done.untouched:
-            print(f"{done.path}: is whole, {done.messages} messages, {done.seconds:.1f} s")
-            continue
-        text = f"{done.path}: recovered {done.messages} messages, {done.seconds:.1f} s"
+        verb = "recovered" if not done.untouched else "holds" if done.damage else "is whole,"
+        text = f"{done.path}: {verb} {done.messages} messages, {done.seconds:.1f} s"
         if done.damaged:
             text += f"; {done.damaged} damaged chunks left out"
         if done.lost_bytes:
             text += f"; {done.lost_bytes} bytes at the end were of no use"
+        if done.damage:
+            text += f"; not to be repaired: {', '.join(done.damage)}"
         print(text)

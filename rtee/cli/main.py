@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import os
 import sys
 from typing import Any, Final, NoReturn
@@ -131,6 +132,10 @@ _EXHAUSTED: Final = {
 
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
+    # As Python does on stderr: a sign that the terminal lacks, or a file's name that is no text,
+    # is no reason to say nothing of what was done.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         # Not standalone: typer would print errors in its own form and exit by itself.
         status = cli(prog_name="rtee", standalone_mode=False)

@@ -11,6 +11,7 @@ from rtee.deploy.install import Installation, State
 from rtee.deploy.needs import Needs
 from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
 from rtee.errors import ConfigError
+from rtee.hand.files import reason
 from rtee.remote.credentials import HAND_KEY
 
 
@@ -110,13 +111,19 @@ def _ports(needs: Needs) -> list[Check]:
 
 def _recordings(needs: Needs, root: Path) -> Check:
     folder = root / str(STATE / needs.log).lstrip("/")
-    # The first run makes it; until then, the nearest folder above is on the same disk.
-    while not folder.exists() and folder != root:
-        folder = folder.parent
-    space = shutil.disk_usage(folder)
+    try:
+        # The first run makes it; until then, the nearest folder above is on the same disk.
+        while not folder.exists() and folder != root:
+            folder = folder.parent
+        space = shutil.disk_usage(folder)
+        # Those that are there already have their place. Not by glob, which passes over a folder
+        # that is not to be read.
+        files = [file for file in folder.iterdir() if file.suffix == ".mcap"]
+        there = sum(file.stat().st_size for file in files)
+    except OSError as error:  # the service's folders are not for everybody's eyes
+        text = f"{folder} cannot be looked at: {reason(error)}"
+        return warning("recordings", text, f"sudo rtee doctor {needs.hand}")
     wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
-    # Those that are there already have their place.
-    there = sum(file.stat().st_size for file in folder.glob("*.mcap"))
     if space.free + there < needs.log_size:
         return warning(
             "recordings",

@@ -203,8 +203,15 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:
-    """Return the address if it is not of this computer; ``any`` unless it is one by number."""
-    host = urlsplit(address if "://" in address else f"//{address}").hostname or ""
+    """Return the address if it is not of this computer; ``any`` unless it is one by number.
+
+    Raises:
+        ConfigError: if it is none.
+    """
+    try:
+        host = urlsplit(address if "://" in address else f"//{address}").hostname or ""
+    except ValueError as error:  # brackets that do not close, as around numbers of IPv6
+        raise ConfigError(f"'{address}' is not an address: {error}") from None
     if host == "localhost":
         return set()
     try:

@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -31,12 +31,13 @@ class Recovery:
 
     Attributes:
         path: The repaired file.
-        untouched: The file was complete already.
+        untouched: The file was complete already: there was nothing to repair.
         chunks: Chunks recovered.
         messages: Messages recovered.
         damaged: Chunks that were damaged and left out.
         lost_bytes: Bytes at the end that could not be used.
         seconds: Time from the first to the last message [s].
+        damage: What else was not as it was written, and cannot be repaired, one sentence each.
     """
 
     path: Path
@@ -46,6 +47,7 @@ class Recovery:
     damaged: int
     lost_bytes: int
     seconds: float
+    damage: tuple[str, ...] = ()
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
@@ -95,7 +97,8 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 shutil.rmtree(temporary.parent)
-    return _report(survey(target), target, damaged, untouched=False, lost=found.size - found.good)
+    done = _report(survey(target), target, damaged, untouched=False, lost=found.size - found.good)
+    return replace(done, damage=found.damage)
 
 
 def _report(found: Survey, path: Path, damaged: int, *, untouched: bool, lost: int = 0) -> Recovery:
@@ -107,6 +110,7 @@ def _report(found: Survey, path: Path, damaged: int, *, untouched: bool, lost: i
         damaged=damaged,
         lost_bytes=lost,
         seconds=(found.end - found.start) / SECOND,
+        damage=found.damage,
     )
 
 

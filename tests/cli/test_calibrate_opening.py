@@ -84,6 +84,16 @@ def test_what_cannot_be_calibrated_is_refused(place: Path) -> None:
     assert "unknown action" in calibrate(place, "--opening", "Nope", typed="", status=2)
 
 
+def test_a_hand_without_actions_has_nothing_to_measure(repository: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o700)
+    folder = tmp_path / "config" / HAND
+    shutil.copytree(repository / "config" / HAND, folder)
+    shutil.rmtree(folder / "actions")
+    said = calibrate(tmp_path, "--opening", typed="", status=2)
+    assert said.count("\n") == 1
+    assert f"'rtee extract {HAND} --save' finds them" in said
+
+
 class Terminal:
     """`rtee calibrate` as somebody sees it: on a terminal of its own, where Ctrl-C is a key."""
 

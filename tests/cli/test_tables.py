@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from rtee.cli import _table
@@ -76,3 +80,15 @@ def test_what_names_share_is_dropped_on_terminals_only(monkeypatch: pytest.Monke
     assert prefix_to_drop(names) == ""
     monkeypatch.setattr(_table, "on_terminal", lambda: True)
     assert prefix_to_drop(names) == "left_hand_"
+
+
+def test_a_terminal_that_lacks_a_sign_gets_it_escaped() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rtee", "actions", "schunk_svh"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"Trig (thumb) \xd7 0.3" in done.stdout

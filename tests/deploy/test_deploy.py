@@ -218,6 +218,7 @@ def test_links_among_the_files_of_a_hand_are_not_followed(
         ("{port: /dev/../etc/passwd}", {}, "port of 'gripper' must be an absolute"),
         ("{port: /dev/ttyUSB0}", {"gripper": 'X", RUN+="/bin/sh'}, "serial number of 'gripper'"),
         ("{port: /dev/ttyUSB0}", {"griper": "X"}, "no device with a serial port; .*: gripper"),
+        ('{port: "socket://[fe80::1:4001"}', {}, r"'socket://\[fe80::1:4001' is not an address"),
     ],
 )
 def test_no_value_gets_out_of_its_place_in_a_file(
@@ -427,6 +428,31 @@ def test_the_doctor_says_that_certificates_are_not_to_be_looked_at() -> None:
         assert hidden.verdict is Verdict.WARNING
         assert hidden.text == f"in {secure}, which is not yours to read"
         assert hidden.remedy == f"sudo rtee doctor {hand}"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
+@pytest.mark.parametrize("closed", ["var/lib/rtee", "var/lib/rtee/logs"])
+def test_the_doctor_says_that_recordings_are_not_to_be_looked_at(closed: str) -> None:
+    # Folders of pytest are root's alone.
+    with tempfile.TemporaryDirectory(prefix="rtee-", dir="/tmp") as place:
+        folder = Path(place)
+        # Of 1 byte: the disk's own room is not what is tested.
+        needs = replace(needs_of(write_hand(folder)), log_size=1.0)
+        install(folder, needs.folder)
+        (folder / "var/lib/rtee/logs").mkdir(parents=True)
+        folder.chmod(0o755)
+        (folder / closed).chmod(0o700)
+        os.seteuid(pwd.getpwnam("nobody").pw_uid)
+        try:
+            found = {check.subject: check for check in check_service(needs, folder)}
+        finally:
+            os.seteuid(0)
+        assert found["recordings"].verdict is Verdict.WARNING
+        assert "cannot be looked at: permission denied" in found["recordings"].text
+        assert found["recordings"].remedy == "sudo rtee doctor jaw"
+        # Whoever may look is told.
+        seen = {check.subject: check.verdict for check in check_service(needs, folder)}
+        assert seen["recordings"] is Verdict.OK
 
 
 def test_the_certificates_of_a_service_are_made_by_its_user(tmp_path: Path) -> None:

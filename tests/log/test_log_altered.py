@@ -70,7 +70,8 @@ def test_the_latest_time_there_is_stops_nobody(
     assert recording.damage
     assert info([path]).as_dict()["duration"] < 10.0
     assert export(recording, tmp_path / "late", Format.CSV)
-    recover(path, tmp_path / "whole.mcap")
+    done = recover(path, tmp_path / "whole.mcap")
+    assert done.damage == (("a chunk says impossible times",) if chunk_too else ())
     assert read(tmp_path / "whole.mcap").duration < 10.0
 
 
@@ -122,6 +123,30 @@ def test_an_altered_attachment_is_not_the_same(
     content[-4:] = b"\0\0\0\0"  # which means: without a checksum
     altered = rewritten(whole, tmp_path / "altered.mcap", at, bytes(content))
     assert "lost its checksum" in _checked(altered, capsys, monkeypatch)
+
+
+@pytest.mark.parametrize(("cut", "verb"), [(0, "holds"), (20, "recovered")])
+def test_what_cannot_be_repaired_is_told(
+    cut: int,
+    verb: str,
+    whole: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    at = _attachment(whole, "hand.yaml")
+    content = bytearray(whole.read_bytes()[at.offset : at.end])
+    content[-20] ^= 1
+    altered = rewritten(whole, tmp_path / "altered.mcap", at, bytes(content))
+    data = altered.read_bytes()
+    altered.write_bytes(data[: len(data) - cut])
+    monkeypatch.setattr("sys.argv", ["rtee", "log", "recover", str(altered)])
+    with pytest.raises(SystemExit):
+        main()
+    said = capsys.readouterr().out
+    assert f"altered.mcap: {verb} " in said
+    assert said.endswith("not to be repaired: attachment 'hand.yaml' fails its checksum\n")
+    assert "whole" not in said
 
 
 def test_a_chunk_that_fails_its_checksum_is_not_the_same(
