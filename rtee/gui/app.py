@@ -177,6 +177,7 @@ class App:
                 with anyio.CancelScope(shield=True):
                     # First: what clicks have begun would go on with controls that are removed.
                     await self._bridge.close()
+                    await session.leave()
                     await remote.leave()
                 session.remove()
 
