@@ -173,10 +173,13 @@ class App:
                 await session.run()
             finally:
                 self.session = None
-                session.remove()
                 # Ending the GUI or choosing another hand does not count as losing a client.
                 with anyio.CancelScope(shield=True):
+                    # First: what clicks have begun would go on with controls that are removed.
+                    await self._bridge.close()
+                    await session.leave()
                     await remote.leave()
+                session.remove()
 
 
 async def serve(

@@ -102,7 +102,9 @@ class Bridge:
             client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
 
     async def close(self) -> None:
-        """Cancel whatever is still running."""
+        """Cancel what clicks have begun; a click before this is sent to the hand all the same."""
+        # A task that is cancelled before its first step would never begin.
+        await asyncio.sleep(0)
         working = list(self._working)
         for task in working:
             task.cancel()

@@ -339,6 +339,10 @@ class Session:
                 return {f: share for f, share in shares.items() if f not in drawn}
         return {}
 
+    async def leave(self) -> None:
+        """Give the hand back if it is held for jogging; the hand goes on, or has gone."""
+        await self._making.leave()
+
     def remove(self) -> None:
         """Remove everything of the hand from the browser."""
         self._trying.remove()

@@ -142,6 +142,52 @@ async def test_closing_it_after_a_jog_is_no_loss(server: viser.ViserServer, tmp_
         assert "client_lost" not in [event.kind for event in served.watcher.events]
 
 
+@pytest.mark.parametrize("moved", [False, True])
+async def test_nothing_follows_the_sliders_of_a_hand_that_has_gone(
+    server: viser.ViserServer,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    moved: bool,
+) -> None:
+    async with anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        hand = make_hand(tmp_path)
+        async with serving(hand, make_library(hand)):
+            group.start_soon(app.run)
+            await shows(app, "small: connected")
+            assert app.session is not None
+            jog, remote = app.session._making._jog, app.session._remote
+            jog._hold.value = jog._follow.value = True
+            while not (await remote.status()).stream.stream:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+            if moved:
+                jog._sliders[0].value = 0.3
+        await shows(app, "Not connected")
+        assert not app._bridge._working
+        group.cancel_scope.cancel()
+    assert "a click failed" not in caplog.text
+
+
+async def test_ending_it_while_jog_is_ticked_is_no_loss(
+    server: viser.ViserServer, tmp_path: Path
+) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)) as served:
+        async with anyio.create_task_group() as group:
+            app = App(server, "small", None)
+            group.start_soon(app.run)
+            await shows(app, "small: connected")
+            assert app.session is not None
+            app.session._making._jog._hold.value = True
+            while not (await app.session._remote.status()).holder:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+            group.cancel_scope.cancel()
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).holder == ""
+            assert (await remote.do("Trig", "index", intensity=0.1)).reached
+        assert "client_lost" not in [event.kind for event in served.watcher.events]
+
+
 async def test_actions_made_elsewhere_come_and_go(
     server: viser.ViserServer, tmp_path: Path
 ) -> None:

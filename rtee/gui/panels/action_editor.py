@@ -112,6 +112,10 @@ class MakingPanel:
         await self._remote.add_generic(name, within, store=bool(self._store.value))
         self._bridge.notify("Saved", f"action '{name}'", "green")
 
+    async def leave(self) -> None:
+        """Give the hand back if it is held for jogging."""
+        await self._jog.leave()
+
     def show_actions(self, actions: Sequence[Action]) -> None:
         """Offer these actions as parts and for editing."""
         self._parts.offer(actions)

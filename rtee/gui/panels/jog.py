@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import anyio
 import viser
 
@@ -18,6 +20,9 @@ _FOLD = 12
 
 _RATE = 30.0
 """Samples per second of a slider that is followed [Hz]: a browser reports hardly more."""
+
+_LEAVE_WITHIN = 0.5
+"""Time to wait for the answer when the hand is given back [s]: it may already be gone."""
 
 _STEPS = {"rad": 0.001, "m": 0.0001}
 """Steps of the sliders: finer than a hand is repeatable."""
@@ -105,6 +110,12 @@ class JogPanel:
             return
         speed = actuator.velocity * self._speed.value / 100.0
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
+
+    async def leave(self) -> None:
+        """Give the hand back if it is held; one that has gone is not waited for."""
+        if self._hold.value:
+            with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
+                await self._remote.release()
 
     def follow(self, state: State) -> None:
         """Let the sliders follow the hand while nobody jogs."""
