@@ -145,7 +145,7 @@ class Squeeze:
         self._correct_until, self._there = -math.inf, math.inf
         self._floor, self._most = floor, most
         self._level = 1.0
-        self._since = self._settled = self._ease = math.inf
+        self._since = self._before = self._enough = self._settled = self._ease = math.inf
         self._told_at, self._told_limit = -math.inf, False
 
     def forget(self, i: int) -> None:
@@ -156,7 +156,7 @@ class Squeeze:
 
     def begin(self, stamp: float) -> None:
         """Begin to build up the force at a time [s]."""
-        self._since = stamp
+        self._since = self._before = self._enough = stamp
 
     def step(self, stamp: float, measured: Measured) -> bool:
         """Do one tick; return whether ``effort`` has changed.
@@ -233,10 +233,18 @@ class Squeeze:
 
     def _build(self, stamp: float, measured: Measured) -> None:
         time = self._grasp.squeeze_time
+        enough = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
+        # Fingers that meet the object hit it with more force than they press with: the effort waits
+        # for that to pass, and only a force that lasts is there.
+        if enough:
+            self._since += stamp - self._before
+        else:
+            self._enough = stamp
+        self._before = stamp
+        there = enough and stamp - self._enough >= _SETTLE
         share = min((stamp - self._since) / time, 1.0) if time > 0.0 else 1.0
         for i, held in self.held.items():
             self.effort[i] = held.start + share * (held.full - held.start)
-        there = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
         if share >= 1.0 or there:
             self.built = True
             if there:  # with less effort than the levers have it

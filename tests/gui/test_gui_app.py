@@ -364,6 +364,33 @@ async def test_what_is_done_again_is_not_called_replaced(
     assert "reached" in execution._word.content
 
 
+async def test_an_action_may_be_renamed_while_it_runs(
+    server: viser.ViserServer, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    hand = make_hand(tmp_path)
+    async with serving(hand, make_library(hand)) as served, anyio.create_task_group() as group:
+        app = App(server, "small", None)
+        group.start_soon(app.run)
+        await has(app, ActionKind.TIMED, "wave")
+        assert app.session is not None
+        key, remote = (ActionKind.GENERIC, "slow"), app.session._remote
+        await remote.add_generic("slow", {"near": 1.0}, store=False)
+        await has(app, *key)
+        before = app.session.cards[key]
+        before._speed.value = 10
+        before._begin()
+        while (await remote.status()).action != "slow":  # noqa: ASYNC110
+            await anyio.sleep(0.02)
+        await remote.rename_action("slow", "slower")
+        await has(app, *key, there=False)
+        await remote.stop()
+        await served.event("stop")
+        while app._bridge._working:  # noqa: ASYNC110
+            await anyio.sleep(0.02)
+        group.cancel_scope.cancel()
+    assert "a click failed" not in caplog.text
+
+
 def _measured(hand: Hand, position: float, velocity: float) -> State:
     n = len(hand.actuators)
     at, zeros = np.full(n, position), np.zeros(n)

@@ -33,6 +33,7 @@ class Gripper:
         friction: Effort below which nothing moves [N·m].
         stops_short: How far before its reference it stands still [rad].
         amperes: Current for every unit of effort, which is not measured then [A/(N·m)].
+        impact: What the sensors read more for 20 ticks from the contact on [N].
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Gripper:
         friction: float = 0.0,
         stops_short: float = 0.0,
         amperes: float = NAN,
+        impact: float = 0.0,
     ) -> None:
         self.hand, config = load_configured(FOLDER)
         self.library = ActionLibrary.load(self.hand, FOLDER / "actions")
@@ -49,6 +51,7 @@ class Gripper:
         self.controller = Controller(self.hand, self.settings)
         self.reads, self.friction, self.stops_short = reads, friction, stops_short
         self.amperes = amperes
+        self.impact, self.since_contact = impact, 0
         self.grip = self.plan(Goal("Grasp", opening=width)).grip
         assert self.grip is not None
         self.contact = math.inf
@@ -95,8 +98,10 @@ class Gripper:
             assert self.grip is not None
             [(_, _, lever)] = self.grip.squeezing(self.grip.intensity[-1] / 2.0)
             self.force = self.effort / lever
+            self.since_contact += 1
         if self.reads == self.reads:
-            touch = [self.reads * self.force] * 2
+            hit = self.impact if 0 < self.since_contact <= 20 else 0.0
+            touch = [self.reads * self.force + hit] * 2
         measured = Measured([self.position], [self.effort], [NAN], [True], [-1], touch=touch)
         if self.amperes == self.amperes:
             free = 0.3 * (self.controller.reference_velocity[0] > 0.0)
@@ -144,6 +149,13 @@ def test_sensors_on_both_sides_correct_the_force(reads: float) -> None:
         gripper.tick()
         assert reads * gripper.force <= 1.05 * 40.0
     assert reads * gripper.force == pytest.approx(40.0, rel=0.02)
+
+
+def test_the_impact_of_the_contact_does_not_pass_for_the_force() -> None:
+    gripper = Gripper(0.04, reads=1.0, impact=60.0)
+    result = gripper.do(grasp(0.04, 40.0))
+    assert result.grasped
+    assert result.force == pytest.approx(40.0, rel=0.05)
 
 
 @pytest.mark.parametrize("reads", [0.01, 20.0])

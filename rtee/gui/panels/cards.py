@@ -387,5 +387,6 @@ class Card:
 
     def remove(self) -> None:
         """Remove the card."""
+        self._execution.remove()
         self._command.remove()
         self._folder.remove()

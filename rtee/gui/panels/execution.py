@@ -45,6 +45,7 @@ class Execution:
         gui = bridge.server.gui
         self._hand = hand
         self._goal_id = ""
+        self._removed = False
         self._inner: dict[str, viser.GuiProgressBarHandle] = {}
         for step in steps:
             gui.add_html(_step(step), order=0)
@@ -100,14 +101,21 @@ class Execution:
         self._say("", "")
 
     def _progress(self, feedback: Feedback) -> None:
-        if feedback.goal_id != self._goal_id:  # of a goal that this card has replaced
+        # Of a goal that this card has replaced, or the card is gone and another takes its place.
+        if feedback.goal_id != self._goal_id or self._removed:
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
         for name, progress in feedback.inner_progress.items():
             if name in self._inner:
                 self._inner[name].value = round(100.0 * progress, 1)
 
+    def remove(self) -> None:
+        """Show nothing any more; the card removes the controls, while the goal may go on."""
+        self._removed = True
+
     def _end(self, result: Result, *, width: bool) -> None:
+        if self._removed:
+            return
         if result.reached or result.grasped:
             self._bar.value = 100.0
             for bar in self._inner.values():
@@ -115,4 +123,6 @@ class Execution:
         self._say(*said(result, width=width))
 
     def _say(self, text: str, colour: str) -> None:
+        if self._removed:
+            return
         self._word.content = small(f'<span style="color:{colour}">{escape(text)}</span>')
