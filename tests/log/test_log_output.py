@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 import rtee
-from log.samples import BEGIN, RATE, Log, recorded, settings, tick
+from log.samples import BEGIN, COMMAND, RATE, STATUS, Log, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
@@ -177,6 +177,18 @@ def test_rows_by_finger(recording: Recording) -> None:
         recording, by=By.FINGER, fingers={"one": ("first",), "two": ("first", "second")}
     )
     assert [row.title for row in by_finger.rows] == ["two", "several fingers"]
+
+
+def test_the_largest_numbers_are_exported(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(replace(COMMAND, tick=2**64 - 1), log.time.now)
+    log.writer.item(replace(STATUS, exchanges=2**63), log.time.now)
+    log.writer.close()
+    made = tables(read(tmp_path / "logs"))
+    assert made["commands"]["tick"].tolist() == [2**64 - 1]
+    assert made["device_status"]["exchanges"].tolist() == [2**63]
+    assert made["device_status"]["errors"].dtype == np.int64
 
 
 def test_thinning_keeps_every_peak() -> None:
