@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import JsonOption
+from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
 from rtee.errors import LogError, MissingExtra, needing_extra
 
@@ -41,7 +41,7 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 
     found = look(_paths(file, series))
     if as_json:
-        print(json.dumps(found.as_dict(), indent=2))
+        print(to_json(found.as_dict(), indent=2))
     else:
         _show(found)
 
@@ -282,7 +282,7 @@ def _show_check(found: Check, as_json: bool) -> None:
     from dataclasses import asdict
 
     if as_json:
-        print(json.dumps(asdict(found) | {"same": found.same}, indent=2))
+        print(to_json(asdict(found) | {"same": found.same}, indent=2))
     elif found.same:
         print(
             f"the same, bit for bit: {found.ticks} ticks, {found.goals} goals, "

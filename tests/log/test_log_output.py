@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 import rtee
-from log.samples import BEGIN, COMMAND, RATE, STATUS, Log, recorded, settings, tick
+from log.samples import BEGIN, COMMAND, RATE, STATISTICS, STATUS, Log, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
@@ -292,6 +292,22 @@ def test_log_info(story: Path) -> None:
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"
+
+
+def test_json_of_a_recording_has_no_number_that_json_does_not_know(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(replace(STATISTICS, lateness_p99=np.nan, lateness_max=np.inf), log.time.now)
+    log.writer.close()
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON")
+
+    _, out = run("info", tmp_path / "logs", "--json")
+    loop = json.loads(out, parse_constant=refuse)["loop"]
+    assert (loop["lateness_p99"], loop["lateness_max"]) == (None, None)
 
 
 def test_log_plot_and_export(story: Path, tmp_path: Path) -> None:
