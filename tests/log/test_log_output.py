@@ -35,6 +35,7 @@ from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
 from rtee.log.tables import TABLES, tables
 from rtee.loop.settings import LoopSettings
+from rtee.types import Event, Goal
 
 
 @pytest.fixture(scope="module")
@@ -292,6 +293,18 @@ def test_log_info(story: Path) -> None:
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"
+
+
+def test_texts_of_a_recording_do_not_command_the_terminal(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(Goal("Trig\x1b[8m"), log.time.now)
+    log.writer.item(Event("mark", "user", "\x1b[2Jgone\nnote: all is well", 0.0), log.time.now)
+    log.writer.close()
+    _, out = run("info", tmp_path / "logs")
+    assert r"mark: \x1b[2Jgone\nnote: all is well" in out
+    assert r"Trig\x1b[8m" in out
+    assert "\x1b" not in out
 
 
 def test_json_of_a_recording_has_no_number_that_json_does_not_know(
