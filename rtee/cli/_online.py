@@ -57,9 +57,9 @@ def _waiting(text: str) -> None:
     print(f"rtee: waiting: {text}", file=sys.stderr, flush=True)
 
 
-def to_json(values: Any) -> str:
+def to_json(values: Any, indent: int | None = None) -> str:
     """Return plain data as JSON; numbers that are not finite become ``null``."""
-    return json.dumps(_plain(values))
+    return json.dumps(_plain(values), indent=indent)
 
 
 def result_json(result: Result) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rtee.cli._common import JsonOption
+from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
-from rtee.errors import LogError, MissingExtra, needing_extra
+from rtee.errors import LogError, MissingExtra, needing_extra, printable
 
 if TYPE_CHECKING:
     from rtee.log.check import Check
@@ -41,7 +41,7 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 
     found = look(_paths(file, series))
     if as_json:
-        print(json.dumps(found.as_dict(), indent=2))
+        print(to_json(found.as_dict(), indent=2))
     else:
         _show(found)
 
@@ -49,11 +49,15 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 def _show(found: Info) -> None:
     from rtee.log.info import iso
 
+    def said(line: str) -> None:
+        # A recording may come from anywhere: its texts must not command the terminal.
+        print(printable(line))
+
     recording = found.recording
     for path, size in found.files:
         print(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    print(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
+    said(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
     print(
         f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
         f"{found.size_per_minute / 1e6:.1f} MB a minute"
@@ -65,13 +69,13 @@ def _show(found: Info) -> None:
         Column("rate [Hz]", right=True, whole=True),
     )
     topics = (
-        Row((each.topic, each.kind, str(each.messages), f"{each.rate:.1f}"))
+        Row((*map(printable, (each.topic, each.kind)), str(each.messages), f"{each.rate:.1f}"))
         for each in found.topics
     )
     Table(columns, tuple(topics)).show()
     if found.attachments:
         names = ", ".join(name for name, _ in found.attachments)
-        print(f"attachments: {names}")
+        said(f"attachments: {names}")
     if found.statistics is not None:
         last = found.statistics
         print(
@@ -87,17 +91,17 @@ def _show(found: Info) -> None:
             Column("outcome"),
         )
         spans = (
-            Row((f"{span.start:.2f}", span.name, f"{span.end - span.start:.2f}", span.outcome))
-            for span in recording.spans
+            Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
+            for s in recording.spans
         )
         Table(columns, tuple(spans)).show()
     for entry in recording.events:
         event = entry.value
         # Traces are the bytes of the buses: several in each tick.
         if event.kind != "trace":
-            print(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
+            said(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in recording.notes:
-        print(f"note: {note}")
+        said(f"note: {note}")
 
 
 @app.command()
@@ -282,7 +286,7 @@ def _show_check(found: Check, as_json: bool) -> None:
     from dataclasses import asdict
 
     if as_json:
-        print(json.dumps(asdict(found) | {"same": found.same}, indent=2))
+        print(to_json(asdict(found) | {"same": found.same}, indent=2))
     elif found.same:
         print(
             f"the same, bit for bit: {found.ticks} ticks, {found.goals} goals, "

@@ -131,15 +131,18 @@ class Installation:
                 system leads out of it.
         """
         states: dict[str, State] = {}
+        link = self._link(hand)
+        others = [link] if link.exists() and not link.is_symlink() else []
         for path, content in files.items():
             state = self._state(path, content)
             if state is None:
-                raise ConfigError(
-                    "is there already and not from `rtee deploy`; move it away first",
-                    path=self._place(path),
-                )
-            states[path] = state
-        link = self._link(hand)
+                others.append(self._place(path))
+            else:
+                states[path] = state
+        if others:
+            raise ConfigError(
+                "is there already and not from `rtee deploy`; move it away first", path=others[0]
+            )
         states[f"{WANTS}/{link.name}"] = State.SAME if link.is_symlink() else State.NEW
         return states
 

@@ -21,6 +21,7 @@ Table = dict[str, Column]
 """Column names to columns, all of one length."""
 
 _WIDE = ("position", "velocity", "effort")
+_LARGEST = 2**63 - 1  # largest number of 64 bits with a sign
 
 
 def _series(series: JointSeries) -> Table:
@@ -49,7 +50,9 @@ def _column(values: Sequence[Any]) -> Column:
     if all(isinstance(value, bool) for value in values):
         return np.array(values, dtype=bool)
     if all(isinstance(value, int) for value in values):
-        return np.array(values, dtype=np.int64)
+        # Counters and numbers of ticks are 64 bits without a sign.
+        large = any(value > _LARGEST for value in values)
+        return np.array(values, dtype=np.uint64 if large else np.int64)
     numbers = [value for value in values if value is not None]
     if numbers and all(isinstance(value, (int, float)) for value in numbers):
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -155,8 +155,11 @@ def test_what_was_changed_by_hand_stays(root: Path, hand: Path) -> None:
     assert not (root / UNIT[1:]).exists()
 
 
-def test_the_files_of_others_are_not_touched(root: Path, hand: Path) -> None:
-    place = root / UNIT[1:]
+@pytest.mark.parametrize(
+    "path", [UNIT, "/etc/systemd/system/multi-user.target.wants/rtee@jaw.service"]
+)
+def test_the_files_of_others_are_not_touched(root: Path, hand: Path, path: str) -> None:
+    place = root / path[1:]
     place.parent.mkdir(parents=True)
     place.write_text("# somebody's\n")
     before = tree(root)

@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 import rtee
-from log.samples import BEGIN, RATE, Log, recorded, settings, tick
+from log.samples import BEGIN, COMMAND, RATE, STATISTICS, STATUS, Log, recorded, settings, tick
 from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
@@ -35,6 +35,7 @@ from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
 from rtee.log.tables import TABLES, tables
 from rtee.loop.settings import LoopSettings
+from rtee.types import Event, Goal
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +180,18 @@ def test_rows_by_finger(recording: Recording) -> None:
     assert [row.title for row in by_finger.rows] == ["two", "several fingers"]
 
 
+def test_the_largest_numbers_are_exported(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(replace(COMMAND, tick=2**64 - 1), log.time.now)
+    log.writer.item(replace(STATUS, exchanges=2**63), log.time.now)
+    log.writer.close()
+    made = tables(read(tmp_path / "logs"))
+    assert made["commands"]["tick"].tolist() == [2**64 - 1]
+    assert made["device_status"]["exchanges"].tolist() == [2**63]
+    assert made["device_status"]["errors"].dtype == np.int64
+
+
 def test_thinning_keeps_every_peak() -> None:
     t = np.arange(100_000.0)
     values = np.sin(t / 500)
@@ -280,6 +293,34 @@ def test_log_info(story: Path) -> None:
     assert "mark: look here" in out
     status, out = run("info", story, "--json")
     assert json.loads(out)["hand"] == "claw"
+
+
+def test_texts_of_a_recording_do_not_command_the_terminal(claw: Hand, tmp_path: Path) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(Goal("Trig\x1b[8m"), log.time.now)
+    log.writer.item(Event("mark", "user", "\x1b[2Jgone\nnote: all is well", 0.0), log.time.now)
+    log.writer.close()
+    _, out = run("info", tmp_path / "logs")
+    assert r"mark: \x1b[2Jgone\nnote: all is well" in out
+    assert r"Trig\x1b[8m" in out
+    assert "\x1b" not in out
+
+
+def test_json_of_a_recording_has_no_number_that_json_does_not_know(
+    claw: Hand, tmp_path: Path
+) -> None:
+    log = Log(claw, settings(tmp_path / "logs"))
+    log.run(0, 2)
+    log.writer.item(replace(STATISTICS, lateness_p99=np.nan, lateness_max=np.inf), log.time.now)
+    log.writer.close()
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is not JSON")
+
+    _, out = run("info", tmp_path / "logs", "--json")
+    loop = json.loads(out, parse_constant=refuse)["loop"]
+    assert (loop["lateness_p99"], loop["lateness_max"]) == (None, None)
 
 
 def test_log_plot_and_export(story: Path, tmp_path: Path) -> None:
