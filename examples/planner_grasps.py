@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, RteeError
 from rtee.hand.load import hand_folder, load_hand
 from rtee.planning.gripper_poses import (
     from_base_poses,
@@ -99,4 +99,7 @@ def main(name: str = "schunk_svh") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    try:
+        main(*sys.argv[1:2])
+    except RteeError as error:
+        sys.exit(f"planner_grasps: {error}")

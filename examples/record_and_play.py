@@ -6,6 +6,7 @@ python examples/record_and_play.py play wave.csv
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
 import sys
@@ -13,6 +14,7 @@ import time
 from pathlib import Path
 
 import rtee
+from rtee.errors import RteeError
 from rtee.teleop.drive import rate_of, recorded
 
 RATE = 50.0
@@ -48,4 +50,11 @@ def play(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    {"record": record, "play": play}[sys.argv[1]](Path(sys.argv[2]))
+    parser = argparse.ArgumentParser(description="Record a stream from Python and play it again.")
+    parser.add_argument("what", choices=["record", "play"])
+    parser.add_argument("file", type=Path, help="the table; for play also a recording")
+    args = parser.parse_args()
+    try:
+        {"record": record, "play": play}[args.what](args.file)
+    except (RteeError, OSError) as error:
+        sys.exit(f"record_and_play: {error}")
