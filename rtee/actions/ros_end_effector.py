@@ -36,6 +36,7 @@ from rtee.actions.types import (
     Timed,
 )
 from rtee.errors import ActionError, suggestion
+from rtee.hand.files import reason
 from rtee.hand.model import Hand
 from rtee.hand.names import safe_name
 from rtee.hand.yamlfile import Location, YamlDocument
@@ -174,9 +175,13 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     """Read all action files of ROS End-Effector in a folder and those below it.
 
     Raises:
-        ActionError: if there are none, or for a mistake in one, with file and line.
+        ActionError: if there are none, if the folder cannot be searched, or for a mistake in one,
+            with file and line.
     """
-    paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
+    try:
+        paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
+    except OSError as error:  # such as of a process that has ended below /proc
+        raise ActionError(f"cannot be searched: {reason(error)}", path=folder) from None
     reader = _Reader(hand)
     entries: list[_Found] = []
     for path in paths:

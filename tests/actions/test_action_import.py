@@ -357,3 +357,14 @@ def test_damaged_files_end_in_an_error_of_ours_or_none(
 def test_numbers_of_states_may_have_leading_zeros(hand: Hand, tmp_path: Path) -> None:
     (tmp_path / "trig.yaml").write_text(trig("index", 0.5).replace("State_1:", "State_01:"))
     assert [action.name for action in import_folder(hand, tmp_path).actions] == ["Trig"]
+
+
+def test_a_folder_that_cannot_be_searched_is_named(
+    hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(self: Path, pattern: str) -> list[Path]:
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(Path, "rglob", failing)
+    with pytest.raises(ActionError, match="cannot be searched: invalid argument"):
+        import_folder(hand, tmp_path)
