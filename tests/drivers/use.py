@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, TypeVar
@@ -57,3 +59,14 @@ def lose(wire: Any, wanted: Callable[[bytes], bool], length: Callable[[bytes], i
 
     wire.receive = received
     return lost
+
+
+def set_id_command(*words: str, status: int = 0) -> str:
+    """Run `rtee set-id` and return what it says; asserts its exit status."""
+    run = subprocess.run(
+        [sys.executable, "-m", "rtee", "set-id", *words],
+        capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert run.returncode == status, run.stdout + run.stderr
+    assert "Traceback" not in run.stderr
+    return run.stdout + run.stderr

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import pytest
@@ -16,6 +14,7 @@ from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
 from rtee.drivers.dynamixel.identity import set_id
 from rtee.drivers.dynamixel.servo import Servo
 from rtee.errors import ConfigError, NotConnected
+from tests.drivers.use import set_id_command
 
 pytestmark = pytest.mark.anyio
 
@@ -90,26 +89,18 @@ async def test_what_cannot_be_done_is_told_and_changes_nothing() -> None:
     assert [servo.number for servo in servos.ordered] == [1, 2]
 
 
-def command(*words: str, status: int = 0) -> str:
-    run = subprocess.run(
-        [sys.executable, "-m", "rtee", "set-id", *words],
-        capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert run.returncode == status, run.stdout + run.stderr
-    assert "Traceback" not in run.stderr
-    return run.stdout + run.stderr
-
-
 def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
     servos = line(1)
     with SimulatedLine([servos], wire_time=False) as wire:
-        assert command("4", "--port", wire.address) == "XL330-M288: 1 is now 4\n"
-        said = command("5", "--port", wire.address, "--from", "4", "--new-baudrate", "4000000")
+        assert set_id_command("4", "--port", wire.address) == "XL330-M288: 1 is now 4\n"
+        said = set_id_command(
+            "5", "--port", wire.address, "--from", "4", "--new-baudrate", "4000000"
+        )
         assert said == "XL330-M288: 4 is now 5, at 4000000 baud\n"
-        assert "has the id 5 already" in command("5", "--port", wire.address, status=2)
-        said = command("253", "--port", wire.address, status=2)
+        assert "has the id 5 already" in set_id_command("5", "--port", wire.address, status=2)
+        said = set_id_command("253", "--port", wire.address, status=2)
         assert "the largest id of a dynamixel servo is 252" in said
         only = ("--port", wire.address, "--family", "feetech")
-        assert "there is no servo" in command("6", *only, status=2)
+        assert "there is no servo" in set_id_command("6", *only, status=2)
     assert servos.ordered[0].number == 5
     assert servos.ordered[0].get(table.BAUD_RATE) == 6

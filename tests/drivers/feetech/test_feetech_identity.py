@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 
 from rtee.buses.faults import Faults
@@ -16,6 +13,7 @@ from rtee.drivers.feetech.identity import recognise, set_id
 from rtee.drivers.feetech.servo import ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, FamilyName
 from rtee.errors import ConfigError, DriverError, NotConnected
+from tests.drivers.use import set_id_command
 
 pytestmark = pytest.mark.anyio
 
@@ -64,37 +62,27 @@ async def test_what_cannot_be_done_is_told_and_changes_nothing() -> None:
                 await set_id(pool, wire.address, 1_000_000, 1, 3)
 
 
-def command(*words: str, status: int = 0) -> str:
-    run = subprocess.run(
-        [sys.executable, "-m", "rtee", "set-id", *words],
-        capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert run.returncode == status, run.stdout + run.stderr
-    assert "Traceback" not in run.stderr
-    return run.stdout + run.stderr
-
-
 def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
     servos = line("scs", (1,))
     with SimulatedLine([servos], wire_time=False) as wire:
-        assert command("4", "--port", wire.address) == "SCS0009: 1 is now 4\n"
-        assert "has the id 4 already" in command("4", "--port", wire.address, status=2)
+        assert set_id_command("4", "--port", wire.address) == "SCS0009: 1 is now 4\n"
+        assert "has the id 4 already" in set_id_command("4", "--port", wire.address, status=2)
     assert servos.ordered[0].number == 4
     with SimulatedLine([line("scs", (1, 2))], wire_time=False) as wire:
-        text = command("4", "--port", wire.address, status=2)
+        text = set_id_command("4", "--port", wire.address, status=2)
         assert f"there are servos 1, 2 at {wire.address}: plug in one alone" in text
-        assert command("4", "--port", wire.address, "--from", "2") == "SCS0009: 2 is now 4\n"
+        assert set_id_command("4", "--port", wire.address, "--from", "2") == "SCS0009: 2 is now 4\n"
     with SimulatedLine([], wire_time=False) as wire:
-        text = command("4", "--port", wire.address, status=2)
+        text = set_id_command("4", "--port", wire.address, status=2)
         assert f"there is no servo at {wire.address} (feetech at 1000000 baud, dynamixel" in text
-        text = command("4", "--port", wire.address, "--from", "2", status=1)
+        text = set_id_command("4", "--port", wire.address, "--from", "2", status=1)
         assert "no servo 2 answers (feetech at" in text
-        assert "--baudrate is one of" in command(
+        assert "--baudrate is one of" in set_id_command(
             "4", "--port", wire.address, "--baudrate", "9601", status=2
         )
     with SimulatedLine([line("scs", (1,))], wire_time=False) as wire:
-        text = command(
+        text = set_id_command(
             "4", "--port", wire.address, "--from", "1", "--new-baudrate", "1000000", status=2
         )
         assert "Feetech servos keep theirs" in text
-    command("254", "--port", "/dev/null", status=2)
+    set_id_command("254", "--port", "/dev/null", status=2)
