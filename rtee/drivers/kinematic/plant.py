@@ -55,26 +55,36 @@ class Plant:
             full_effort_at: Distance behind the target that gives full effort [rad | m].
             powered: Whether the motor is on; else it stays and exerts nothing.
         """
+        before, target = self.position, self.target
         # Most actuators rest in most cycles, and at rest only an object takes effort.
-        if not powered or (self.obstacle is None and self.target == self.position):
+        if not powered or (target == before and self.obstacle is None):
             self.velocity = self.effort = 0.0
             return
-        most = min(self.spec.velocity, self.max_velocity) * dt
-        before = self.position
-        moved = min(max((self.target - before) * follow, -most), most)
-        if abs(self.target - before) < _NEAR:  # a lag approaches its target and never reaches it
-            moved = self.target - before
-        after = min(max(before + moved, self.spec.lower), self.spec.upper)
-        after = self._stopped(before, after)
+        # Run for each actuator at each tick of a motion, so min() and max() are written out.
+        spec, gap = self.spec, target - before
+        most = dt * (self.max_velocity if self.max_velocity < spec.velocity else spec.velocity)
+        moved = gap * follow
+        if -_NEAR < gap < _NEAR:  # a lag approaches its target and never reaches it
+            moved = gap
+        elif moved > most:
+            moved = most
+        elif moved < -most:
+            moved = -most
+        after = before + moved
+        if after < spec.lower:
+            after = spec.lower
+        if after > spec.upper:
+            after = spec.upper
+        self.effort = 0.0
+        if self.obstacle is not None:
+            after = self._stopped(before, after)
+            push = target - after
+            if after == self.obstacle and push:
+                most_effort = min(self.rating, self.max_effort)
+                effort = min(self.rating * abs(push) / full_effort_at, most_effort)
+                self.effort = math.copysign(effort, push)
         self.position = after
         self.velocity = (after - before) / dt
-        push = self.target - after
-        if self.obstacle is not None and after == self.obstacle and push:
-            most_effort = min(self.rating, self.max_effort)
-            effort = min(self.rating * abs(push) / full_effort_at, most_effort)
-            self.effort = math.copysign(effort, push)
-        else:
-            self.effort = 0.0
 
     def _stopped(self, before: float, after: float) -> float:
         at = self.obstacle
