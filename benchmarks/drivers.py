@@ -36,11 +36,13 @@ import statistics
 import time
 from collections.abc import Callable
 
+import anyio
 from common import Table, command_line
 from devices import as_the_loop, cases, whole_hands
 from farend import ApartPool
 from matrix import matrix
 
+from rtee.loop.realtime import backend_options
 from rtee.testing import DeviceCase, Session
 from rtee.types import Reference
 
@@ -149,7 +151,9 @@ def main() -> None:
         for name, case in whole_hands(devices, arguments.only).items():
             if case.driver in STREAMS:
                 continue
-            table.row(name, *asyncio.run(_row(case, arguments.seconds)))
+            table.row(
+                name, *anyio.run(_row, case, arguments.seconds, backend_options=backend_options())
+            )
     if not arguments.no_matrix:
         wanted = [name for name in devices if not arguments.only or arguments.only in name]
         matrix(wanted, arguments.cycles, arguments.rounds, arguments.jobs)

@@ -14,6 +14,7 @@ import anyio.to_thread
 import zenoh
 from witness import child
 
+from rtee.loop.realtime import backend_options
 from rtee.remote.server import Server
 from rtee.remote.session import direct, open_server
 from rtee.run import RunOptions, run_hands
@@ -53,7 +54,7 @@ def serve(
 
             await run_hands([hand], options, serve=server, until=until, say=said)
 
-    anyio.run(main)
+    anyio.run(main, backend_options=backend_options())
 
 
 def echo(answer: Callable[[], bytes] = bytes) -> None:

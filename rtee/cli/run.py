@@ -130,6 +130,7 @@ def run(
     import anyio
 
     from rtee.errors import ConfigError
+    from rtee.loop.realtime import backend_options
     from rtee.run import RunOptions, run_hands
 
     check_files()
@@ -160,4 +161,4 @@ def run(
     async def main() -> int:
         return await run_hands(hands, options, say=lambda line: print(line, flush=True))
 
-    raise typer.Exit(anyio.run(main))
+    raise typer.Exit(anyio.run(main, backend_options=backend_options()))

@@ -16,6 +16,14 @@ from rtee.loop.clock import Clock, ManualClock, Tick, ticking
 pytestmark = pytest.mark.anyio
 
 
+@pytest.fixture(params=[False, True], ids=["asyncio", "uvloop"])
+def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, bool]]:
+    """Run the tests with both event loops that `rtee run` chooses from."""
+    if request.param:
+        pytest.importorskip("uvloop")
+    return "asyncio", {"use_uvloop": request.param}
+
+
 async def take(clock: Clock | ManualClock, count: int) -> list[Tick]:
     found: list[Tick] = []
     async with ticking(clock) as ticks:

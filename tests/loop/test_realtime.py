@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import os
 import re
@@ -10,11 +11,13 @@ import sys
 import time
 from pathlib import Path
 
+import anyio
 import pytest
 
 from rtee.buses.timing import SLICE
+from rtee.errors import ConfigError
 from rtee.hand.config_schema import RealtimeSettings
-from rtee.loop.realtime import Collector, favoured_session
+from rtee.loop.realtime import EVENT_LOOP, Collector, backend_options, favoured_session
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
@@ -42,6 +45,33 @@ def test_without_real_time_only_short_slices_are_asked_for() -> None:
     assert (nothing, same) == ("[]", "True")
     kernel = tuple(int(part) for part in re.findall(r"\d+", os.uname().release)[:2])
     assert policy == f"True {SLICE if kernel >= (6, 12) else 0}"
+
+
+async def running_loop() -> str:
+    return type(asyncio.get_running_loop()).__module__.partition(".")[0]
+
+
+def test_a_run_uses_uvloop_where_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("uvloop")
+    monkeypatch.delenv(EVENT_LOOP, raising=False)
+    assert anyio.run(running_loop, backend_options=backend_options()) == "uvloop"
+    monkeypatch.setenv(EVENT_LOOP, "asyncio")
+    assert anyio.run(running_loop, backend_options=backend_options()) == "asyncio"
+
+
+def test_without_uvloop_a_run_uses_asyncio(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(EVENT_LOOP, raising=False)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert anyio.run(running_loop, backend_options=backend_options()) == "asyncio"
+    monkeypatch.setenv(EVENT_LOOP, "uvloop")
+    with pytest.raises(ConfigError, match=r"uvloop is not installed; pip install 'rtee\[fast\]'"):
+        backend_options()
+
+
+def test_other_event_loops_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(EVENT_LOOP, "trio")
+    with pytest.raises(ConfigError, match="RTEE_EVENT_LOOP must be asyncio or uvloop, not 'trio'"):
+        backend_options()
 
 
 def test_what_is_not_permitted_is_a_warning_that_says_what_to_configure() -> None:

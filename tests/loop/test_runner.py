@@ -14,6 +14,14 @@ from rtee.loop.runner import Runner
 pytestmark = pytest.mark.anyio
 
 
+@pytest.fixture(params=[False, True], ids=["asyncio", "uvloop"])
+def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, bool]]:
+    """Run the tests with both event loops that `rtee run` chooses from."""
+    if request.param:
+        pytest.importorskip("uvloop")
+    return "asyncio", {"use_uvloop": request.param}
+
+
 class Time:
     """A clock that is moved by hand."""
 
