@@ -12,6 +12,8 @@ _MAPS = Path("/proc/self/maps")
 _MCL_CURRENT = 1  # mlockall: pages that are mapped now (sys/mman.h)
 _MCL_FUTURE = 2  # mlockall: pages that will be mapped
 _MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
+_M_MMAP_THRESHOLD = -3  # mallopt: larger blocks are the system's (malloc.h)
+_LARGE = 128 * 1024  # from this size on [byte]: what glibc begins with
 _MADV_DONTNEED = 4  # madvise: the pages are not needed now (sys/mman.h)
 
 
@@ -59,6 +61,9 @@ def give_memory_back() -> None:
     library = ctypes.CDLL(None, use_errno=True)
     if hasattr(library, "malloc_trim"):  # glibc's; other libraries give back by themselves
         library.malloc_trim(ctypes.c_size_t(0))
+        # Left to itself, glibc takes the first large block that is freed for a sign that many will
+        # come, and from then on keeps up to twice its size for ever.
+        library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
     library.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     for access, first, size in _files():
         # Code alone: nothing has been written into it that would be lost.
