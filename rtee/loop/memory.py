@@ -12,8 +12,9 @@ _MAPS = Path("/proc/self/maps")
 _MCL_CURRENT = 1  # mlockall: pages that are mapped now (sys/mman.h)
 _MCL_FUTURE = 2  # mlockall: pages that will be mapped
 _MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
-_M_MMAP_THRESHOLD = -3  # mallopt: larger blocks are the system's (malloc.h)
-_LARGE = 128 * 1024  # from this size on [byte]: what glibc begins with
+_M_TRIM_THRESHOLD = -1  # mallopt: more free memory than this is given back (malloc.h)
+_M_MMAP_THRESHOLD = -3  # mallopt: larger blocks are mapped each for itself
+_LARGE = 128 * 1024  # both of these [byte]: what glibc begins with
 _MADV_DONTNEED = 4  # madvise: the pages are not needed now (sys/mman.h)
 
 
@@ -50,11 +51,12 @@ def _lock_programs(library: ctypes.CDLL) -> None:
 
 
 def give_memory_back() -> None:
-    """Give back the memory that only the start needed; a process that locks it must not do this.
+    """Give back memory that only the start needed, and from now on what is freed.
 
-    The code of a start is code of libraries, of which Linux maps 64 kB around each instruction that
-    is met first: three times as much as what runs afterwards. Those pages stay in the system's
-    cache of files, from where what is used comes back within microseconds.
+    A process that locks its memory must not do this. The code of a start is code of libraries, of
+    which Linux maps 64 kB around each instruction that is met first: three times as much as what
+    runs afterwards. Those pages stay in the system's cache of files, from where what is used comes
+    back within microseconds.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -63,7 +65,8 @@ def give_memory_back() -> None:
         library.malloc_trim(ctypes.c_size_t(0))
         # Left to itself, glibc takes the first large block that is freed for a sign that many will
         # come, and from then on keeps up to twice its size for ever.
-        library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
+        for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+            library.mallopt(threshold, _LARGE)
     library.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     for access, first, size in _files():
         # Code alone: nothing has been written into it that would be lost.
