@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 _MAPS = Path("/proc/self/maps")
+_DETAILS = Path("/proc/self/smaps")
+_AREA = re.compile(
+    r"^([0-9a-f]+)-([0-9a-f]+) r-[x-]p \S+ \S+ \d+ +/.*\n((?:[A-Z].*\n)+)", re.MULTILINE
+)
+_WRITTEN = re.compile(r"^(?:Anonymous|Swap): +(\d+) kB", re.MULTILINE)
 _MCL_CURRENT = 1  # mlockall: pages that are mapped now (sys/mman.h)
 _MCL_FUTURE = 2  # mlockall: pages that will be mapped
 _MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
@@ -68,10 +75,21 @@ def give_memory_back() -> None:
         for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
             library.mallopt(threshold, _LARGE)
     library.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
-    for access, first, size in _files():
-        # Code alone: nothing has been written into it that would be lost.
-        if access == "r-xp":
-            library.madvise(first, size, _MADV_DONTNEED)
+    for first, size in _unchanged_files():
+        library.madvise(first, size, _MADV_DONTNEED)
+
+
+def _unchanged_files() -> Iterator[tuple[int, int]]:
+    """Yield where files are mapped to be read: code and constants; address and size [byte].
+
+    Not where something was written since they were mapped, which would be lost: libraries hold
+    addresses that are filled in as they are loaded, and then protected.
+    """
+    with contextlib.suppress(OSError):  # a kernel that does not tell
+        for first, behind, details in _AREA.findall(_DETAILS.read_text()):
+            written = _WRITTEN.findall(details)
+            if written and not any(map(int, written)):
+                yield int(first, 16), int(behind, 16) - int(first, 16)
 
 
 def _files() -> Iterator[tuple[str, int, int]]:

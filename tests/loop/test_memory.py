@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -47,3 +48,29 @@ def test_what_only_the_start_needed_is_given_back_and_comes_again_when_used() ->
     assert less_code < code / 2
     assert less_own < own - 15_000, "20 MB were freed"
     assert (kept, same) == ("True", "True")
+
+
+_WRITTEN = r"""
+import ctypes
+import mmap
+from pathlib import Path
+from rtee.loop.memory import give_memory_back
+
+file = Path({file!r})
+file.write_bytes(b"file" * mmap.PAGESIZE)
+with file.open("rb") as opened:
+    areas = [mmap.mmap(opened.fileno(), 0, mmap.MAP_PRIVATE, 3) for _ in range(2)]
+areas[0][:4] = b"mine"  # as a library's table of addresses, which is then protected
+print(areas[1][:4].decode())
+for area in areas:
+    address = ctypes.addressof(ctypes.c_char.from_buffer(area))
+    assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(address), ctypes.c_size_t(len(area)), 1) == 0
+give_memory_back()
+print(*(area[:4].decode() for area in areas))
+"""
+
+
+def test_what_was_written_into_a_mapped_file_stays(tmp_path: Path) -> None:
+    code = _WRITTEN.format(file=str(tmp_path / "mapped"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["file", "mine", "file"]
