@@ -38,6 +38,7 @@ HELP = {
     "every": "print every pinch, not only those that differ",
     "rounds": "how often everything is measured, by turns",
     "seconds": "length of each measurement [s]",
+    "slow": "how much longer a flush to the disk takes in an overload [s]",
     "still": "motion is more than this [rad | m]",
     "tries": "how often each command is given",
     "warm": "time before anything is measured [s]",

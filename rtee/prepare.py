@@ -12,6 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.resting import pinch_at_rest
 from rtee.actions.types import Primitive
 from rtee.drivers.objects import between_fingers
+from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig, read_document
@@ -196,5 +197,4 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
 
 
 def _homes(spec: DeviceSpec) -> bool:
-    options = find_driver(spec.driver, source=spec.source).Options
-    return options is not None and "home" in options.model_fields
+    return "home" in default_options(find_driver(spec.driver, source=spec.source).Options)

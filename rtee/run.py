@@ -21,6 +21,7 @@ from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
 from rtee.loop.handloop import HandLoop
+from rtee.loop.memory import give_memory_back
 from rtee.loop.realtime import (
     Collector,
     affinity,
@@ -130,6 +131,8 @@ async def run_hands(
         stack.callback(sys.setswitchinterval, share_the_interpreter())
         collector.start()
         stack.callback(collector.stop)
+        if not realtime.enabled:  # else no tick may wait for a page that was given back
+            give_memory_back()
         try:
             await _run(running, options, collector, until, signals, cpus, service)
         finally:

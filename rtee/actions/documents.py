@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import typing
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from annotated_types import Ge, Len
 
 from rtee.actions.build import (
     Find,
@@ -38,36 +38,28 @@ from rtee.actions.types import (
 )
 from rtee.errors import ActionError, UserError, suggestion
 from rtee.hand.model import Hand
+from rtee.hand.validation import Check, Invalid, field_types, known_keys, validated
 from rtee.hand.yamlfile import Location, YamlDocument, parse_yaml, read_text
 
 WHAT = "the file of actions"
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Names = Annotated[tuple[str, ...], Strict(False)]
-Pair = Annotated[tuple[str, str], Strict(False)]
-Depth = Annotated[tuple[str, str, Amount], Strict(False)]
-Vector = Annotated[tuple[Number, ...], Strict(False), Field(min_length=3, max_length=3)]
-Angles = Annotated[tuple[Number, ...], Strict(False), Field(min_length=2, max_length=2)]
-SetPoints = Annotated[dict[str, Number], Field(min_length=1)]
+Amount = Annotated[float, Ge(0)]
+Names = tuple[str, ...]
+Vector = Annotated[tuple[float, ...], Len(3, 3)]
+Angles = Annotated[tuple[float, ...], Len(2, 2)]
+SetPoints = Annotated[dict[str, float], Len(1)]
 
 
-class Entry(BaseModel):
-    """A mapping in a file of actions: no other keys, and no value is converted."""
-
-    # Built when first used: a hand with primitives alone needs none of the others at its start.
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
-
-
-E = TypeVar("E", bound=Entry)
-M = TypeVar("M", bound=BaseModel)
-Some = Annotated[tuple[E, ...], Strict(False), Field(min_length=1)]
+E = TypeVar("E")
+T = TypeVar("T")
+Some = Annotated[tuple[E, ...], Len(1)]
 
 
 # --- primitives ------------------------------------------------------------------------------
 
 
-class OppositionEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class OppositionEntry:
     """How well contact forces oppose each other; see `Opposition`."""
 
     angles: Angles
@@ -75,7 +67,8 @@ class OppositionEntry(Entry):
     friction: Amount = 0.5
 
 
-class EvidenceEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class EvidenceEntry:
     """What the extraction found at a posture; see `Evidence`."""
 
     depth: Amount = 0.0
@@ -87,26 +80,29 @@ class EvidenceEntry(Entry):
     clear: bool = True
     path_clear: bool = True
     clearance: Amount | None = None
-    colliding: Annotated[tuple[Pair, ...], Strict(False)] = ()
-    pairs: Annotated[tuple[Depth, ...], Strict(False)] = ()
+    colliding: tuple[tuple[str, str], ...] = ()
+    pairs: tuple[tuple[str, str, Amount], ...] = ()
     opposition: OppositionEntry | None = None
 
     def evidence(self) -> Evidence:
         """Return the evidence."""
-        found: dict[str, Any] = dict(self)
+        found: dict[str, Any] = {name: getattr(self, name) for name in field_types(EvidenceEntry)}
         if self.opposition is not None:
-            found["opposition"] = Opposition(**dict(self.opposition))
+            known = field_types(OppositionEntry)
+            found["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
         return Evidence(**found)
 
 
-class PostureEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class PostureEntry:
     """A posture of a primitive, and what is known of it."""
 
     set_points: SetPoints
     evidence: EvidenceEntry | None = None
 
 
-class PrimitiveEntry(Entry):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrimitiveEntry:
     """A primitive with its ranked postures."""
 
     elements: Names
@@ -114,11 +110,12 @@ class PrimitiveEntry(Entry):
     postures: Some[PostureEntry]
 
 
-class PrimitivesDocument(Entry):
+@dataclass(frozen=True, slots=True)
+class PrimitivesDocument:
     """A file of all primitives of one name."""
 
     kind: str
-    primitives: Annotated[tuple[PrimitiveEntry, ...], Strict(False)]
+    primitives: tuple[PrimitiveEntry, ...]
 
 
 def read_primitives(hand: Hand, path: Path) -> list[Primitive]:
@@ -128,7 +125,7 @@ def read_primitives(hand: Hand, path: Path) -> list[Primitive]:
         ActionError: for every mistake, with file and line.
     """
     document = read_document(path)
-    found = validated(PrimitivesDocument, document)
+    found = read_as(PrimitivesDocument, document)
     with located(document, ("kind",)):
         kind, count = _primitive_kind(found.kind)
     return [
@@ -215,7 +212,7 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
     """Return evidence as plain data, without what is not known."""
-    found = {name: getattr(evidence, name) for name in EvidenceEntry.model_fields}
+    found = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
     return {name: _plain(value) for name, value in found.items() if value not in (None, ())}
 
 
@@ -228,14 +225,15 @@ def _plain(value: Any) -> Any:
         case tuple():
             return [_plain(item) for item in value]
         case Opposition():
-            return {name: _plain(getattr(value, name)) for name in OppositionEntry.model_fields}
+            return {name: _plain(getattr(value, name)) for name in field_types(OppositionEntry)}
     return float(value)
 
 
 # --- composed, timed and generic actions -----------------------------------------------------
 
 
-class UseEntry(Entry):
+@dataclass(frozen=True, slots=True)
+class UseEntry:
     """A part of a composed action."""
 
     action: str
@@ -248,6 +246,7 @@ class UseEntry(Entry):
         return ActionReference(self.action, self.elements, self.scale)
 
 
+@dataclass(frozen=True, slots=True)
 class StepEntry(UseEntry):
     """An inner action of a timed one."""
 
@@ -256,13 +255,8 @@ class StepEntry(UseEntry):
     after: Amount = 0.0
 
 
-def _custom_name(name: str) -> str:
-    if isinstance(name, str):
-        check_custom_name(name)
-    return name
-
-
-class CustomDocument(Entry):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CustomDocument:
     """A file of one composed, timed or generic action.
 
     Attributes:
@@ -271,7 +265,7 @@ class CustomDocument(Entry):
 
     body: ClassVar[str]
 
-    name: Annotated[str, BeforeValidator(_custom_name)]
+    name: Annotated[str, Check(check_custom_name)]
     description: str = ""
 
     @abstractmethod
@@ -288,6 +282,7 @@ class CustomDocument(Entry):
         """Return what the file of an action holds besides its name and description."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ComposedDocument(CustomDocument):
     """A file of a composed action."""
 
@@ -314,6 +309,7 @@ class ComposedDocument(CustomDocument):
         return {"independent": action.independent, "parts": parts}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TimedDocument(CustomDocument):
     """A file of a timed action."""
 
@@ -342,6 +338,7 @@ class TimedDocument(CustomDocument):
         }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GenericDocument(CustomDocument):
     """A file of a generic action."""
 
@@ -404,53 +401,66 @@ def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[N
         raise ActionError(error.message, path=document.path, line=line) from None
 
 
-def validated(model: type[M], document: YamlDocument, at: Location = (), data: Any = None) -> M:
-    """Return the content of a document as a model.
-
-    Args:
-        model: The model.
-        document: The document.
-        at: Its location; the root of the document unless given.
-        data: The content there; the whole document unless given.
+def read_as(kind: type[T], document: YamlDocument) -> T:
+    """Return the content of a document as a dataclass.
 
     Raises:
         ActionError: for the first mistake in the file, with its line.
     """
     try:
-        return model.model_validate(document.data if data is None else data)
-    except ValidationError as errors:
-        found = [{**error, "loc": (*at, *error["loc"])} for error in errors.errors()]
-        location, error = document.located(found)[0]
-        with located(document, location):
-            raise ActionError(_sentence(model, location, error)) from None
+        return validated(kind, document.data)
+    except Invalid as error:
+        raise first_mistake(error.errors(), document, kind) from None
 
 
-def _sentence(model: type[BaseModel], location: Location, error: Mapping[str, Any]) -> str:
-    """Return a pydantic error in words."""
-    kind, value, limits = error["type"], error["input"], error.get("ctx", {})
+def first_mistake(
+    mistakes: Sequence[Mapping[str, Any]],
+    document: YamlDocument,
+    kind: Any = None,
+    at: Location = (),
+) -> ActionError:
+    """Return the error that comes first in a file, with its line.
+
+    Args:
+        mistakes: The errors, as `Invalid.errors` or pydantic's errors have them.
+        document: The file.
+        kind: The dataclass that the content was checked against, where unknown keys are refused.
+        at: Where that content is in the file; its root unless given.
+    """
+    found = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
+    location, mistake = document.located(found)[0]
+    words = _sentence(kind, location, mistake)
+    return ActionError(words, path=document.path, line=document.line(location))
+
+
+def _sentence(kind: Any, location: Location, error: Mapping[str, Any]) -> str:
+    """Return a mistake in words."""
+    what, value, limits = error["type"], error["input"], error.get("ctx", {})
     key = location[-1] if location else ""
-    if kind == "extra_forbidden":
-        return f"unknown key '{key}'; {suggestion(str(key), _keys(model, location[:-1]))}"
-    if kind == "missing":
+    if what == "extra_forbidden":
+        hint = suggestion(str(key), known_keys(kind, location[:-1]))
+        return f"unknown key '{key}'; {hint}"
+    if what == "missing":
         return f"{_called(location[:-1])} lacks the key '{key}'"
-    if kind == "value_error":
+    if what == "value_error":
         cause = limits["error"]
         return cause.message if isinstance(cause, UserError) else str(cause)
-    what = _called(location)
-    if error["loc"][-1:] == ("[key]",):  # pydantic's mark, which `location` leaves out
+    entry = _called(location)
+    if error["loc"][-1:] == ("[key]",):  # the mark of a wrong key, which `location` leaves out
         return f"the key {value} in {_called(location[:-1])} must be a name"
-    # An integer that is too large for a float is of the wrong type for pydantic.
-    if kind == "finite_number" or (kind == "float_type" and type(value) is int):
-        return f"{what} must be a finite number"
-    if kind == "greater_than_equal":
-        return f"{what} is {value:g}; it must be at least {limits['ge']:g}"
-    if kind in ("too_short", "too_long"):
+    # An integer that is too large for a float is of the wrong type.
+    if what == "finite_number" or (what == "float_type" and type(value) is int):
+        return f"{entry} must be a finite number"
+    if what == "greater_than_equal":
+        return f"{entry} is {value:g}; it must be at least {limits['ge']:g}"
+    if what in ("too_short", "too_long"):
         length = limits.get("min_length", limits.get("max_length"))
-        return f"{what} is empty" if not value else f"{what} must have {length} entries"
-    return f"{what} must be {_WANTED.get(kind, error['msg'])}, not {_kind(value)}"
+        return f"{entry} is empty" if not value else f"{entry} must have {length} entries"
+    return f"{entry} must be {_WANTED.get(what, error['msg'])}, not {_kind(value)}"
 
 
 _WANTED: Final = {
+    "dataclass_type": "a mapping",
     "model_type": "a mapping",
     "dict_type": "a mapping",
     "tuple_type": "a list",
@@ -458,7 +468,7 @@ _WANTED: Final = {
     "bool_type": "true or false",
     "float_type": "a number",
 }
-"""What is expected, by the type of pydantic's error."""
+"""What is expected, by the kind of mistake."""
 
 
 def _called(location: Location) -> str:
@@ -480,19 +490,3 @@ def _kind(value: Any) -> str:
         case list():
             return "a list"
     return "a mapping"
-
-
-def _keys(model: type[BaseModel], location: Location) -> list[str]:
-    """Return the keys that are allowed at a location."""
-    for part in location:
-        if isinstance(part, str):
-            model = next(_models(model.model_fields[part].annotation))
-    return list(model.model_fields)
-
-
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in an annotation."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for inner in typing.get_args(annotation):
-        yield from _models(inner)

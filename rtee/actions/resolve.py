@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtee.actions.documents import CUSTOM, CustomDocument, located, read_document, validated
+from rtee.actions.documents import CUSTOM, CustomDocument, located, read_as, read_document
 from rtee.actions.index import Index
 from rtee.actions.naming import normalise
 from rtee.actions.types import Action, ActionKind, Primitive
@@ -40,7 +40,7 @@ def read_definition(kind: ActionKind, path: Path) -> Definition:
         ActionError: for every mistake, with file and line.
     """
     document = read_document(path)
-    return Definition(validated(CUSTOM[kind], document), document)
+    return Definition(read_as(CUSTOM[kind], document), document)
 
 
 class Builder:

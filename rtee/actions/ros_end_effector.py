@@ -19,12 +19,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, RootModel
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    RootModel,
+    Strict,
+    ValidationError,
+)
 from pydantic.alias_generators import to_camel, to_pascal
 
 from rtee.actions.build import SLACK, StepPlan, full_posture, generic
 from rtee.actions.decompose import find_parts, scale_of
-from rtee.actions.documents import Amount, Names, Number, located, read_document, validated
+from rtee.actions.documents import first_mistake, located, read_document
 from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
@@ -58,6 +66,9 @@ _GENERIC, _COMPOSED, _TIMED = 1, 2, 3
 _EARLY = "the files of early versions have neither 'PrimitiveType' nor 'Type'"
 
 
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Names = Annotated[tuple[str, ...], Strict(False)]
 Counts = dict[str, Amount]
 """How often a joint takes part, by its name."""
 
@@ -124,6 +135,18 @@ class _Positions(RootModel[dict[str, Annotated[Number, BeforeValidator(_single)]
 M = TypeVar("M", bound=BaseModel)
 
 
+def _validated(model: type[M], document: YamlDocument, at: Location, data: Any) -> M:
+    """Return what a file holds at a location as a model.
+
+    Raises:
+        ActionError: for the first mistake in the file, with its line.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise first_mistake(error.errors(), document, at=at) from None
+
+
 @dataclass(frozen=True, slots=True)
 class _Found:
     """An action in a file.
@@ -143,7 +166,7 @@ class _Found:
         data: Any = self.data
         for part in at:
             data = data[part]
-        return validated(model, self.document, (self.key, *at), data)
+        return _validated(model, self.document, (self.key, *at), data)
 
     def joints(self, *at: str) -> tuple[Location, Joints]:
         """Return the positions of joints in a state, and their location."""
@@ -399,7 +422,7 @@ class _Reader:
         # Joints that are not the hand's may have any values, even ones that are not numbers.
         own = {name: value for name, value in joints.items() if name in actuators}
         values: dict[str, float] = {}
-        for name, value in validated(_Positions, found.document, at, own).root.items():
+        for name, value in _validated(_Positions, found.document, at, own).root.items():
             spec = self.hand.actuator(name)
             clamped = min(max(value, spec.lower), spec.upper)
             if name in involved and not math.isclose(clamped, value, abs_tol=SLACK):

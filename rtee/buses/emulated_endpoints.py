@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from rtee.buses.emulator import Emulator, EmulatorFactory
-from rtee.buses.link import Line
 
 if TYPE_CHECKING:
     from rtee.buses.ethercat import Ring
+    from rtee.buses.link import Line
     from rtee.buses.simulated import Simulation
     from rtee.buses.simulated_can import SimulatedCan
     from rtee.buses.zmq import Endpoints

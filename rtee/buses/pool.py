@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast
 from rtee.buses.bus import Bus, TraceHook
 from rtee.buses.emulated_endpoints import PlayedEnds
 from rtee.buses.emulator import Emulator, EmulatorFactory
-from rtee.buses.link import Line
 from rtee.errors import BusBusy
 
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from rtee.buses.canopen import CanopenBus
     from rtee.buses.dynamixel import DynamixelBus
     from rtee.buses.ethercat import EthercatBus
+    from rtee.buses.link import Line
     from rtee.buses.modbus import ModbusBus
     from rtee.buses.serial import SerialBus
     from rtee.buses.simulated import Simulation
@@ -102,6 +102,7 @@ class BusPool:
             BusBroken: if it cannot be opened.
             ConfigError: if the address is malformed.
         """
+        from rtee.buses.link import Line
         from rtee.buses.serial import SerialBus
 
         line = Line(baudrate, parity, stopbits)
@@ -125,6 +126,7 @@ class BusPool:
         Modbus TCP. Arguments and errors as for `serial`, ``behind`` and ``gap`` as for
         `ModbusBus`; on a shared line, the longest gap that a device asks for is kept.
         """
+        from rtee.buses.link import Line
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
@@ -147,6 +149,7 @@ class BusPool:
     ) -> DynamixelBus:
         """Return the Dynamixel line at a tty, connected. Arguments and errors as for `serial`."""
         from rtee.buses.dynamixel import DynamixelBus
+        from rtee.buses.link import Line
 
         line = Line(baudrate)
         return await self._on_line(DynamixelBus, port, line, owner, emulator)

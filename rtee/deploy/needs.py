@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import DRIVERS, find_driver
 from rtee.errors import ConfigError
 from rtee.prepare import PreparedHand
@@ -197,9 +198,8 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
     """
     if spec.driver not in DRIVERS:
         return dict(spec.options)
-    model = find_driver(spec.driver, source=spec.source).Options
-    fields = {} if model is None else model.model_fields
-    return {name: field.default for name, field in fields.items()} | dict(spec.options)
+    defaults = default_options(find_driver(spec.driver, source=spec.source).Options)
+    return defaults | dict(spec.options)
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:

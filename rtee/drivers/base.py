@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
@@ -12,9 +12,6 @@ from rtee.drivers.connection import Connection
 from rtee.object_description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
 
 
 class Driver(ABC):
@@ -25,7 +22,7 @@ class Driver(ABC):
     the methods of one driver one after the other, never two at once.
 
     Attributes:
-        Options: The pydantic model of its options in hand.yaml, or ``None`` to take any.
+        Options: Its options in hand.yaml: a pydantic model, or a dataclass; ``None`` takes any.
         spec: The device as configured.
         buses: The buses of this process; a driver asks it for the bus it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
@@ -35,7 +32,7 @@ class Driver(ABC):
         connection: Its bus from `configure` to `close`, for drivers that have one bus.
     """
 
-    Options: ClassVar[type[BaseModel] | None] = None
+    Options: ClassVar[type[Any] | None] = None
     doing: str = ""
     object_description: ObjectDescription | None = None
     connection: Connection[Any] | None = None

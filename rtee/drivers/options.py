@@ -6,7 +6,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rtee.errors import ConfigError, suggestion
+from rtee.drivers.plain_options import options_error
 from rtee.types import DeviceSpec
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -36,23 +36,4 @@ def read_options(model: type[O], spec: DeviceSpec) -> O:
     try:
         return model.model_validate(dict(spec.options))
     except ValidationError as error:
-        raise ConfigError(_sentence(model, spec, error), key=_key(spec, error)) from None
-
-
-def _key(spec: DeviceSpec, error: ValidationError) -> str:
-    where = ".".join(str(part) for part in error.errors()[0]["loc"])
-    return f"devices.{spec.name}.options.{where}"
-
-
-def _sentence(model: type[BaseModel], spec: DeviceSpec, error: ValidationError) -> str:
-    # One error at a time: a user corrects them one by one anyway.
-    first = error.errors()[0]
-    name = ".".join(str(part) for part in first["loc"]) or "options"
-    where = f"{spec.source}: " if spec.source else ""
-    if first["type"] == "extra_forbidden":
-        hint = suggestion(name, list(model.model_fields))
-        return f"{where}device '{spec.name}': unknown option '{name}'; {hint}"
-    if first["type"] == "missing":
-        return f"{where}device '{spec.name}': option '{name}' is missing"
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{where}device '{spec.name}': option '{name}': {message[:1].lower()}{message[1:]}"
+        raise options_error(error.errors(), model.model_fields, spec) from None

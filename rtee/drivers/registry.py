@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
 from rtee.buses.emulator import Emulator
@@ -109,6 +108,9 @@ def find_emulator(name: str) -> type[Emulator]:
 
 
 def _offered(group: str) -> Mapping[str, str]:
+    # Imported only here: it takes 1.5 MB, and most hands have drivers of rtee's.
+    from importlib.metadata import entry_points
+
     return {point.name: point.value for point in entry_points(group=group)}
 
 

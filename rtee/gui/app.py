@@ -18,6 +18,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
+from rtee.loop.memory import give_memory_back
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
 from rtee.remote.model import model_of
@@ -217,6 +218,7 @@ async def serve(
     # it comes every few minutes, not hours, and looks at less.
     gc.collect()
     gc.freeze()
+    give_memory_back()
     links = access.links(server.get_port())
     print(f"rtee: GUI at {links[Role.OPERATOR]}", flush=True)  # noqa: T201
     if Role.OBSERVER in links:

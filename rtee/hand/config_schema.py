@@ -1,8 +1,8 @@
 """The sections of ``hand.yaml``: their settings, with defaults, bounds and what they mean.
 
-They are plain dataclasses, which the loop, the recorder and the server use directly.
-`rtee.hand.config` checks with pydantic what is read from a file. The bounds are annotations that
-pydantic understands, and nothing here imports it: loops run without it.
+They are plain dataclasses, which the loop, the recorder and the server use directly; what is read
+from a file is checked against their types and bounds by `rtee.hand.validation`. The JSON schema for
+editors is made of them by pydantic, which nothing here imports: hands run without it.
 """
 
 from __future__ import annotations
@@ -33,30 +33,14 @@ class Section:
     """A part of hand.yaml: unknown keys, and numbers that are NaN or infinite, are refused."""
 
     __slots__ = ()
+    # For the JSON schema, which pydantic makes.
     __pydantic_config__: ClassVar[dict[str, Any]] = {
         "extra": "forbid",
-        "strict": True,
-        "allow_inf_nan": False,
         "use_attribute_docstrings": True,
     }
 
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
-        return _Converted().__get_pydantic_core_schema__(source, handler)
 
-
-class _Converted:
-    """Makes pydantic convert what YAML cannot express, though it is strict about all the rest.
-
-    A mapping becomes a section, a list a tuple, and a text a path.
-    """
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Callable[[Any], Any]) -> Any:
-        # Only this level: what is inside keeps being strict.
-        return {**handler(source), "strict": False}
-
-
-Names = Annotated[tuple[str, ...], _Converted()]
+Names = tuple[str, ...]
 
 
 class Word(StrEnum):
@@ -64,10 +48,8 @@ class Word(StrEnum):
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Callable[[Any], Any]) -> Any:
-        # As a schema of literals, so that errors list the words and the JSON schema has them.
-        words = {"type": "literal", "expected": [word.value for word in cls]}
-        made = {"type": "no-info", "function": cls}
-        return {"type": "function-after", "schema": words, "function": made}
+        # As a schema of literals, so that the JSON schema has the words.
+        return {"type": "literal", "expected": [word.value for word in cls]}
 
 
 class ProfileKind(Word):
@@ -200,7 +182,7 @@ class GraspSettings(Section):
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
     touch: NotNegative = 0.1
     """Force on a finger above which it touches [N], where a device measures it."""
-    on_contact: Annotated[OnContact, _Converted()] | None = None
+    on_contact: OnContact | None = None
     """What fingers do when they touch something, unless a goal says otherwise: ``stop`` where they
     are, ``hold`` there lightly, ``squeeze`` together once enough of them touch. Unless given, they
     close on with the effort limits until they stall."""
@@ -252,7 +234,7 @@ class RealtimeSettings(Section):
     """Ask for real-time scheduling (SCHED_FIFO)."""
     priority: Annotated[int, Interval(ge=1, le=99)] = 80
     """Its priority."""
-    cpus: Annotated[tuple[Annotated[int, Ge(0)], ...], _Converted()] = ()
+    cpus: tuple[Annotated[int, Ge(0)], ...] = ()
     """Processors the loop may run on; empty for all."""
     lock_memory: bool = True
     """Keep the process's memory from being swapped out."""
@@ -312,7 +294,7 @@ class ThermalSettings(Section):
 class LogSection(Section):
     """Recordings."""
 
-    directory: Annotated[Path, _Converted()] | None = None
+    directory: Path | None = None
     """Folder of the recordings, relative to the working directory; unless given, ``logs``. With
     ``rtee run --no-log`` or ``enabled: false`` faults are written only where a folder is given."""
     enabled: bool = True
@@ -343,7 +325,7 @@ class LogSection(Section):
 class SecuritySettings(Section):
     """Who may use the hand on a network."""
 
-    folder: Annotated[Path, _Converted()] | None = None
+    folder: Path | None = None
     """Folder with the certificates that ``rtee secure`` has made; unless given, where it makes
     them."""
     insecure: bool = False
@@ -404,8 +386,8 @@ class Ros2Settings(Section):
             )
 
 
-Vector = Annotated[tuple[float, float, float], _Converted()]
-Vectors = Annotated[tuple[Vector, ...], _Converted()]
+Vector = tuple[float, float, float]
+Vectors = tuple[Vector, ...]
 Cells = Annotated[int, Interval(ge=1, le=100)]
 
 
@@ -419,10 +401,10 @@ class TouchSection(Section):
     """Origin of its frame in the link's [m]."""
     rpy: Vector = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of its frame in the link's [rad]; z leads out of the surface."""
-    grid: Annotated[tuple[Cells, Cells], _Converted()] | None = None
+    grid: tuple[Cells, Cells] | None = None
     """Rows along x and columns along y of its taxels, which come row by row; the origin is in the
     middle."""
-    pitch: Annotated[tuple[Positive, Positive], _Converted()] = (0.004, 0.004)
+    pitch: tuple[Positive, Positive] = (0.004, 0.004)
     """Distance from row to row and from column to column [m]."""
     positions: Vectors = ()
     """Instead of ``grid``: the positions of the taxels in its frame [m], in their order. With

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -146,6 +145,9 @@ def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
         text: The URDF.
         addresses: Old address to new one; others stay.
     """
+    if not addresses:
+        return text
+    import html  # only here: it holds a large table, and not every hand has meshes
 
     def replaced(match: re.Match[str]) -> str:
         new = addresses.get(html.unescape(match[3]).strip())

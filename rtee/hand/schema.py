@@ -14,12 +14,20 @@ SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
 
 def hand_schema() -> dict[str, Any]:
     """Return the JSON schema of ``hand.yaml``."""
-    from rtee.hand.config import HandConfig
+    from pydantic import TypeAdapter
 
-    schema = HandConfig.model_json_schema()
+    from rtee.hand.config import DynamicsSection, HandConfig, LimitsSection
+
+    schema = TypeAdapter(HandConfig).json_schema()
     # pydantic does not find the docstrings of the fields that a dataclass inherits.
     inherited = schema["$defs"][DefaultLimits.__name__]["properties"]
     schema["$defs"][ActuatorLimits.__name__]["properties"] |= inherited
+    # Nor does it know that a field takes all keys without a field.
+    for name, kind in (("limits", LimitsSection), ("dynamics", DynamicsSection)):
+        section = schema["$defs"][kind.__name__]
+        others = section["properties"].pop("actuators")
+        section["additionalProperties"] = others["additionalProperties"]
+        del schema["properties"][name]["default"]["actuators"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 

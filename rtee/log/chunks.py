@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -26,10 +27,18 @@ INDEX_ENTRY = 16
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _INDEX_AFTER_LENGTH = INDEX.size - 9  # the same of a message index
 _LEAST_ROOM = 65536  # first size of a chunk's buffer [byte]: a second of a small hand
+_SPARE = 1.25
+"""A buffer is this many times as large as the chunk that it was made for: those that follow are
+about as large."""
 
 
 Entries = Mapping[int, tuple[NDArray[np.uint64], NDArray[np.uint64]]]
 """Channel to log times [ns since 1970] and offsets of its messages in a chunk."""
+
+
+def _memory(size: int) -> mmap.mmap:
+    """Return memory of its own [byte], which goes back to the system as a whole."""
+    return mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 
 
 def _array(values: list[int]) -> NDArray[np.uint64]:
@@ -120,7 +129,7 @@ class ChunkBuilder:
         self._block = tuple(block)
         self._compressor = zstandard.ZstdCompressor(level=level, write_content_size=True)
         # Used again for every chunk: a new one each time, grown bit by bit, leaves holes in memory.
-        self._room = bytearray(_LEAST_ROOM)
+        self._room = _memory(_LEAST_ROOM)
         self._clear()
 
     def _clear(self) -> None:
@@ -156,9 +165,10 @@ class ChunkBuilder:
     def _append(self, data: bytes | bytearray) -> None:
         begin, room = self._size, self._room
         self._size = end = begin + len(data)
-        # Grown by what is missing: the next chunk finds room that is large enough.
         if end > len(room):
-            room += bytes(end)
+            self._room = larger = _memory(int(_SPARE * end))
+            larger[:begin] = room[:begin]
+            room = larger
         room[begin:end] = data
 
     def pack(self) -> PackedChunk | None:
@@ -177,9 +187,14 @@ class ChunkBuilder:
                 # shifted.
                 entries[channel] = (times, offsets + np.uint64(begin))
         # Views, not copies; both are released before the buffer may grow again.
-        with memoryview(self._room) as room, room[: self._size] as data:
+        size = self._size
+        with memoryview(self._room) as room, room[:size] as data:
             self._clear()
-            return pack(data, entries, self._compressor)
+            chunk = pack(data, entries, self._compressor)
+        # A writer that had fallen behind has made chunks of many seconds.
+        if len(self._room) > max(_LEAST_ROOM, 2 * size):
+            self._room = _memory(max(_LEAST_ROOM, int(_SPARE * size)))
+        return chunk
 
 
 def pack(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import PurePosixPath
 
 from mcap.records import Attachment, Channel, Schema
@@ -67,6 +66,9 @@ class Replayable:
 
 def library_name() -> str:
     """Return the name and the version of this software."""
+    # Only here: it takes 1.5 MB, and hands without recordings need none.
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         return f"rtee {version('rtee')}"
     except PackageNotFoundError:

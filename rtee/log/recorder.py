@@ -18,6 +18,7 @@ from rtee.commands import CommandRecord
 from rtee.errors import LogError
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
 from rtee.hand.model import Hand
+from rtee.log.backlog import PackedTicks
 from rtee.log.dataclass_json import to_json
 from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
@@ -47,11 +48,15 @@ _BEHIND: Final = 1.0
 """With more waiting than this [s], the writer no longer avoids the loop's ticks: losing records
 would be worse than a late tick."""
 
+_PACKED: Final = 0.1
+"""With more waiting than this [s], ticks are packed: a backlog must not leave holes in memory."""
+
 _QUIET: Final = (0.45, 0.85)
 """Part of the loop's period in which the writer works, as shares of it: the loop works at its
 beginning, and the last share is a margin before the next tick."""
 
-Work = TickRecord | tuple[Item, float] | Callable[[], None] | None
+Work = TickRecord | PackedTicks | tuple[Item, float] | Callable[[], None] | None
+"""What waits for the writer; packed ticks wait once for each of them, ``None`` is the end."""
 
 
 class Recorder:
@@ -101,6 +106,8 @@ class Recorder:
         self._writer.dropped = lambda: self._dropped
         self._queue: queue.SimpleQueue[Work] = queue.SimpleQueue()
         self._limit = max(_LEAST_QUEUE, int(settings.queue_time * rate))
+        self._few = int(_PACKED * rate)
+        self._backlog: PackedTicks | None = None
         self._period = 1.0 / rate
         self._stamp: float | None = 0.0 if simulated else None
         # Simulated time runs ahead of the disk, and nothing waits for the end of a simulation.
@@ -173,10 +180,24 @@ class Recorder:
     def on_tick(self, record: TickRecord) -> None:
         """Record a tick, or drop it when the writer is too far behind."""
         self._stamp = record.stamp
-        if self._queue.qsize() >= self._limit:
+        waiting = self._queue.qsize()
+        if waiting >= self._limit:
             self._dropped += 1
-        else:
+        elif waiting <= self._few:
+            self._backlog = None  # the writer may have its last ticks; then nobody has
             self._queue.put(record)
+        else:
+            self._queue.put(self._packed(record))
+
+    def _packed(self, record: TickRecord) -> PackedTicks | TickRecord:
+        """Add a tick to a piece of the backlog and return that; or the tick, if it fits none."""
+        if self._backlog is not None and self._backlog.add(record):
+            return self._backlog
+        backlog = PackedTicks(record)
+        if not backlog.add(record):
+            return record  # its arrays do not fit one another, of which the writer will complain
+        self._backlog = backlog
+        return backlog
 
     def _now(self) -> float:
         """Return the time of the last tick [s]."""
@@ -278,6 +299,7 @@ class Recorder:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         writer = self._writer
         while True:
+            work: Work = None  # not kept while it waits: packed ticks give their memory back
             try:
                 work = self._queue.get(timeout=writer.waiting())
             except queue.Empty:
@@ -287,6 +309,8 @@ class Recorder:
                 break
             if isinstance(work, TickRecord):
                 self._do(writer.tick, work)
+            elif isinstance(work, PackedTicks):
+                self._do(writer.tick, work.take())
             elif isinstance(work, tuple):
                 self._do(writer.item, *work)
             else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import importlib.util
 import os
@@ -16,6 +15,7 @@ from pathlib import Path
 from rtee.buses.timing import ask_for_short_slices
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import RealtimeSettings
+from rtee.loop.memory import lock_memory
 
 SWITCH_INTERVAL = 50e-6
 """Longest time another thread runs Python while the loop waits [s]: a twentieth of a period at 1
@@ -28,10 +28,6 @@ but not before the system's own at -20."""
 # Stack of a thread [byte]: an old kernel locks all of it in memory; the usual 8 MB are not used.
 _STACK = 2 * 1024 * 1024
 _AUTOGROUP = Path("/proc/self/autogroup")
-_MAPS = Path("/proc/self/maps")
-_MCL_CURRENT = 1  # mlockall: pages that are mapped now (sys/mman.h)
-_MCL_FUTURE = 2  # mlockall: pages that will be mapped
-_MCL_ONFAULT = 4  # mlockall: each of them once it is used (Linux 4.4)
 
 
 EVENT_LOOP = "RTEE_EVENT_LOOP"
@@ -82,7 +78,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
         return [f"real-time scheduling is not supported on {sys.platform}; running as it is"]
     warnings: list[str] = []
     if settings.lock_memory:
-        warnings += _lock_memory()
+        warnings += lock_memory()
     if settings.cpus:
         warnings += _pin(settings.cpus)
     # Last: pages are locked and CPUs chosen before the thread may starve others.
@@ -183,36 +179,6 @@ def _schedule(priority: int) -> list[str]:
     except OSError as error:
         return [f"SCHED_FIFO priority {priority} was refused: {error.strerror}"]
     return []
-
-
-def _lock_memory() -> list[str]:
-    library = ctypes.CDLL(None, use_errno=True)
-    everything = _MCL_CURRENT | _MCL_FUTURE
-    # What is reserved and never used, such as most of each stack, is twice as much as what is used.
-    if library.mlockall(everything | _MCL_ONFAULT) == 0:
-        _lock_programs(library)
-        return []
-    if library.mlockall(everything) == 0:
-        return []
-    reason = os.strerror(ctypes.get_errno())
-    return [
-        f"the memory could not be locked ({reason}); allow it by a line '<user> - memlock"
-        " unlimited' in /etc/security/limits.d/rtee.conf and a new login, or"
-        " 'LimitMEMLOCK=infinity' in the systemd unit"
-    ]
-
-
-def _lock_programs(library: ctypes.CDLL) -> None:
-    """Load all of the programs' files and lock them: the first use must not wait for a disk."""
-    library.mlock.argtypes = (ctypes.c_void_p, ctypes.c_size_t)
-    for line in _MAPS.read_text().splitlines():
-        where, access, _, _, _, *rest = line.split(maxsplit=5)
-        file = "".join(rest)  # nothing where no file is mapped
-        # Not what is shared or written: it is no program, or would be copied.
-        if file.startswith("/") and access.startswith("r-") and access.endswith("p"):
-            first, behind = (int(end, 16) for end in where.split("-"))
-            # One that cannot be locked now, such as a device's, is locked where it is used.
-            library.mlock(first, behind - first)
 
 
 def affinity() -> frozenset[int]:

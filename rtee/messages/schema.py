@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.resources import files
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -51,7 +51,7 @@ def sections(text: str, first: str = "") -> dict[str, str]:
     return found
 
 
-DEFINITIONS: Final = sections(files("rtee.messages").joinpath("definitions.msg").read_text("utf-8"))
+DEFINITIONS: Final = sections(Path(__file__).with_name("definitions.msg").read_text("utf-8"))
 """Full name of a message to its definition."""
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 import rtee
+from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.hand.load import load_configured
@@ -114,8 +115,8 @@ def _driven(config: HandConfig, driver: str | None) -> list[str]:
         return ["--driver", driver]
     if not config.devices:
         return ["--driver", "kinematic"]
-    options = [find_driver(device.driver).Options for device in config.devices.values()]
-    homes = any(found is not None and "home" in found.model_fields for found in options)
+    drivers = [find_driver(device.driver) for device in config.devices.values()]
+    homes = any("home" in default_options(driver.Options) for driver in drivers)
     return ["--driver", "devices", "--emulated", *(["--home"] if homes else [])]
 
 

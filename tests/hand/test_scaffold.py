@@ -20,6 +20,7 @@ from rtee.hand.own_copy import copy_hand
 from rtee.hand.scaffold import make_hand
 from rtee.hand.schema import SCHEMA_FILE, schema_text
 from rtee.hand.srdf import read_srdf
+from rtee.hand.validation import validated
 from rtee.hand.yamlfile import parse_yaml
 
 
@@ -192,7 +193,7 @@ def test_the_documented_example_is_valid(repository: Path) -> None:
     page = (repository / "docs" / "reference" / "hand-yaml.md").read_text()
     example = page.split("A fuller one:\n\n")[1].split("\n\nThe first line")[0]
     document = parse_yaml(textwrap.dedent(example), Path("hand.yaml"), "hand.yaml")
-    assert HandConfig.model_validate(document.data).devices["hand"].driver == "schunk_svh"
+    assert validated(HandConfig, document.data).devices["hand"].driver == "schunk_svh"
 
 
 def test_a_closed_rest_is_opened_and_told(tmp_path: Path) -> None:

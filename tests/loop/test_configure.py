@@ -11,6 +11,7 @@ from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig
 from rtee.hand.config_schema import Behaviour, ProfileKind
 from rtee.hand.model import Hand
+from rtee.hand.validation import validated
 from rtee.loop.configure import DeviceChoice, device_settings, loop_settings, realtime_settings
 from rtee.loop.settings import LoopSettings
 
@@ -18,7 +19,7 @@ INDEX = ["index_tip", "index_base"]
 
 
 def config(**more: Any) -> HandConfig:
-    return HandConfig.model_validate({"name": "small", "urdf": "small.urdf", **more})
+    return validated(HandConfig, {"name": "small", "urdf": "small.urdf", **more})
 
 
 def test_the_defaults_of_hand_yaml_are_those_of_the_loop() -> None:

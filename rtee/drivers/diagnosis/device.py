@@ -16,6 +16,7 @@ from rtee.drivers.diagnosis.can_probe import can
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 from rtee.drivers.diagnosis.port import check_address
 from rtee.drivers.diagnosis.scan import Plan, network_probes, scan, serial_probes
+from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import (
     BusBusy,
@@ -102,8 +103,7 @@ def _unreached(found: list[Check]) -> bool:
 
 def _options(driver: Driver, spec: DeviceSpec) -> dict[str, Any]:
     """Return the options with the driver's defaults filled in."""
-    model = type(driver).Options
-    return dict(spec.options) if model is None else model(**spec.options).model_dump()
+    return default_options(type(driver).Options) | dict(spec.options)
 
 
 async def _connected(driver: Driver, pool: BusPool, plan: Plan | None) -> list[Check]:

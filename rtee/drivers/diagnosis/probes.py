@@ -76,11 +76,11 @@ async def _slaves(
 
 def _any_unit(found: Sequence[Found]) -> Found:
     """Return the one device that answers to every unit, with the unit that its driver asks."""
+    from rtee.drivers.plain_options import default_options
     from rtee.drivers.registry import find_driver
 
     first = found[0]
-    model = find_driver(first.driver).Options if first.driver else None
-    usual = None if model is None else model.model_fields["unit"].default
+    usual = default_options(find_driver(first.driver).Options)["unit"] if first.driver else None
     one = next((f for f in found if f.options["unit"] == usual), first)
     what = one.what.partition(", unit ")[0]
     return Found(one.driver, f"{what}, any unit", one.options)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from annotated_types import Ge, Gt, Interval
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.kinematic.plant import Plant
-from rtee.drivers.options import read_options
+from rtee.drivers.plain_options import read_plain_options
 from rtee.errors import (
     BusBroken,
     CommandRejected,
@@ -27,32 +29,30 @@ from rtee.types import DeviceSpec, Reference
 _MEASURES = frozenset({"position", "velocity", "effort"})
 
 
-class KinematicOptions(BaseModel):
-    """How the simulated hand moves and what is in its way."""
+@dataclass(frozen=True, slots=True)
+class KinematicOptions:
+    """How the simulated hand moves and what is in its way.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    Attributes:
+        time_constant: Time constant with which it follows [s].
+        start: Position at the beginning by actuator [rad | m]; else the rest posture.
+        objects: Objects in the way: finger or actuator to the part of the way from rest to the
+            farthest bound (0 to 1) at which it is stopped.
+        full_effort_at: Distance behind the reference that gives full effort [rad | m].
+        temperatures: Whether it has temperatures, which effort raises.
+        ambient: Temperature of the surroundings [°C].
+        heating: Rise at full effort in the long run [K].
+        thermal_time: Time constant of the temperature [s].
+    """
 
-    time_constant: float = Field(
-        0.03, gt=0, le=10, description="Time constant with which it follows [s]."
-    )
-    start: dict[str, float] = Field(
-        default_factory=dict,
-        description="Position at the beginning by actuator [rad | m]; else the rest posture.",
-    )
-    objects: dict[str, float] = Field(
-        default_factory=dict,
-        description="Objects in the way: finger or actuator to the part of the way from rest to "
-        "the farthest bound (0 to 1) at which it is stopped.",
-    )
-    full_effort_at: float = Field(
-        0.1, gt=0, description="Distance behind the reference that gives full effort [rad | m]."
-    )
-    temperatures: bool = Field(
-        False, description="Whether it has temperatures, which effort raises."
-    )
-    ambient: float = Field(25.0, description="Temperature of the surroundings [°C].")
-    heating: float = Field(60.0, ge=0, description="Rise at full effort in the long run [K].")
-    thermal_time: float = Field(60.0, gt=0, description="Time constant of the temperature [s].")
+    time_constant: Annotated[float, Interval(gt=0, le=10)] = 0.03
+    start: Mapping[str, float] = field(default_factory=dict)
+    objects: Mapping[str, float] = field(default_factory=dict)
+    full_effort_at: Annotated[float, Gt(0)] = 0.1
+    temperatures: bool = False
+    ambient: float = 25.0
+    heating: Annotated[float, Ge(0)] = 60.0
+    thermal_time: Annotated[float, Gt(0)] = 60.0
 
 
 class KinematicDriver(Driver):
@@ -68,7 +68,7 @@ class KinematicDriver(Driver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.now: Callable[[], float] = time.monotonic
-        self._options = read_options(KinematicOptions, spec)
+        self._options = read_plain_options(KinematicOptions, spec)
         self._check_names(self._options.start, fingers=False)
         self.plants = [
             Plant(

@@ -1,0 +1,430 @@
+"""Check plain data, as YAML and JSON hold it, against dataclasses.
+
+A dataclass says with its types what is right: ``float``, ``int``, ``bool``, ``str``, ``Path``,
+literals, enumerations, tuples, lists, mappings, other dataclasses, unions of these, and bounds of
+annotated-types. Nothing is converted but what YAML and JSON cannot express: a mapping becomes a
+dataclass, a list a tuple, a text a path or a member of an enumeration, an integer a ``float``.
+Unknown keys, and numbers that are NaN or infinite, are refused.
+
+The mistakes have the form of those of pydantic, which checks the options of drivers. Its import
+takes 9 MB and a tenth of a second, which is why files are not checked with it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypedDict, TypeVar
+
+from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, MaxLen, MinLen
+
+T = TypeVar("T")
+
+Location = tuple[str | int, ...]
+
+OTHERS: Final = "others"
+"""Marks, in its metadata, the field of a dataclass that takes all keys without a field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What else a value of the right type must fulfil, in `Annotated`.
+
+    Attributes:
+        function: Takes the value and raises a ``ValueError`` that says what is wrong.
+    """
+
+    function: Callable[[Any], object]
+
+
+class Mistake(TypedDict):
+    """One mistake, as ``ValidationError.errors()`` of pydantic has it.
+
+    Attributes:
+        type: Its kind, such as ``missing``.
+        loc: Where it is: keys and positions from the root.
+        msg: What is wrong, a sentence.
+        input: The value that is wrong.
+        ctx: Bounds and causes, by pydantic's names.
+    """
+
+    type: str
+    loc: Location
+    msg: str
+    input: Any
+    ctx: dict[str, Any]
+
+
+class Invalid(ValueError):
+    """Data does not fit the dataclass it was checked against."""
+
+    def __init__(self, mistakes: list[Mistake]) -> None:
+        super().__init__(mistakes[0]["msg"])
+        self._mistakes = mistakes
+
+    def errors(self) -> list[Mistake]:
+        """Return all mistakes, in the order of the fields."""
+        return self._mistakes
+
+
+def validated(kind: type[T], data: Any) -> T:
+    """Return plain data as a dataclass.
+
+    Args:
+        kind: The dataclass.
+        data: Mappings, lists, texts, numbers, booleans and ``None``.
+
+    Raises:
+        Invalid: It does not fit; the error names all mistakes.
+    """
+    mistakes: list[Mistake] = []
+    made = _checker(typing.cast("Any", kind))(data, (), mistakes)
+    if mistakes:
+        raise Invalid(mistakes)
+    return typing.cast("T", made)
+
+
+def known_keys(kind: Any, location: Location) -> list[str]:
+    """Return the keys that a dataclass allows at a location inside it."""
+    for part in location:
+        kind = _inside(kind, part)
+    return list(field_types(next(_dataclasses(kind))))
+
+
+def _inside(kind: Any, part: str | int) -> Any:
+    """Return the type of what a key or position of a value of some type leads to."""
+    if _is_dataclass(kind):
+        others = _others(kind)
+        if part in field_types(kind) and part != others:
+            return field_types(kind)[str(part)]
+        return kind if others is None else _inside(field_types(kind)[others], part)
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (dict, Mapping):
+        return arguments[1]
+    if origin in (list, tuple):
+        return arguments[0]
+    # Annotated types and those that are optional lead where the type inside does.
+    return _inside(arguments[0], part)
+
+
+def _dataclasses(annotation: Any) -> Iterator[Any]:
+    """Yield the dataclasses that a type is made of."""
+    if _is_dataclass(annotation):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _dataclasses(inner)
+
+
+@cache
+def field_types(kind: Any) -> Mapping[str, Any]:
+    """Return the fields of a dataclass with their types, bounds included."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind)}
+
+
+def _is_dataclass(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind)
+
+
+def _others(kind: Any) -> str | None:
+    """Return the field of a dataclass that takes all keys without a field, if it has one."""
+    return next(
+        (field.name for field in dataclasses.fields(kind) if OTHERS in field.metadata), None
+    )
+
+
+_Checker = Callable[[Any, Location, list[Mistake]], Any]
+"""Takes a value, where it is and the mistakes so far; returns the value as its type has it.
+
+What it returns after a mistake is of no use."""
+
+
+def _mistake(
+    mistakes: list[Mistake], kind: str, at: Location, message: str, value: Any, **context: Any
+) -> None:
+    mistakes.append(Mistake(type=kind, loc=at, msg=message, input=value, ctx=context))
+
+
+# Each type is looked at once: a file of actions has thousands of values of a few types.
+@cache
+def _checker(kind: Any) -> _Checker:
+    """Return what checks values of a type.
+
+    Raises:
+        TypeError: No value of that type can be in a file.
+    """
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        return _bounded(_checker(arguments[0]), arguments[1:])
+    if origin in (typing.Union, types.UnionType):
+        return _union([_checker(each) for each in arguments])
+    if origin is Literal:
+        return _words({word: word for word in arguments})
+    if origin is tuple:
+        if arguments[-1] is Ellipsis:
+            return _sequence(_checker(arguments[0]), tuple, "tuple")
+        return _fixed([_checker(each) for each in arguments])
+    if origin is list:
+        return _sequence(_checker(arguments[0]), list, "list")
+    if origin in (dict, Mapping):
+        return _mapping(_checker(arguments[0]), _checker(arguments[1]))
+    if _is_dataclass(kind):
+        return _dataclass(kind)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return _words({member.value: member for member in kind})
+    if kind is Any:
+        return lambda value, at, mistakes: value
+    return _PLAIN[kind] if kind in _PLAIN else _unsupported(kind)
+
+
+def _unsupported(kind: Any) -> _Checker:
+    raise TypeError(f"settings cannot be of the type {kind}")
+
+
+def _float(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+    if type(value) is float:
+        if not math.isfinite(value):
+            _mistake(mistakes, "finite_number", at, "Input should be a finite number", value)
+        return value
+    if type(value) is int:
+        try:
+            return float(value)
+        except OverflowError:
+            pass
+    _mistake(mistakes, "float_type", at, "Input should be a valid number", value)
+    return None
+
+
+def _of_type(kind: type, name: str, words: str) -> _Checker:
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        # Not isinstance: True is an int, too.
+        if type(value) is not kind:
+            _mistake(mistakes, f"{name}_type", at, f"Input should be a valid {words}", value)
+        return value
+
+    return check
+
+
+def _none(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+    if value is not None:
+        _mistake(mistakes, "none_required", at, "Input should be None", value)
+
+
+def _path(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+    if isinstance(value, str | Path):
+        return Path(value)
+    _mistake(mistakes, "path_type", at, "Input is not a valid path", value)
+    return None
+
+
+_PLAIN: Final[Mapping[Any, _Checker]] = {
+    float: _float,
+    int: _of_type(int, "int", "integer"),
+    bool: _of_type(bool, "bool", "boolean"),
+    str: _of_type(str, "string", "string"),
+    Path: _path,
+    type(None): _none,
+}
+
+
+def _words(members: Mapping[Any, Any]) -> _Checker:
+    names = [repr(word) for word in members]
+    expected = " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if isinstance(value, str) and value in members:
+            return members[value]
+        message = f"Input should be {expected}"
+        _mistake(mistakes, "literal_error", at, message, value, expected=expected)
+        return None
+
+    return check
+
+
+def _union(checkers: list[_Checker]) -> _Checker:
+    optional = _none in checkers
+    members = [check for check in checkers if check is not _none]
+
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if value is None and optional:
+            return None
+        found: list[Mistake] = []
+        for member in members:
+            wrong: list[Mistake] = []
+            made = member(value, at, wrong)
+            if not wrong:
+                return made
+            found += wrong
+        mistakes += found
+        return None
+
+    return check
+
+
+def _sequence(item: _Checker, kind: type[list[Any]] | type[tuple[Any, ...]], name: str) -> _Checker:
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if not isinstance(value, list | tuple):
+            _mistake(mistakes, f"{name}_type", at, f"Input should be a valid {name}", value)
+            return None
+        return kind(item(each, (*at, i), mistakes) for i, each in enumerate(value))
+
+    return check
+
+
+def _fixed(items: list[_Checker]) -> _Checker:
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if not isinstance(value, list | tuple):
+            _mistake(mistakes, "tuple_type", at, "Input should be a valid tuple", value)
+            return None
+        if len(value) > len(items):
+            _too_long(mistakes, at, value, len(items))
+            return None
+        pairs = zip(items, value, strict=False)
+        made = [item(each, (*at, i), mistakes) for i, (item, each) in enumerate(pairs)]
+        for i in range(len(value), len(items)):
+            _mistake(mistakes, "missing", (*at, i), "Field required", value)
+        return tuple(made)
+
+    return check
+
+
+def _mapping(key: _Checker, item: _Checker) -> _Checker:
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if not isinstance(value, Mapping):
+            _mistake(mistakes, "dict_type", at, "Input should be a valid dictionary", value)
+            return None
+        # The mark is pydantic's: without it, a wrong key could not be told from a wrong value.
+        return {
+            key(name, (*at, name, "[key]"), mistakes): item(each, (*at, name), mistakes)
+            for name, each in value.items()
+        }
+
+    return check
+
+
+def _dataclass(kind: Any) -> _Checker:
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    hints = field_types(kind)
+    others = _others(kind)
+    needed = {
+        name
+        for name, field in fields.items()
+        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    }
+    checkers = {name: _checker(hints[name]) for name in fields if name != others}
+    rest = None if others is None else _checker(hints[others])
+
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        if not isinstance(value, Mapping):
+            _mistake(mistakes, "dataclass_type", at, "Input should be a mapping", value)
+            return None
+        before = len(mistakes)
+        made: dict[str, Any] = {}
+        for name, item in checkers.items():
+            if name in value:
+                made[name] = item(value[name], (*at, name), mistakes)
+            elif name in needed:
+                _mistake(mistakes, "missing", (*at, name), "Field required", value)
+        unknown = {name: each for name, each in value.items() if name not in checkers}
+        if rest is not None and others is not None:
+            made[others] = rest(unknown, at, mistakes)
+        else:
+            for name, each in unknown.items():
+                message = "Extra inputs are not permitted"
+                _mistake(mistakes, "extra_forbidden", (*at, name), message, each)
+        if len(mistakes) > before:
+            return None
+        try:
+            return kind(**made)
+        except ValueError as error:  # what __post_init__ finds: values that don't fit one another
+            _mistake(mistakes, "value_error", at, f"Value error, {error}", value, error=error)
+            return None
+
+    return check
+
+
+_BOUNDS: Final[Mapping[Any, tuple[str, str, str]]] = {
+    Le: ("less_than_equal", "le", "less than or equal to"),
+    Ge: ("greater_than_equal", "ge", "greater than or equal to"),
+    Gt: ("greater_than", "gt", "greater than"),
+}
+
+
+def _bounded(inner: _Checker, metadata: tuple[Any, ...]) -> _Checker:
+    """Return what checks values as `inner` does, and then their bounds."""
+    further = [_bound(each) for group in metadata for each in _single(group)]
+
+    def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        before = len(mistakes)
+        made = inner(value, at, mistakes)
+        for each in further:
+            if made is None or len(mistakes) > before:
+                break
+            each(made, value, at, mistakes)
+        return made
+
+    return check
+
+
+def _single(metadata: Any) -> Iterator[Any]:
+    """Yield the bounds that one annotation stands for, but not those for other readers."""
+    if isinstance(metadata, GroupedMetadata):
+        yield from metadata
+    elif isinstance(metadata, BaseMetadata | Check):
+        yield metadata
+
+
+_Bound = Callable[[Any, Any, Location, list[Mistake]], None]
+"""Takes a value of the right type, as which it was given, where it is and the mistakes so far."""
+
+
+def _bound(metadata: Any) -> _Bound:
+    if isinstance(metadata, Check):
+        function = metadata.function
+
+        def fulfils(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
+            try:
+                function(value)
+            except ValueError as error:
+                _mistake(mistakes, "value_error", at, f"Value error, {error}", given, error=error)
+
+        return fulfils
+    if isinstance(metadata, MinLen):
+        least = metadata.min_length
+
+        def long_enough(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
+            if len(value) < least:
+                message = f"Input should have at least {least} items"
+                _mistake(mistakes, "too_short", at, message, given, min_length=least)
+
+        return long_enough
+    if isinstance(metadata, MaxLen):
+        most = metadata.max_length
+
+        def short_enough(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
+            if len(value) > most:
+                _too_long(mistakes, at, given, most)
+
+        return short_enough
+    kind, name, words = _BOUNDS[type(metadata)]
+    limit = getattr(metadata, name)
+    message = f"Input should be {words} {limit:g}"
+
+    def within(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
+        inside = {"le": value <= limit, "ge": value >= limit, "gt": value > limit}[name]
+        if not inside:
+            _mistake(mistakes, kind, at, message, given, **{name: limit})
+
+    return within
+
+
+def _too_long(mistakes: list[Mistake], at: Location, value: Any, most: int) -> None:
+    message = f"Input should have at most {most} items"
+    _mistake(mistakes, "too_long", at, message, value, max_length=most)
