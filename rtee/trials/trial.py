@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.model import Built
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.scene import build_hand, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
@@ -95,7 +96,9 @@ def run_trial(
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(trial.action, trial.elements)
-    simulation = _simulation(hand, settings, trial)
+    # Built once: the variations differ in the object and in friction alone.
+    built = build_hand(hand, SimOptions())
+    simulation = _simulation(hand, settings, trial, built=built)
     thing = graspable(trial.object, trial.mass)
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
@@ -108,7 +111,7 @@ def run_trial(
         raise ConfigError(
             f"there are {len(places)} places for the object, so that leaving out {skip} leaves none"
         )
-    varied = _Varied(hand, library, settings, trial, progress)
+    varied = _Varied(hand, library, settings, trial, progress, built)
     tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
@@ -206,9 +209,21 @@ class _Tried:
 
 
 def _simulation(
-    hand: Hand, settings: LoopSettings, trial: Trial, variation: Variation | None = None
+    hand: Hand,
+    settings: LoopSettings,
+    trial: Trial,
+    variation: Variation | None = None,
+    built: Built | None = None,
 ) -> Simulation:
-    """Return the hand with the object of a trial, or with a variation of it."""
+    """Return the hand with the object of a trial, or with a variation of it.
+
+    Args:
+        hand: The hand.
+        settings: Its loop's settings.
+        trial: The trial.
+        variation: The variation, if it is one.
+        built: The hand's model, where it is known.
+    """
     options = SimOptions(
         object=trial.object,
         object_mass=trial.mass,
@@ -224,7 +239,7 @@ def _simulation(
             "friction": friction,
         }
         options = options.model_copy(update=changes)
-    return make_simulation(hand, options, hand.actuator_names, settings.period)
+    return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
 
 
 class _Varied:
@@ -241,15 +256,17 @@ class _Varied:
         settings: LoopSettings,
         trial: Trial,
         progress: Progress | None,
+        built: Built | None = None,
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._trial, self._progress = trial, progress
+        self._built = built
         self.choosing = trial.choosing
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
         # Size, mass and friction are compiled into the model, so each variation needs its own.
-        simulation = _simulation(self._hand, self._settings, self._trial, variation)
+        simulation = _simulation(self._hand, self._settings, self._trial, variation, self._built)
         around = simulation.surroundings
         if variation is not None:
             place = replace(place, pose=variation.moved(place.pose))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import mujoco
 import numpy as np
@@ -25,16 +25,25 @@ from rtee.hand.model import Hand
 from rtee.hand.transmission import Coupling
 from rtee.sample import FloatArray
 
-_KEPT = 256  # tables that are kept: more than the joints of a few large hands
+Cell = list[tuple[float, float, float, float, float]]
+"""Of each joint, in a cell of the grid: the value where the cell begins and how far it grows, the
+slope there and how far that grows, and the slope where the cell ends."""
+
+_KEPT = 64  # actuators whose tables are kept: those of a few large hands
 
 
 @lru_cache(maxsize=_KEPT)
-def _table(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, float], ...]:
-    """Return positions and slopes of a coupling at the points of a grid over a range.
+def _table(couplings: tuple[Coupling, ...], lower: float, upper: float) -> list[Cell]:
+    """Return the cells of a grid over the range of the actuator that some joints follow.
 
     Kept, since each variation of a trial has a simulation of its own, of the same hand.
     """
-    return tuple(coupling.dual(float(u)) for u in np.linspace(lower, upper, SAMPLES))
+    grid = np.linspace(lower, upper, SAMPLES).tolist()
+    points = [[coupling.dual(u) for coupling in couplings] for u in grid]
+    return [
+        [(v0, v1 - v0, s0, s1 - s0, s1) for (v0, s0), (v1, s1) in zip(one, next_, strict=True)]
+        for one, next_ in pairwise(points)
+    ]
 
 
 class _Curves:
@@ -46,16 +55,7 @@ class _Curves:
         self._lower = lower
         # One that cannot move has but one point.
         self._step = (upper - lower) / (SAMPLES - 1) or 1.0
-        tables = [_table(follower.coupling, lower, upper) for follower in group]
-        # Of each cell and joint: the value where the cell begins and how far it grows, the slope
-        # there and how far that grows, and the slope where the cell ends.
-        self._cells = [
-            [
-                (v0, v1 - v0, s0, s1 - s0, s1)
-                for (v0, s0), (v1, s1) in (table[cell : cell + 2] for table in tables)
-            ]
-            for cell in range(SAMPLES - 1)
-        ]
+        self._cells = _table(tuple(follower.coupling for follower in group), lower, upper)
 
     def add_tangents(self, u: float, offsets: list[float], slopes: list[float]) -> None:
         """Append offset and slope of each joint's tangent at an actuator position."""
