@@ -54,20 +54,28 @@ class FingerForces:
         Args:
             data: The state of the model.
         """
-        # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
-        forces = [[0.0, 0.0, 0.0] for _ in range(self._rows)]
-        if data.ncon:
-            felt = self._felt(data)
-            for row, _, force in felt:
+        felt = self._felt(data) if data.ncon else []
+        sizes = np.zeros(self._rows)
+        if felt:
+            # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
+            forces: dict[int, list[float]] = {}
+            for row, _, (x, y, z) in felt:
                 if row >= 0:
-                    _add(forces[row], force, -1.0)
-            for _, row, force in felt:
+                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                    total[0] -= x
+                    total[1] -= y
+                    total[2] -= z
+            for _, row, (x, y, z) in felt:
                 if row >= 0:
-                    _add(forces[row], force, 1.0)
-        sizes = np.array([math.sqrt(x * x + y * y + z * z) for x, y, z in forces])
+                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                    total[0] += x
+                    total[1] += y
+                    total[2] += z
+            for row, (x, y, z) in forces.items():
+                sizes[row] = math.sqrt(x * x + y * y + z * z)
         return np.asarray(self._belongs @ sizes, dtype=np.float64)
 
-    def _felt(self, data: mujoco.MjData) -> list[tuple[int, int, list[float]]]:
+    def _felt(self, data: mujoco.MjData) -> list[tuple[int, int, tuple[float, float, float]]]:
         """Return the rows of the two sides of each contact that counts, and its force [N].
 
         Rows are -1 where nothing is felt; the force is along the world's axes, on the second side.
@@ -87,11 +95,6 @@ class FingerForces:
             a, b, c, d, e, f, g, h, i = frames[number].tolist()
             # The first three rows of an elliptic contact are its force in its own frame.
             x, y, z = forces[start : start + 3].tolist()
-            force = [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z]
+            force = (a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z)
             found.append((first, second, force))
         return found
-
-
-def _add(total: list[float], force: list[float], sign: float) -> None:
-    for axis in range(3):
-        total[axis] += sign * force[axis]
