@@ -76,6 +76,7 @@ class HeadlessHand(Generic[P]):
         time: Simulated time of the next tick, since the start [s].
         ticks: Ticks since the start; as in the loop, the first one has the number 0.
         results: How the goals ended, by their identifiers.
+        forces: Contact force on each finger in the last tick ``(fingers,)`` [N].
     """
 
     def __init__(
@@ -112,9 +113,13 @@ class HeadlessHand(Generic[P]):
         self._before: list[Callable[[float], None]] = []
         self._due: list[Plan | Command] = []
         self._latest = Measured((), (), (), (), ())
+        self.forces: FloatArray = np.zeros(len(hand.fingers))
         n = len(hand.actuators)
         self._everything = np.ones(n, dtype=bool)
         self._silent = np.full(n, -1, dtype=np.int8)  # no device says whether it has grasped
+        # What is the same in each tick.
+        self._latest.temperature = [float("nan")] * n
+        self._latest.fresh, self._latest.grasped = [True] * n, [-1] * n
         self._describe_object()
         if ticks:
             text = "another run begins, with a controller of its own"
@@ -185,7 +190,7 @@ class HeadlessHand(Generic[P]):
         simulation, controller = self.simulation, self.controller
         simulation.advance()
         position, effort = simulation.position, simulation.effort
-        forces = simulation.contact_forces
+        forces = self.forces = simulation.contact_forces
         measured = self._measured(position, effort, forces)
         # After measuring, as in the loop: a goal begins with what is measured in its own tick.
         due, self._due = self._due, []
@@ -208,10 +213,8 @@ class HeadlessHand(Generic[P]):
 
     def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
         # One object, as in the loop: plans find in it what is measured as they begin.
-        measured, n = self._latest, len(position)
+        measured = self._latest
         measured.position, measured.effort = position.tolist(), effort.tolist()
-        measured.temperature = [float("nan")] * n
-        measured.fresh, measured.grasped = [True] * n, [-1] * n
         measured.touch = tip_forces([forces])
         return measured
 

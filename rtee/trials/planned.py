@@ -25,7 +25,7 @@ from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import Trial
-from rtee.trials.trial import TrialRun
+from rtee.trials.trial_run import TrialRun
 
 _DOWN: Final = np.array([0.0, 0.0, -1.0])
 """Where the weight pulls in the world."""

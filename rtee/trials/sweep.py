@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import multiprocessing
 import os
@@ -97,10 +98,20 @@ def all_trials(
 def attempt(name: str, trial: Trial) -> TrialResult:
     """Do one trial of a hand; a trial that cannot be done says why."""
     ready = bench(name)
+    _keep_loaded()
     try:
         return run_trial(ready.hand, ready.library, ready.settings, trial)
     except RteeError as error:
         return TrialResult(trial, False, str(error))
+
+
+@lru_cache(maxsize=1)
+def _keep_loaded() -> None:
+    """Tell the garbage collector, once, to leave alone what is loaded by now: it stays anyway.
+
+    Looking through all modules again and again takes 6 % of the time of a trial.
+    """
+    gc.freeze()
 
 
 def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResult]:

@@ -9,26 +9,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
+from rtee.drivers.mujoco.model import Built
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.scene import build_hand, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.errors import ActionError, ConfigError, SimulationUnstable
+from rtee.errors import ConfigError
 from rtee.hand.model import Hand
-from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.settings import LoopSettings
-from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import CHOOSING
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
 from rtee.trials.robust_places import graspable, misfit, robust_places
+from rtee.trials.trial_run import TrialRun, Watch
 from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, draw
-from rtee.types import Goal
-
-Watch = Callable[[str, HeadlessHand[Simulation]], None]
-"""Told at the moments of a trial: ``start``, ``approach``, ``grasp``, ``lift``, ``shake``."""
 
 Progress = Callable[[int, int], None]
 """Told how many of how many variations were tried."""
@@ -63,27 +59,6 @@ balanced, the middle stays where it is when all of them are held."""
 
 _ROUNDS = 2
 """How often the best place is moved to that middle: the second time finds what the first left."""
-
-_SETTLE = 0.4
-"""Time for the object to come to rest in the hand [s]."""
-
-_LIFT = 0.15
-"""How far the hand lifts the object [m], in a second: an arm's calm motion."""
-
-_HOLD = 2.0
-"""How long the object is held before it is shaken [s]; one that slides falls within this time."""
-
-_FALLEN = 0.06
-"""An object that has moved farther in the hand has fallen [m]: more than a finger's breadth."""
-
-_PUSHED = 0.05
-"""How much farther closing fingers may push an object that they grasp [m]."""
-
-_AMPLITUDE = 0.015
-_FREQUENCY = 2.0
-_CYCLES = 2
-"""Shaking along each axis: to either side [m], how fast [Hz], and how often. The acceleration is up
-to 2.4 m/s², a quarter of the weight, as of an arm that stops."""
 
 
 def run_trial(
@@ -121,7 +96,9 @@ def run_trial(
         ModelError: if the hand cannot be simulated.
     """
     action = library.find(trial.action, trial.elements)
-    simulation = _simulation(hand, settings, trial)
+    # Built once: the variations differ in the object and in friction alone.
+    built = build_hand(hand, SimOptions())
+    simulation = _simulation(hand, settings, trial, built=built)
     thing = graspable(trial.object, trial.mass)
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
@@ -134,7 +111,7 @@ def run_trial(
         raise ConfigError(
             f"there are {len(places)} places for the object, so that leaving out {skip} leaves none"
         )
-    varied = _Varied(hand, library, settings, trial, progress)
+    varied = _Varied(hand, library, settings, trial, progress, built)
     tried: list[_Tried] = []
     ticks = 0
     for number, place in enumerate(places[skip:], skip + 1):
@@ -147,7 +124,7 @@ def run_trial(
         tried.append(here)
         if trial.choosing > CHOOSING:
             varied.choose(here, _FIRST)
-        elif varied.good(here):
+        elif varied.good(here, max(tried[:-1], key=lambda one: one.rank, default=None)):
             return varied.measured(here)
     ranked = sorted(tried, key=lambda here: here.rank, reverse=True)
     if not ranked[0].result.held:
@@ -160,7 +137,7 @@ def run_trial(
     varied.choose(best, trial.choosing)
     for round_ in range(_ROUNDS):
         here = varied.at(varied.shifted(best.place, round_)[0], free, best)
-        varied.choose(here, trial.choosing)
+        varied.choose(here, trial.choosing, best)
         # A place that was moved may be worse: the tries that moved it are few.
         best = max(best, here, key=lambda here: here.rank)
         if best is not here or best.lost <= _SPARE:
@@ -204,12 +181,14 @@ class _Tried:
         place: The place.
         result: How the trial ended there, without variation.
         held: Which of the tries to choose it were held.
+        beaten: It can no longer be the best, so that some of these tries were left out.
         around: The share of the places around it where the object is held, as far as that is known.
     """
 
     place: Place
     result: TrialResult
     held: list[bool] = field(default_factory=list)
+    beaten: bool = False
     around: float = 0.0
 
     @property
@@ -221,13 +200,30 @@ class _Tried:
     def rank(self) -> tuple[bool, float, float]:
         """Larger is better."""
         share = sum(self.held) / len(self.held) if self.held else 0.0
-        return self.result.held, share, -self.result.slip
+        return self.result.held and not self.beaten, share, -self.result.slip
+
+    def may_beat(self, other: _Tried, count: int) -> bool:
+        """Return whether it may rank above another one once there are so many tries."""
+        most = count - self.lost
+        return (self.result.held, most / count, -self.result.slip) > other.rank
 
 
 def _simulation(
-    hand: Hand, settings: LoopSettings, trial: Trial, variation: Variation | None = None
+    hand: Hand,
+    settings: LoopSettings,
+    trial: Trial,
+    variation: Variation | None = None,
+    built: Built | None = None,
 ) -> Simulation:
-    """Return the hand with the object of a trial, or with a variation of it."""
+    """Return the hand with the object of a trial, or with a variation of it.
+
+    Args:
+        hand: The hand.
+        settings: Its loop's settings.
+        trial: The trial.
+        variation: The variation, if it is one.
+        built: The hand's model, where it is known.
+    """
     options = SimOptions(
         object=trial.object,
         object_mass=trial.mass,
@@ -243,7 +239,7 @@ def _simulation(
             "friction": friction,
         }
         options = options.model_copy(update=changes)
-    return make_simulation(hand, options, hand.actuator_names, settings.period)
+    return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
 
 
 class _Varied:
@@ -260,15 +256,17 @@ class _Varied:
         settings: LoopSettings,
         trial: Trial,
         progress: Progress | None,
+        built: Built | None = None,
     ) -> None:
         self._hand, self._library, self._settings = hand, library, settings
         self._trial, self._progress = trial, progress
+        self._built = built
         self.choosing = trial.choosing
 
     def run(self, place: Place, variation: Variation | None = None) -> TrialRun:
         """Return the trial at a place, or a variation of it, ready to start."""
         # Size, mass and friction are compiled into the model, so each variation needs its own.
-        simulation = _simulation(self._hand, self._settings, self._trial, variation)
+        simulation = _simulation(self._hand, self._settings, self._trial, variation, self._built)
         around = simulation.surroundings
         if variation is not None:
             place = replace(place, pose=variation.moved(place.pose))
@@ -276,28 +274,52 @@ class _Varied:
         headless = HeadlessHand(self._hand, self._library, self._settings, simulation)
         return TrialRun(headless, self._trial, place)
 
-    def good(self, here: _Tried) -> bool:
-        """Return whether a place is good enough for no other one to be tried."""
-        self.choose(here, _FIRST)
+    def good(self, here: _Tried, best: _Tried | None) -> bool:
+        """Return whether a place is good enough for no other one to be tried.
+
+        Args:
+            here: The place.
+            best: The best one so far.
+        """
+        self.choose(here, _FIRST, best)
         if not here.result.held or here.lost:
             return False
-        self.choose(here, self.choosing)
-        return here.lost <= _SPARE
+        self.choose(here, self.choosing, best, until_good=True)
+        return not here.beaten and here.lost <= _SPARE
 
-    def choose(self, here: _Tried, count: int) -> None:
-        """Try a place with variation until there are so many tries, to compare it with others."""
+    def choose(
+        self,
+        here: _Tried,
+        count: int,
+        best: _Tried | None = None,
+        *,
+        until_good: bool = False,
+    ) -> None:
+        """Try a place with variation until there are so many tries, to compare it with others.
+
+        Args:
+            here: The place.
+            count: How many tries.
+            best: It is tried no further once it cannot rank above this one.
+            until_good: It is tried no further once it is good enough whatever the others show.
+        """
         # No more than are wanted afterwards: two variations are asked for to be quick.
         most = min(count, self._trial.variations) if here.result.held else 0
         for number in range(len(here.held), most):
+            if best is not None and not here.may_beat(best, most):
+                here.beaten = True
+                return
+            if until_good and sum(here.held) >= most - _SPARE:
+                return
             variation = choosing_draw(self._trial.seed, number)
-            here.held.append(self.run(here.place, variation).result().held)
+            here.held.append(self.run(here.place, variation).held())
 
     def measured(self, here: _Tried) -> TrialResult:
         """Return the result at a place, with how many of the trial's variations are held there."""
         survived, count = 0, self._trial.variations
         for number in range(count):
             variation = draw(self._trial.seed, number)
-            survived += self.run(here.place, variation).result().held
+            survived += self.run(here.place, variation).held()
             if self._progress is not None:
                 self._progress(number + 1, count)
         return replace(here.result, survived=survived)
@@ -326,137 +348,9 @@ class _Varied:
         for number, point in enumerate(_AROUND, EXPLORING_FROM + round_ * len(_AROUND)):
             x, y, z = (float(value) for value in point)
             variation = replace(draw(self._trial.seed, number), position=(x, y, z))
-            if self.run(place, variation).result().held:
+            if self.run(place, variation).held():
                 held.append(point)
         pose = np.array(place.pose)
         pose[:3, 3] += np.mean(held, axis=0)
         # The share is of the places around, so the place itself does not count.
         return replace(place, pose=pose), (len(held) - 1) / len(_AROUND)
-
-
-class TrialRun:
-    """One trial at one place."""
-
-    def __init__(
-        self,
-        headless: HeadlessHand[Simulation],
-        trial: Trial,
-        place: Place,
-        number: int = 1,
-        watch: Watch | None = None,
-    ) -> None:
-        """Prepare a trial; nothing moves yet.
-
-        Args:
-            headless: The hand, on an arm, with the object at its place.
-            trial: What is tried.
-            place: The object's place in the hand.
-            number: How many places were tried, with this one.
-            watch: Told of the moments of the trial.
-        """
-        self._headless, self._trial, self._place = headless, trial, place
-        self._number = number
-        self._watch = watch
-        self._around = headless.simulation.surroundings
-        self._script = CarrierScript(headless)
-        self._peak = 0.0
-        # The tick with which the hand started belongs to the trial, too.
-        self._began = headless.time - headless.period
-
-    def result(self) -> TrialResult:
-        """Approach, grasp, lift, hold and shake; return how it ended."""
-        try:
-            return self._done()
-        except SimulationUnstable as error:
-            return self._ended(str(error), "", outcome="")
-
-    def _done(self) -> TrialResult:
-        headless, around, trial = self._headless, self._around, self._trial
-        self._approach()
-        goal = Goal(
-            trial.action,
-            trial.elements,
-            intensity=trial.intensity,
-            goal_id=f"trial-{self._number}",
-        )
-        try:
-            outcome = outcome_of(headless.do(goal))
-        except ActionError as error:
-            return self._ended("", str(error), outcome="")
-        headless.wait(_SETTLE)
-        # One that fewer than two links touch is still presented: it has to fall now.
-        around.remove_support()
-        headless.wait(_SETTLE)
-        self._tell("grasp")
-        forces = tuple(
-            (finger.name, round(float(force), 3))
-            for finger, force in zip(
-                headless.hand.fingers, headless.simulation.contact_forces, strict=True
-            )
-        )
-        # From here on the object should stay: how far closing moved it does not count as slip.
-        start = around.position_in_hand
-        moved = float(np.linalg.norm(start - self._place.pose[:3, 3]))
-        # A soft hand pushes what it closes on, so that more is allowed here than of slip.
-        if not around.touching() or moved > _FALLEN + _PUSHED:
-            return self._ended("it was not grasped", "", outcome, moved, forces)
-        headless.before_tick(self._note_force)
-        self._script.move(2, _LIFT, 1.0)
-        headless.wait(_HOLD)
-        self._tell("lift")
-        reason = self._fallen(start, "while it was lifted")
-        if not reason:
-            self._script.shake(_AMPLITUDE, _FREQUENCY, _CYCLES)
-            headless.wait(_SETTLE)
-            reason = self._fallen(start, "while it was shaken")
-        self._tell("shake")
-        slip = float(np.linalg.norm(around.position_in_hand - start))
-        return self._ended(reason, "", outcome, slip, forces)
-
-    def _approach(self) -> None:
-        """Bring the hand to the object along the free way."""
-        way = self._around.base_pose[:3, :3] @ self._place.way
-        # The hand moves, not the object, which waits where the hand will be.
-        self._script.jump(-way)
-        self._tell("start")
-        if np.any(way):
-            self._script.go(np.zeros(3), 1.0)
-            # The carrier's servos come behind their script; the hand closes at rest.
-            self._headless.wait(0.2)
-        self._tell("approach")
-
-    def _fallen(self, start: np.ndarray[tuple[int, ...], np.dtype[np.float64]], when: str) -> str:
-        slip = float(np.linalg.norm(self._around.position_in_hand - start))
-        # What has fallen may still lean on a finger, and what nothing touches may not be far yet.
-        if not self._around.touching() or slip > _FALLEN:
-            return f"it fell {when}"
-        return ""
-
-    def _note_force(self, _: float) -> None:
-        self._peak = max(self._peak, float(self._headless.simulation.contact_forces.max()))
-
-    def _tell(self, moment: str) -> None:
-        if self._watch is not None:
-            self._watch(moment, self._headless)
-
-    def _ended(
-        self,
-        reason: str,
-        refused: str,
-        outcome: str,
-        slip: float = 0.0,
-        forces: tuple[tuple[str, float], ...] = (),
-    ) -> TrialResult:
-        x, y, z = (round(float(v), 5) for v in self._place.pose[:3, 3])
-        return TrialResult(
-            self._trial,
-            not reason and not refused,
-            reason or refused,
-            outcome,
-            round(slip, 6),
-            forces,
-            round(self._peak, 3),
-            round(self._headless.time - self._began, 3),
-            self._number,
-            (x, y, z),
-        )

@@ -254,7 +254,7 @@ def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> Non
 
 def test_a_cluster_of_two_workers_gives_the_same_results(held: TrialResult) -> None:
     distributed = pytest.importorskip("distributed")
-    small = Trial("Grasp", object="sphere:0.02")
+    small = Trial("Grasp", object="sphere:0.02", variations=2)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
     ) as cluster:
@@ -309,6 +309,20 @@ def test_all_resumes_what_is_known(tmp_path: Path) -> None:
     outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 0, outcome.output
     assert read_results(path) == {result.trial.key: result for result in known}
+
+
+def test_a_resumed_sweep_finds_what_an_uninterrupted_one_does(tmp_path: Path) -> None:
+    whole, parts = tmp_path / "whole.yaml", tmp_path / "parts.yaml"
+    command = [GRIPPER, "--all", "--object", "sphere:0.02", "--variations", "2", "--jobs", "1"]
+    for path in (whole, parts):
+        if path is parts:  # as one leaves it that was interrupted after its first trial
+            ready = bench(GRIPPER)
+            first, *others = read_results(whole).values()
+            assert others
+            write_results(parts, fingerprint(ready.folder), [first])
+        outcome = CliRunner().invoke(app_of(try_), [*command, "--out", str(path)])
+        assert outcome.exit_code == 0, outcome.output
+    assert parts.read_text() == whole.read_text()
 
 
 def test_the_recorder_drops_nothing(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
-from rtee.trials.grasp_placement import Places
+from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.result import CHOOSING
 from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
@@ -196,6 +196,88 @@ def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
     assert found.place.pose[2, 3] < pose[2, 3] - 0.002
     assert found.around > start.around > 0.0
     assert len(found.held) == 2
+
+
+def place_for(trial: Trial) -> tuple[_Varied, Place]:
+    ready = bench(GRIPPER)
+    simulation = _simulation(ready.hand, ready.settings, trial)
+    thing = graspable(trial.object, trial.mass)
+    action = ready.library.find(trial.action, ())
+    place = robust_places(simulation, ready.library, action, thing, 1)[0]
+    return _Varied(ready.hand, ready.library, ready.settings, trial, None), place
+
+
+@pytest.mark.parametrize(
+    ("friction", "mass", "reason"),
+    [
+        (1.0, 0.1, ""),
+        (0.01, 2.0, "it fell while it was lifted"),
+        (0.0, 0.1, "it fell while it was shaken"),
+    ],
+)
+def test_what_is_certain_ends_a_variation(friction: float, mass: float, reason: str) -> None:
+    trial = Trial("Grasp", object="sphere:0.03", mass=mass, friction=friction)
+    varied, place = place_for(trial)
+    whole, short = varied.run(place), varied.run(place)
+    result = whole.result()
+    assert result.reason == reason
+    assert short.held() == result.held
+    # Only what has fallen is not watched to the end.
+    ticks = [run._headless.ticks for run in (whole, short)]
+    assert ticks[1] < ticks[0] if reason else ticks[1] == ticks[0]
+
+
+class Foreseen:
+    """Stands for a variation of which is known whether it is held."""
+
+    def __init__(self, held: bool) -> None:
+        self._held = held
+
+    def held(self) -> bool:
+        return self._held
+
+
+def test_tries_that_decide_nothing_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the tries would show, the same places are good, and the same one is the best."""
+    ready = bench(GRIPPER)
+    trial = Trial("Grasp", object="sphere:0.03", variations=20)
+    varied, pose = _Varied(ready.hand, ready.library, ready.settings, trial, None), np.eye(4)
+    random = np.random.default_rng(7)
+    made = needed = 0
+    for rate in np.repeat((0.2, 0.6, 0.8, 0.95), 40):
+        tables = [(random.random(10) < rate).tolist() for _ in range(5)]
+        slips = random.choice([0.001, 0.002, 0.003], 5).tolist()
+        tried: list[_Tried] = []
+        good: int | None = None
+        for number, (table, slip) in enumerate(zip(tables, slips, strict=True)):
+            coming = iter(table)
+            monkeypatch.setattr(varied, "run", lambda *_, it=coming: Foreseen(next(it)))
+            result = TrialResult(trial, held=bool(random.random() < 0.9), slip=slip)
+            here = _Tried(Place(pose, 0.0, np.zeros(3)), result)
+            tried.append(here)
+            best = max(tried[:-1], key=lambda one: one.rank, default=None)
+            if varied.good(here, best):
+                good = number
+                break
+        # The same without leaving anything out.
+        whole = []
+        expected: int | None = None
+        for number, (here, table) in enumerate(zip(tried, tables, strict=False)):
+            count = 0 if not here.result.held else 10 if all(table[:5]) else 5
+            whole.append(_Tried(here.place, here.result, table[:count]))
+            if count == 10 and whole[-1].lost <= 1:
+                expected = number
+                break
+        assert good == expected
+        assert len(whole) == len(tried)
+        if good is None:
+            places = range(len(tried))
+            best_of_tried = max(places, key=lambda number: tried[number].rank)
+            assert best_of_tried == max(places, key=lambda number: whole[number].rank)
+            assert tried[best_of_tried].held == whole[best_of_tried].held
+        made += sum(len(one.held) for one in tried)
+        needed += sum(len(one.held) for one in whole)
+    assert made < needed
 
 
 def test_a_sweep_takes_no_friction_of_its_own() -> None:

@@ -38,7 +38,9 @@ and little enough to pinch without bending back."""
 _LINEAR_GIVE = 0.01
 """Metres by which a prismatic joint yields where a rotary one yields by 1 rad."""
 
-_SAMPLES = 201  # places at which a coupling is fitted and compared: 1/200 of its range
+SAMPLES: Final = 201
+"""Places at which a coupling is fitted, compared and tabulated: 1/200 of its range."""
+
 # Range that is fitted for an actuator without limits, to both sides [rad].
 _CONTINUOUS_SPAN = math.pi
 
@@ -87,11 +89,11 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
         Coefficients ``c₀ … c₄`` and the largest deviation [rad | m] on a dense grid.
     """
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    nodes = middle + half * np.cos(np.pi * (np.arange(_SAMPLES) + 0.5) / _SAMPLES)
+    nodes = middle + half * np.cos(np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES)
     degree = 1 if coupling.linear else DEGREE
     values = np.array([coupling.value(float(u)) for u in nodes])
     polynomial = np.polynomial.Polynomial.fit(nodes, values, degree, domain=[lower, upper])
-    grid = np.linspace(lower, upper, _SAMPLES)
+    grid = np.linspace(lower, upper, SAMPLES)
     truth = np.array([coupling.value(float(u)) for u in grid])
     error = float(np.abs(polynomial(grid) - truth).max())
     coefficients = np.zeros(DEGREE + 1)
@@ -237,9 +239,20 @@ def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
             _add_equality(spec, joint.name, None, (coupling.value(0.0), 0.0, 0.0, 0.0, 0.0))
 
 
-def _shares(
-    slopes: FloatArray, known: ActuatorDynamics, of: Sequence[int] = ()
-) -> FloatArray | None:
+def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | None:
+    """Return the relation of the torques at some joints that hand.yaml gives ``(k,)``, if it does.
+
+    Args:
+        known: The actuator's dynamics.
+        of: The joints, by their numbers among those that ``known`` lists; all unless given.
+    """
+    if known.shares is None:
+        return None
+    weights = np.array(list(known.shares.values()))
+    return weights[list(of)] if of else weights
+
+
+def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | None:
     """Return the torque at each joint for a unit of the actuator's; no work is lost.
 
     Unless hand.yaml gives their relation, a joint gets the more torque the further it turns, as
@@ -247,23 +260,24 @@ def _shares(
 
     Args:
         slopes: How far each joint follows ``(k,)``.
-        known: The actuator's dynamics.
-        of: The joints, by their numbers among those that ``known`` lists; all unless given.
+        weights: Their relation ``(k,)``, if it is given.
 
     Returns:
         The shares ``(k,)``; ``None`` where the joints do not move with the actuator.
     """
-    weights = slopes
-    if known.shares is not None:
-        weights = np.array(list(known.shares.values()))
-        weights = weights[list(of)] if of else weights
-    total = float(weights @ slopes)
-    if abs(total) < _LEAST_SLOPE * float(np.linalg.norm(weights)):
+    # Not numpy.linalg.norm, which takes longer than all the rest for so few numbers.
+    if weights is None:
+        weights, total = slopes, float(slopes @ slopes)
+        size = math.sqrt(total)
+    else:
+        total, size = float(weights @ slopes), math.sqrt(weights @ weights)
+    if abs(total) < _LEAST_SLOPE * size:
         return None
-    return np.asarray(weights / total)
+    shares: FloatArray = weights / total
+    return shares
 
 
-def _tendons(
+def tendons_of(
     hand: Hand, actuator: str, joints: Sequence[str], known: ActuatorDynamics
 ) -> list[tuple[str, list[int]]]:
     """Return the tendons of an actuator, each with its joints by their numbers in ``joints``."""
@@ -293,7 +307,7 @@ def _add_springs(
     known = hand.dynamics[servo.actuator]
     motor = motor_joint(hand, servo.actuator)
     slopes = np.array([_mean_slope(follower) for follower in group])
-    shares = _shares(slopes, known)
+    shares = distributed(slopes, shares_of(known))
     if shares is None:
         raise _moves_nothing(hand, servo.actuator)
     for follower, slope, share in zip(group, slopes, shares, strict=True):
@@ -312,9 +326,9 @@ def _add_springs(
         tendon.damping = [2.0 * math.sqrt(stiffness * inertia), 0.0, 0.0]
         rest = follower.coupling.value(follower.actuator.rest) - slope * follower.actuator.rest
         tendon.springlength = [rest, rest]
-    shared = _tendons(hand, servo.actuator, [f.joint for f in group], known)
+    shared = tendons_of(hand, servo.actuator, [f.joint for f in group], known)
     for name, numbers in shared:
-        own = _shares(slopes[numbers], known, numbers)
+        own = distributed(slopes[numbers], shares_of(known, numbers))
         if own is None:
             raise _moves_nothing(hand, servo.actuator)
         tendon = spec.add_tendon(name=name)
@@ -347,98 +361,3 @@ def _moves_nothing(hand: Hand, actuator: str) -> ModelError:
 
 def _least_stiffness(options: SimOptions, slide: bool) -> float:
     return options.passive_stiffness * (PRISMATIC if slide else 1.0)
-
-
-class _Curves:
-    """How joints follow their actuators, tabulated: cubic between the points of a fine grid."""
-
-    def __init__(self, group: Sequence[Follower]) -> None:
-        ranges = np.array([span(f.actuator) for f in group]).reshape(-1, 2)
-        self._lower = ranges[:, 0]
-        self._step = (ranges[:, 1] - ranges[:, 0]) / (_SAMPLES - 1)
-        duals = [
-            [f.coupling.dual(float(u)) for u in np.linspace(lower, upper, _SAMPLES)]
-            for f, (lower, upper) in zip(group, ranges.tolist(), strict=True)
-        ]
-        table = np.array(duals).reshape(len(group), _SAMPLES, 2)
-        self._values, self._slopes = table[:, :, 0], table[:, :, 1]
-        self._rows = np.arange(len(group))
-
-    def tangents(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return offsets and slopes ``(k,)`` of the tangents at actuator positions ``(k,)``."""
-        at = (u - self._lower) / self._step
-        # Clipped, so that beyond its range a coupling goes on with the tangent at the end.
-        cell = np.clip(at.astype(np.intp), 0, _SAMPLES - 2)
-        t = np.clip(at - cell, 0.0, 1.0)
-        v0, v1 = self._values[self._rows, cell], self._values[self._rows, cell + 1]
-        s0, s1 = self._slopes[self._rows, cell], self._slopes[self._rows, cell + 1]
-        slope = s0 + t * (s1 - s0)
-        # A Hermite cubic: values and slopes match at the points, so tangents do not jump there.
-        bend = self._step * (t * t * t - 2.0 * t * t + t) * s0
-        bend += self._step * (t * t * t - t * t) * s1
-        value = v0 + (3.0 - 2.0 * t) * t * t * (v1 - v0) + bend
-        nearest = self._lower + (cell + t) * self._step
-        return value - slope * nearest, slope
-
-
-class Couplings:
-    """Keeps the couplings of a running model along the transmission's curves."""
-
-    def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
-        """Look the couplings of a compiled model up.
-
-        Args:
-            model: The compiled model.
-            hand: The hand in it.
-        """
-        self._model = model
-        every = followers(hand)
-        springs = [f for f in every if f.elastic]
-        curved = [f for f in every if not (f.elastic or f.master or f.coupling.linear)]
-
-        def motors(group: Sequence[Follower]) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-            names = (motor_joint(hand, f.actuator.name) for f in group)
-            return np.array([model.joint(name).qposadr[0] for name in names], dtype=np.intp)
-
-        self._spring_motors, self._curved_motors = motors(springs), motors(curved)
-        self._spring_curves, self._curves = _Curves(springs), _Curves(curved)
-        self._equalities = [model.eq(coupling_name(f.joint)).id for f in curved]
-        self._springs = [model.tendon(coupling_name(f.joint)).id for f in springs]
-        self._follows = [model.tendon_adr[tendon] + 1 for tendon in self._springs]
-        self._tendons = []
-        for actuator in hand.actuators:
-            known = hand.dynamics.get(actuator.name, ActuatorDynamics())
-            own = [i for i, f in enumerate(springs) if f.actuator.name == actuator.name]
-            for name, numbers in _tendons(hand, actuator.name, known.joints or (), known):
-                rows = [own[number] for number in numbers]
-                ids = model.tendon(name).id, model.eq(name).id
-                self._tendons.append((*ids, rows, numbers, known))
-        self._steady = all(f.coupling.linear for f in springs)
-        self._renewed = False
-
-    def renew(self, position: FloatArray) -> None:
-        """Set every coupling to the tangent of its curve.
-
-        Args:
-            position: Generalised positions of the model ``(nq,)``.
-        """
-        model = self._model
-        if self._equalities:
-            offsets, slopes = self._curves.tangents(position[self._curved_motors])
-            model.eq_data[self._equalities, 0] = offsets
-            model.eq_data[self._equalities, 1] = slopes
-            model.eq_data[self._equalities, 2:5] = 0.0
-        # Straight couplings have one tangent; setting it once is enough.
-        if not self._springs or (self._steady and self._renewed):
-            return
-        self._renewed = True
-        offsets, slopes = self._spring_curves.tangents(position[self._spring_motors])
-        model.wrap_prm[self._follows] = -slopes
-        model.tendon_lengthspring[self._springs] = offsets[:, None]
-        for tendon, equality, own, numbers, known in self._tendons:
-            shares = _shares(slopes[own], known, numbers)
-            if shares is None:  # no joint follows here: the last shares hold on
-                continue
-            first = model.tendon_adr[tendon]
-            model.wrap_prm[first : first + len(own)] = shares
-            model.eq_data[equality, 0] = shares @ offsets[own] - model.tendon_length0[tendon]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -33,11 +35,12 @@ class FingerForces:
         self._tips = len(felt)
         # A link that several fingers share, such as the palm, belongs to none.
         felt += [n for n, own in owners.items() if len(own) == 1 and n not in felt]
-        self._row_of_geom = np.full(model.ngeom, -1, dtype=np.intp)
+        row_of_geom = np.full(model.ngeom, -1, dtype=np.intp)
         for row, link in enumerate(felt):
-            self._row_of_geom[model.geom_bodyid == model.body(LINK + link).id] = row
+            row_of_geom[model.geom_bodyid == model.body(LINK + link).id] = row
+        self._row_of_geom: list[int] = row_of_geom.tolist()
         bodies = [model.body(int(body)).name for body in model.geom_bodyid]
-        self._of_hand = np.array([name.startswith(LINK) for name in bodies], dtype=bool)
+        self._of_hand = [name.startswith(LINK) for name in bodies]
         self._rows = len(felt)
         self._belongs = np.zeros((len(hand.fingers), len(felt)))
         for index, tip in enumerate(tips):
@@ -51,22 +54,47 @@ class FingerForces:
         Args:
             data: The state of the model.
         """
-        forces = np.zeros((self._rows + 1, 3))  # the last row takes what no finger feels
-        if data.ncon:
-            contact = data.contact
-            first = contact.efc_address
-            rows = self._row_of_geom[contact.geom]
-            seen = np.flatnonzero((first >= 0) & (rows >= 0).any(axis=1))
-            if len(seen):
-                rows = rows[seen]
-                within = self._of_hand[contact.geom[seen]].all(axis=1)
-                of_tips = ((rows >= 0) & (rows < self._tips)).all(axis=1)
-                rows[within & ~of_tips] = -1
-                # The first three rows of an elliptic contact are its force in its own frame.
-                own = data.efc_force[first[seen, None] + np.arange(3)]
-                world = np.einsum("kij,ki->kj", contact.frame[seen].reshape(-1, 3, 3), own)
-                np.subtract.at(forces, rows[:, 0], world)
-                np.add.at(forces, rows[:, 1], world)
-        # Much faster than numpy.linalg.norm for so few rows, in every cycle.
-        sizes = np.sqrt((forces[:-1] * forces[:-1]).sum(axis=1))
+        felt = self._felt(data) if data.ncon else []
+        sizes = np.zeros(self._rows)
+        if felt:
+            # Plain numbers: for so few contacts, in every cycle, numpy takes several times as long.
+            forces: dict[int, list[float]] = {}
+            for row, _, (x, y, z) in felt:
+                if row >= 0:
+                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                    total[0] -= x
+                    total[1] -= y
+                    total[2] -= z
+            for _, row, (x, y, z) in felt:
+                if row >= 0:
+                    total = forces.setdefault(row, [0.0, 0.0, 0.0])
+                    total[0] += x
+                    total[1] += y
+                    total[2] += z
+            for row, (x, y, z) in forces.items():
+                sizes[row] = math.sqrt(x * x + y * y + z * z)
         return np.asarray(self._belongs @ sizes, dtype=np.float64)
+
+    def _felt(self, data: mujoco.MjData) -> list[tuple[int, int, tuple[float, float, float]]]:
+        """Return the rows of the two sides of each contact that counts, and its force [N].
+
+        Rows are -1 where nothing is felt; the force is along the world's axes, on the second side.
+        """
+        contact = data.contact
+        rows, of_hand, tips = self._row_of_geom, self._of_hand, self._tips
+        found = []
+        frames, forces = contact.frame, data.efc_force
+        starts = contact.efc_address.tolist()
+        for number, (one, other) in enumerate(contact.geom.tolist()):
+            start, first, second = starts[number], rows[one], rows[other]
+            if start < 0 or (first < 0 and second < 0):
+                continue
+            # Within the hand, only two fingertips feel each other.
+            if of_hand[one] and of_hand[other] and not (0 <= first < tips and 0 <= second < tips):
+                continue
+            a, b, c, d, e, f, g, h, i = frames[number].tolist()
+            # The first three rows of an elliptic contact are its force in its own frame.
+            x, y, z = forces[start : start + 3].tolist()
+            force = (a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z)
+            found.append((first, second, force))
+        return found

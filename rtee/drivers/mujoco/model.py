@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.contacts import configure, hand_friction, make_hard, time_step
+from rtee.drivers.mujoco.contacts import (
+    configure,
+    hand_friction,
+    make_hard,
+    make_pair_hard,
+    time_step,
+)
 from rtee.drivers.mujoco.couplings import (
     add_couplings,
     add_locks,
@@ -19,7 +25,7 @@ from rtee.drivers.mujoco.couplings import (
     reach,
 )
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, rest_position
+from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.model import Hand, JointRole
@@ -362,6 +368,24 @@ def compiled(
             raise ConfigError(f"cannot be simulated: {said}", path=object_file[1]) from error
         of = f" of '{name}'" if name and f"'{name}'" not in said else ""
         raise ModelError(f"cannot be simulated: {said}{of}", path=hand.urdf.path) from error
+
+
+def copied(built: Built, hand: Hand, friction: float | None) -> Built:
+    """Return a copy of a hand's model, with another friction.
+
+    Args:
+        built: The model.
+        hand: The hand.
+        friction: As in the options; ``None``: what is usual.
+    """
+    spec = built.spec.copy()
+    tips = {finger.tip for finger in hand.fingers}
+    for link in hand.urdf.links:
+        for geom in spec.body(LINK + link).geoms:
+            make_hard(geom, hand_friction(friction, tip=link in tips))
+    for pair in spec.pairs:
+        make_pair_hard(pair, pair_friction(spec, pair.geomname1, pair.geomname2))
+    return replace(built, spec=spec)
 
 
 def build(

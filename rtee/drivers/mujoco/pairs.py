@@ -105,11 +105,11 @@ def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str)
         for other in outer[1]:
             if frozenset((one, other)) not in inside:
                 make_pair_hard(
-                    spec.add_pair(geomname1=one, geomname2=other), _friction(spec, one, other)
+                    spec.add_pair(geomname1=one, geomname2=other), pair_friction(spec, one, other)
                 )
 
 
-def _friction(spec: mujoco.MjSpec, first: str, second: str) -> float:
+def pair_friction(spec: mujoco.MjSpec, first: str, second: str) -> float:
     """Return the friction of a pair of shapes: the larger one of the two, as MuJoCo's own rule."""
     return max(float(spec.geom(name).friction[0]) for name in (first, second))
 

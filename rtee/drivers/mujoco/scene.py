@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
-from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, set_tiny
+from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, copied, set_tiny
 from rtee.drivers.mujoco.objects import OBJECT, ObjectShape, add_object, parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
@@ -255,6 +255,7 @@ def make_simulation(
     place: FloatArray | None = None,
     mount: FloatArray | None = None,
     container: tuple[float, float] | None = None,
+    built: Built | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
 
@@ -268,13 +269,15 @@ def make_simulation(
         mount: How a carried hand is turned ``(3, 3)`` in the world; it reaches down unless given.
         container: Where on the table a container has its middle, x and y in the world [m]; there is
             none unless given.
+        built: The hand's model, as `build_hand` makes it of options that differ from these in
+            object and friction at most; it is built anew unless given.
 
     Raises:
         ModelError: if the hand cannot be simulated.
         ConfigError: if the object is none, or its mesh cannot be used.
     """
     shape: ObjectShape | None = None
-    built = build_hand(hand, options)
+    built = copied(built, hand, options.friction) if built else build_hand(hand, options)
     pose = np.eye(4)
     if options.carrier != "fixed":
         pose[:3, :3] = downward(hand) if mount is None else mount

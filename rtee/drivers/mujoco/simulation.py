@@ -9,13 +9,14 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from rtee.drivers.mujoco.couplings import Couplings, motor_joint
+from rtee.drivers.mujoco.couplings import motor_joint
 from rtee.drivers.mujoco.finger_forces import FingerForces
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import rest_position
 from rtee.drivers.mujoco.seen import SeenChannels, describe
 from rtee.drivers.mujoco.servos import Servo
 from rtee.drivers.mujoco.surroundings import Surroundings
+from rtee.drivers.mujoco.tangents import Couplings
 from rtee.drivers.mujoco.taxels import Taxels
 from rtee.errors import SimulationUnstable
 from rtee.hand.model import Hand
@@ -87,6 +88,7 @@ class Simulation:
         self._gain = model.actuator_gainprm[self._motor, 0].copy()
         self._bias = model.actuator_biasprm[self._motor].copy()
         self._integral: FloatArray = np.array([servos[name].ki for name in actuators])
+        self._integrates = bool(self._integral.any())
         self._forces = FingerForces(model, hand)
         self.taxels = Taxels(model, hand, options)
         self._couplings = Couplings(model, hand)
@@ -105,6 +107,7 @@ class Simulation:
         mujoco.mj_resetData(self.model, self.data)
         # What is kept in the model is no part of the data: integrals and effort limits.
         self.power(True)
+        self._limited = b"", b""
         self.model.actuator_forcerange[self._motor, 0] = -self.effort_limit
         self.model.actuator_forcerange[self._motor, 1] = self.effort_limit
         self.data.qpos[:] = rest_position(self.model, self._hand)
@@ -124,15 +127,28 @@ class Simulation:
                 finite or beyond all bounds.
         """
         # Before the step: the tangents belong to the positions from which it starts.
-        self._couplings.renew(self.data.qpos)
-        step = self._speed * self._period
-        reference, position = self.data.ctrl[self._motor], self.data.qpos[self._qpos]
-        # A reference that has gone on into an object turns back with the actuator, not after having
-        # come back to it: that is how fast a real servo follows.
-        turned = (reference - position) * (self._target - position) < 0.0
-        reference = np.where(turned, position, reference)
-        self.data.ctrl[self._motor] = reference + np.clip(self._target - reference, -step, step)
-        if self._integral.any():
+        positions = self.data.qpos
+        self._couplings.renew(positions)
+        control = self.data.ctrl
+        references = control[self._motor].tolist()
+        # Plain numbers: for so few, at every exchange, numpy takes several times as long.
+        for index, (reference, position, target, step) in enumerate(
+            zip(
+                references,
+                positions[self._qpos].tolist(),
+                self._target.tolist(),
+                (self._speed * self._period).tolist(),
+                strict=True,
+            )
+        ):
+            # A reference that has gone on into an object turns back with the actuator, not after
+            # having come back to it: that is how fast a real servo follows.
+            start = position if (reference - position) * (target - position) < 0.0 else reference
+            way = target - start
+            # Written so that a way that is no number stays none.
+            references[index] = start + (step if way > step else -step if way < -step else way)
+        control[self._motor] = references
+        if self._integrates:
             self._integrate()
         before = self.data.time
         mujoco.mj_step(self.model, self.data, nstep=self._substeps)
@@ -218,13 +234,17 @@ class Simulation:
             mask: Which actuators are meant ``(n,)``.
             max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; the actuators' own unless given.
         """
-        motors = self._motor[mask]
         self._target[mask] = position[mask]
         if max_velocity is not None:
             self._speed[mask] = np.minimum(self._fastest, np.maximum(max_velocity, 0.0))[mask]
-        limit = np.minimum(self.effort_limit, np.maximum(max_effort, 0.0))[mask]
-        self.model.actuator_forcerange[motors, 0] = -limit
-        self.model.actuator_forcerange[motors, 1] = limit
+        # Limits rarely change from one exchange to the next.
+        limited = max_effort.tobytes(), mask.tobytes()
+        if limited != self._limited:
+            self._limited = limited
+            limit = np.minimum(self.effort_limit, np.maximum(max_effort, 0.0))[mask]
+            motors = self._motor[mask]
+            self.model.actuator_forcerange[motors, 0] = -limit
+            self.model.actuator_forcerange[motors, 1] = limit
 
     def hold(self) -> None:
         """Take the present positions for references."""
@@ -263,5 +283,6 @@ class Simulation:
             self._bias[index, 2] = -value
         else:
             self._integral[index] = value
+            self._integrates = bool(self._integral.any())
             self._bias[index, 0] = 0.0
         self._write_gains()

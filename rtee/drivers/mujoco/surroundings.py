@@ -78,9 +78,12 @@ class Surroundings:
             self._parts = [
                 body for body in range(model.nbody) if model.body_rootid[body] == self._body
             ]
-            self._hand_bodies = {
-                b for b in range(model.nbody) if model.body(b).name.startswith(LINK)
-            }
+            self._is_part = np.isin(model.geom_bodyid, self._parts).tolist()
+            names = [model.body(int(body)).name for body in model.geom_bodyid]
+            # The link that each geom belongs to; empty if it is none of the hand's.
+            self._link = [
+                name.removeprefix(LINK) if name.startswith(LINK) else "" for name in names
+            ]
         trigger = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, TRIGGER)
         self._trigger = int(model.jnt_qposadr[trigger]) if trigger >= 0 else -1
 
@@ -151,13 +154,18 @@ class Surroundings:
         """Return the names of the links that touch the object, sorted."""
         if not self.has_object:
             return ()
-        found = set()
-        for first, second in self._data.contact.geom:
-            bodies = (self._model.geom_bodyid[first], self._model.geom_bodyid[second])
-            for one, other in (bodies, bodies[::-1]):
-                if one in self._parts and other in self._hand_bodies:
-                    found.add(self._model.body(int(other)).name.removeprefix(LINK))
-        return tuple(sorted(found))
+        return tuple(sorted({self._link[geom] for geom, _ in self._met(self._data)}))
+
+    def _met(self, data: mujoco.MjData) -> list[tuple[int, int]]:
+        """Return the geom of the hand and the number of each of its contacts with the object."""
+        is_part, link = self._is_part, self._link
+        found = []
+        for number, (one, other) in enumerate(data.contact.geom.tolist()):
+            if is_part[one] and link[other]:
+                found.append((other, number))
+            elif is_part[other] and link[one]:
+                found.append((one, number))
+        return found
 
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
         """Return how deep a link would be inside the object [m]; 0 when none touches it.
@@ -170,19 +178,26 @@ class Surroundings:
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_collision(self._model, data)
-        depth = 0.0
-        for (first, second), distance in zip(data.contact.geom, data.contact.dist, strict=True):
-            one, other = int(self._model.geom_bodyid[first]), int(self._model.geom_bodyid[second])
-            if (one in self._parts and other in self._hand_bodies) or (
-                other in self._parts and one in self._hand_bodies
-            ):
-                depth = max(depth, -float(distance))
-        return depth
+        met = self._met(data)
+        if not met:
+            return 0.0
+        distances = data.contact.dist
+        return max(0.0, *(-float(distances[number]) for _, number in met))
 
     @property
     def pose(self) -> FloatArray:
         """Position and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
         return np.array(self._data.qpos[self._qpos : self._qpos + 7], dtype=np.float64)
+
+    @property
+    def height(self) -> float:
+        """Height of the object's origin in the world [m]."""
+        return float(self._data.qpos.item(self._qpos + 2))
+
+    @property
+    def lowest(self) -> float:
+        """A height below which nothing of hand and object reaches [m], in the world."""
+        return float((self._data.geom_xpos[:, 2] - self._model.geom_rbound).min())
 
     @property
     def position_in_hand(self) -> FloatArray:
@@ -215,9 +230,10 @@ class Surroundings:
 
         Motions that the carrier does not have are ignored.
         """
-        for motor, value in zip(self._motors, pose, strict=True):
+        control = self._data.ctrl
+        for motor, value in zip(self._motors, pose.tolist(), strict=True):
             if motor >= 0:
-                self._data.ctrl[motor] = value
+                control[motor] = value
 
     def jump(self, pose: FloatArray) -> None:
         """Put the carrier where `carry` would send it, at once and at rest."""

@@ -44,6 +44,29 @@ def joint(name: str, child: str, more: str = LIMIT, at: str = "0 0 0") -> str:
     )
 
 
+@pytest.mark.parametrize("name", ["dagana", "heri_ii", "qb_softhand"])
+def test_a_kept_model_with_another_friction_is_the_one_built_anew(name: str) -> None:
+    hand = load_hand(name)
+    kept = build_hand(hand, SimOptions())
+    for friction in (0.3, None):  # the second one shows that the first left no trace
+        options = SimOptions(object="drill", object_scale=1.07, friction=friction, carrier="arm")
+        anew, copied = (
+            make_simulation(hand, options, hand.actuator_names, 0.004, built=built)
+            for built in (None, kept)
+        )
+        arrays = [
+            field
+            for field in dir(anew.model)
+            if isinstance(getattr(anew.model, field), np.ndarray) and not field.startswith("_")
+        ]
+        assert {"geom_friction", "pair_friction", "body_inertia", "wrap_prm"} < set(arrays)
+        for field in arrays:
+            both = (getattr(one.model, field).tobytes() for one in (anew, copied))
+            assert next(both) == next(both), field
+        assert copied.notes == anew.notes
+        assert copied.data.qacc.tobytes() == anew.data.qacc.tobytes()
+
+
 @pytest.mark.parametrize("name", hand_names())
 def test_every_hand_compiles_and_its_couplings_hold(name: str) -> None:
     hand = load_hand(name)
