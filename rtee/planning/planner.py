@@ -14,6 +14,7 @@ from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.nearness import Nearness
 from rtee.planning.objects import GraspObject
 from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
@@ -58,6 +59,12 @@ _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
 
 _SQUEEZE_ANGLE: Final = 0.3
 """The same of turning ones [rad]: the full effort of a servo of ordinary stiffness."""
+
+_CLEAR: Final = 1e-3
+"""What a pre-shape leaves free between the hand and the object [m]: models are that exact."""
+
+_FAR: Final = 0.05
+"""Clearance that is told exactly up to here [m]."""
 
 _MOST_CONTACTS: Final = 32
 """Contacts that count; more add nothing but time."""
@@ -308,12 +315,17 @@ class Planner:
             wide = gaps[step] >= candidate.width + _MARGIN
             if step and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
-            least = math.inf
+            at, along[:3, 3] = closing.table[step], ways[0]
+            near, least = Nearness(self.scene, at, along), math.inf
             for place in ways:
+                near.pushed(place - along[:3, 3])
                 along[:3, 3] = place
-                least = min(least, self.scene.nearest(closing.table[step], along, enough=0.05))
+                least = near.least(at, along, min(least, _FAR))
+                # Where a posture is ruled out, its other places do not matter.
+                if step and least <= _CLEAR:
+                    break
             # Rest is the last posture to try: there any clearance is reported.
-            if not step or least > 1e-3:
+            if not step or least > _CLEAR:
                 return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
         return 0.0, float(gaps.max()), 0.0
 
