@@ -33,8 +33,8 @@ _TICKS: Final = 120
 _STEP: Final = 4
 """Ticks of a step while links touch: about 3 mm of a fingertip's way."""
 
-_SOON: Final = 12.0
-"""Ticks ahead for which the hand is looked at before it touches: a tenth of the way."""
+_SOON: Final = 4.0
+"""Ticks ahead for which distances are measured before the hand touches; farther, bounds will do."""
 
 _PUSHES: Final = 4
 """Pushes that one step may take until nothing is inside the object."""
@@ -162,6 +162,7 @@ class Closing:
         start, pose = pose, pose.copy()
         tick = math.floor(begin * _TICKS)
         near = Nearness(self.scene, self._posed(tick), pose)
+        pace = np.maximum(self._speed, 1e-9) / _TICKS
         tick = self._until_contact(tick, near, pose)
         while True:
             at = self._posed(tick)
@@ -173,6 +174,9 @@ class Closing:
             if tick >= _TICKS:
                 return None
             step = min(_STEP, _TICKS - tick)
+            if not touches:  # over all steps after which nothing touches either
+                least = near.least(at, pose, _SOON, pace, until=TOUCH)
+                step = min(max(1, math.ceil(least / _STEP)) * _STEP, _TICKS - tick)
             near.closed(self._speed * (step / _TICKS))
             tick += step
         return self._rest_closed(pose, tick / _TICKS, near, touches)
@@ -193,21 +197,21 @@ class Closing:
         for touch in touches:
             blocked = blocked | self._drives[touch.shape]
         there = {touch.shape for touch in touches}
-        speed = np.maximum(self._speed, 1e-9)
+        speed, one = np.maximum(self._speed, 1e-9), _STEP / _TICKS
         at = self.scene.posed(self.way.at(shares))
-        free: BoolArray = self._drives[:, ~blocked].any(axis=1)
+        free: BoolArray = np.any(self._drives[:, ~blocked], axis=1)
         while s < 1.0 and not blocked.all():
             for touch in near.touching(at, pose, free):
                 if touch.shape not in there:
                     there.add(touch.shape)
                     touches.append(touch)
                     blocked = blocked | self._drives[touch.shape]
-            step = near.least(at, pose, 1.0, speed, free)
             # At least one step: a link inside the object has a negative way left.
-            before, s = s, min(1.0, s + max(_STEP / _TICKS, step))
+            step = max(one, near.least(at, pose, 1.0, speed, free, below=one))
+            before, s = s, min(1.0, s + step)
             shares = np.where(blocked, shares, s)
             at = self.scene.posed(self.way.at(shares))
-            free = self._drives[:, ~blocked].any(axis=1)
+            free = np.any(self._drives[:, ~blocked], axis=1)
             near.closed(np.where(free, self._speed * (s - before), 0.0))
         found = [near.touch(touch.shape, at, pose) for touch in touches]
         contacts = tuple(self.scene.contacts(found, at, pose))
@@ -224,8 +228,8 @@ class Closing:
         """
         speed = np.maximum(self._speed, 1e-9) / _TICKS
         while tick < _TICKS:
-            # No farther than needed to go on: what is far away is looked at when it comes near.
-            least = near.least(self._posed(tick), pose, _SOON, speed)
+            # No farther than needed: what is far away is looked at when it comes near.
+            least = near.least(self._posed(tick), pose, _SOON, speed, below=1.0)
             if least < 1.0:
                 return tick
             # Rounded down, so that the hand stops before it touches.

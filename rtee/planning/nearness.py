@@ -102,6 +102,8 @@ class Nearness:
         enough: float,
         paces: FloatArray | None = None,
         among: BoolArray | None = None,
+        until: float = 0.0,
+        below: float = -math.inf,
     ) -> float:
         """Return the least distance of the hand from the object, or the least time to a contact.
 
@@ -112,20 +114,24 @@ class Nearness:
             paces: How fast the shapes may come nearer ``(n,)`` [m per unit of time]; without them,
                 distances are returned [m].
             among: Which shapes count ``(n,)``; all unless given.
+            until: The distance that is a contact [m].
+            below: Less than this need not be exact, only below it.
         """
         pace = None if paces is None else paces[self._shapes]
-        near = (self._bounds if pace is None else self._bounds / pace) < enough
+        free = self._bounds - until
+        near = (free if pace is None else free / pace) < enough
         pairs = np.flatnonzero(near if among is None else near & among[self._shapes])
         if not len(pairs):
             return enough
-        bounds = self._refined(pairs, at, pose)
+        bounds = self._refined(pairs, at, pose) - until
         slow = np.ones(len(pairs)) if pace is None else pace[pairs]
         times, least = bounds / slow, enough
         # The nearest first: its distance rules most others out.
         for k in np.argsort(times, kind="stable").tolist():
-            if times[k] >= least:
+            if times[k] >= least or least < below:
                 break
-            least = min(least, self._measured(int(pairs[k]), at, pose)[0] / float(slow[k]))
+            distance = self._measured(int(pairs[k]), at, pose)[0] - until
+            least = min(least, distance / float(slow[k]))
         return least
 
     def _between(
@@ -133,7 +139,7 @@ class Nearness:
     ) -> FloatArray:
         """Return how far the object's origin is from the shapes' middles along the normals [m]."""
         way = pose[:3, 3] - at.middles[self._shapes[pairs]]
-        found: FloatArray = np.einsum("ki,ki->k", self._normals[pairs], way)
+        found: FloatArray = np.add.reduce(self._normals[pairs] * way, axis=1)
         return found
 
     def _refined(self, pairs: NDArray[np.intp], at: HandPose, pose: FloatArray) -> FloatArray:
@@ -141,8 +147,8 @@ class Nearness:
         turns = at.turns[self._shapes[pairs]]
         # The farthest point of a shape along a normal moves with the shape's middle, and by no more
         # than the shape turns times its radius.
-        turned = np.einsum("ki,kij->kj", self._normals[pairs], turns) - self._in_shape[pairs]
-        swung = np.sqrt(np.einsum("ki,ki->k", turned, turned)) * self._radii[pairs]
+        turned = (self._normals[pairs, None] @ turns)[:, 0] - self._in_shape[pairs]
+        swung = np.sqrt(np.add.reduce(turned * turned, axis=1)) * self._radii[pairs]
         gaps = self._begin[pairs] + self._between(pairs, at, pose) - swung
         bounds: FloatArray = np.maximum(self._bounds[pairs], gaps)
         self._bounds[pairs] = bounds

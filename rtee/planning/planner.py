@@ -174,15 +174,18 @@ class Planner:
             tuple(notes),
         )
 
-    def best(self, action: Action, most: int = _MOST) -> GraspPlan | str:
+    def best(
+        self, action: Action, most: int = _MOST, beat: GraspPlan | None = None
+    ) -> GraspPlan | str:
         """Return the best grasp by an action, or why there is none.
 
         Args:
             action: The action.
             most: Poses of the object that are tried.
+            beat: A grasp that it must not be worse than to matter.
         """
         found = self._grasps(action, most)
-        return found if isinstance(found, str) else self._best_of(found)
+        return found if isinstance(found, str) else self._best_of(found, beat)
 
     def _grasps(self, action: Action, most: int) -> list[_Grasp] | str:
         """Return the most promising grasps by an action, or why there is none."""
@@ -211,9 +214,16 @@ class Planner:
         grasps.sort(key=lambda grasp: -grasp.promise)
         return grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
 
-    def _best_of(self, grasps: Sequence[_Grasp]) -> GraspPlan | str:
+    def _best_of(self, grasps: Sequence[_Grasp], beat: GraspPlan | None = None) -> GraspPlan | str:
         """Return the best of the grasps of an action, or why there is none."""
-        best = min((self._judged(grasp) for grasp in grasps), key=rank)
+        best: GraspPlan | None = None
+        least = 0.0 if beat is None else beat.score
+        for grasp in grasps:
+            judged = self._judged(grasp, least)
+            if judged is not None and (best is None or rank(judged) < rank(best)):
+                best, least = judged, max(least, judged.score)
+        if best is None:
+            return "it is no better than others"
         return best if best.load > 0.0 else "it can't carry the weight along this axis"
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
@@ -253,16 +263,26 @@ class Planner:
         force = self.thing.mass * GRAVITY * self.task.weight_axis
         return load(found, torques, np.concatenate([force, np.zeros(3)]))
 
-    def _judged(self, grasp: _Grasp) -> GraspPlan:
+    def _judged(self, grasp: _Grasp, least: float) -> GraspPlan | None:
+        """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
+
+        What it carries takes longest to work out, and can only lower the score.
+        """
         action, closing, candidate = grasp.action, grasp.closing, grasp.candidate
         closure = grasp.closure
         contacts = closure.contacts[:_MOST_CONTACTS]
         found = self._wrenches(closure, contacts)
-        ball, times = quality(found), self._carried(closure, contacts, found)
+        ball = quality(found)
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
-        preshape, opening, clearance = self._before(grasp)
+        # Rounded, as scores are compared.
+        if round(_score(SAFETY, ball, off / self.thing.length), 4) < least:
+            return None
+        times = self._carried(closure, contacts, found)
         score = _score(times, ball, off / self.thing.length)
+        if round(score, 4) < least:
+            return None
+        preshape, opening, clearance = self._before(grasp)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
         return GraspPlan(

@@ -20,7 +20,7 @@ _BALL_AXES: Final = np.vstack([np.zeros(3), np.eye(3)])
 """A shape moves no faster than these points of its ball, in units of the radius, nearly."""
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class HandPose:
     """Where the shapes of a hand are at a posture.
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import coal
 import numpy as np
@@ -27,8 +26,7 @@ NOWHERE: Final = np.zeros(3)
 """Point and normal of what does not touch."""
 
 
-@dataclass(frozen=True, slots=True)
-class Touch:
+class Touch(NamedTuple):
     """How near a shape of the hand is to the object.
 
     Attributes:
