@@ -17,6 +17,9 @@ from rtee.sample import FloatArray
 
 _sum = np.add.reduce
 
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""The axes of the two factors of each component of a cross product."""
+
 
 def dot(a: FloatArray, b: FloatArray) -> float:
     """Return the inner product of two vectors ``(k,)``."""
@@ -45,6 +48,12 @@ def rotated(points: FloatArray, rotation: FloatArray) -> FloatArray:
     """Return points ``(..., 3)`` rotated by a matrix ``(3, 3)``."""
     x, y, z = rotation.T
     result: FloatArray = points[..., :1] * x + points[..., 1:2] * y + points[..., 2:3] * z
+    return result
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross products of vectors ``(..., 3)``."""
+    result: FloatArray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
     return result
 
 

@@ -17,9 +17,11 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
+from rtee.planning.nearness import Nearness
+from rtee.planning.postures import HandPose
 from rtee.planning.result import Contact
-from rtee.planning.scene import TOUCH, GraspScene, HandPose, Touch
-from rtee.planning.wrench import balanced, cone
+from rtee.planning.scene import TOUCH, GraspScene, Touch
+from rtee.planning.wrench import balanced, cones
 from rtee.sample import BoolArray, FloatArray
 
 STEPS: Final = 16
@@ -30,6 +32,9 @@ _TICKS: Final = 120
 
 _STEP: Final = 4
 """Ticks of a step while links touch: about 3 mm of a fingertip's way."""
+
+_SOON: Final = 4.0
+"""Ticks ahead for which distances are measured before the hand touches; farther, bounds will do."""
 
 _PUSHES: Final = 4
 """Pushes that one step may take until nothing is inside the object."""
@@ -82,6 +87,14 @@ class ActionWay:
         found: FloatArray = begin + (along - leg) * (end - begin)
         return found
 
+    def along(self, intensities: FloatArray) -> FloatArray:
+        """Return actuator positions ``(k, n)`` [rad | m] at intensities ``(k,)``, 0 to 1."""
+        along = intensities * (len(self.knots) - 1)
+        leg = np.minimum(along.astype(np.int64), len(self.knots) - 2)
+        begin, end = self.knots[leg], self.knots[leg + 1]
+        found: FloatArray = begin + (along - leg)[:, None] * (end - begin)
+        return found
+
     @property
     def moving(self) -> BoolArray:
         """Which actuators it moves ``(n,)``."""
@@ -123,20 +136,15 @@ class Closing:
         """
         self.scene, self.way, self.friction = scene, way, friction
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
-        self.table: list[HandPose] = [scene.posed(way.at(float(s))) for s in self.grid]
+        postures = scene.postures
+        table = postures.frames(way.along(self.grid))
+        self.table: list[HandPose] = [postures.posed(frames) for frames in table]
+        self._frames = postures.frames(way.along(np.arange(_TICKS + 1) / _TICKS))
         self._known: dict[int, HandPose] = {}
-        steps = [scene.speeds(a, b) for a, b in zip(self.table, self.table[1:], strict=False)]
-        self._speed = np.max(steps, axis=0) * STEPS
+        self._speed = postures.farthest_steps(table) * STEPS
         """How fast each shape moves at most [m per unit of intensity]."""
-        kinematics = scene.geometry.kinematics
         # Absolute values, so that joints which move against each other do not cancel.
-        drive = np.array(
-            [
-                kinematics.support(shape.body) @ np.abs(scene.hand.transmission.jacobian(u)) > 0.0
-                for shape in scene.geometry.shapes
-                for u in (way.at(1.0),)
-            ]
-        )
+        drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(way.at(1.0))) > 0.0
         self._drives = drive & way.moving
         """Which moving actuators move each shape ``(shapes, n)``."""
 
@@ -153,7 +161,8 @@ class Closing:
         # `_push` moves the object in place, and the caller's pose must stay.
         start, pose = pose, pose.copy()
         tick = math.floor(begin * _TICKS)
-        near = self.scene.bounds(self._posed(tick), pose)
+        near = Nearness(self.scene, self._posed(tick), pose)
+        pace = np.maximum(self._speed, 1e-9) / _TICKS
         tick = self._until_contact(tick, near, pose)
         while True:
             at = self._posed(tick)
@@ -165,18 +174,22 @@ class Closing:
             if tick >= _TICKS:
                 return None
             step = min(_STEP, _TICKS - tick)
-            # These stay lower bounds: no shape moves farther in a step.
-            near -= self._speed * (step / _TICKS)
+            if not touches:  # over all steps after which nothing touches either
+                least = near.least(at, pose, _SOON, pace, until=TOUCH)
+                step = min(max(1, math.ceil(least / _STEP)) * _STEP, _TICKS - tick)
+            near.closed(self._speed * (step / _TICKS))
             tick += step
-        return self._rest_closed(pose, tick / _TICKS, touches)
+        return self._rest_closed(pose, tick / _TICKS, near, touches)
 
     def _posed(self, tick: int) -> HandPose:
         """Return where the hand is at an intensity; poses of the object share these."""
         if tick not in self._known:
-            self._known[tick] = self.scene.posed(self.way.at(tick / _TICKS))
+            self._known[tick] = self.scene.postures.posed(self._frames[tick])
         return self._known[tick]
 
-    def _rest_closed(self, pose: FloatArray, first: float, touches: list[Touch]) -> Closure:
+    def _rest_closed(
+        self, pose: FloatArray, first: float, near: Nearness, touches: list[Touch]
+    ) -> Closure:
         """Let the actuators go on that are not blocked, with the object where it is."""
         s, shares = first, np.full(len(self.scene.hand.rest), first)
         # Those that never move count as blocked, so that the loop can end early.
@@ -184,68 +197,50 @@ class Closing:
         for touch in touches:
             blocked = blocked | self._drives[touch.shape]
         there = {touch.shape for touch in touches}
-        speed = np.maximum(self._speed, 1e-9)
+        speed, one = np.maximum(self._speed, 1e-9), _STEP / _TICKS
         at = self.scene.posed(self.way.at(shares))
+        free: BoolArray = np.any(self._drives[:, ~blocked], axis=1)
         while s < 1.0 and not blocked.all():
-            free = self._drives[:, ~blocked].any(axis=1)
-            bounds = self.scene.bounds(at, pose)
-            step = 1.0
-            for shape in np.flatnonzero(free & (bounds <= speed)).tolist():
-                if bounds[shape] > step * speed[shape]:
-                    continue
-                touch = self.scene.touch(shape, at, pose)
-                if touch.distance <= TOUCH and shape not in there:
-                    there.add(shape)
+            for touch in near.touching(at, pose, free):
+                if touch.shape not in there:
+                    there.add(touch.shape)
                     touches.append(touch)
-                    blocked = blocked | self._drives[shape]
-                step = min(step, touch.distance / speed[shape])
+                    blocked = blocked | self._drives[touch.shape]
             # At least one step: a link inside the object has a negative way left.
-            s = min(1.0, s + max(_STEP / _TICKS, step))
+            step = max(one, near.least(at, pose, 1.0, speed, free, below=one))
+            before, s = s, min(1.0, s + step)
             shares = np.where(blocked, shares, s)
             at = self.scene.posed(self.way.at(shares))
-        found = [self.scene.touch(touch.shape, at, pose) for touch in touches]
+            free = np.any(self._drives[:, ~blocked], axis=1)
+            near.closed(np.where(free, self._speed * (s - before), 0.0))
+        found = [near.touch(touch.shape, at, pose) for touch in touches]
         contacts = tuple(self.scene.contacts(found, at, pose))
         u = self.way.at(shares)
         return Closure(pose, shares, u, first, contacts, blocked & self.way.moving)
 
-    def _until_contact(self, tick: int, near: FloatArray, pose: FloatArray) -> int:
+    def _until_contact(self, tick: int, near: Nearness, pose: FloatArray) -> int:
         """Return the intensity just before a moving link touches (conservative advancement).
 
         Args:
             tick: Intensity from which the hand closes.
-            near: Lower bounds of the shapes' distances there ``(shapes,)`` [m]; kept up to date.
+            near: How near the hand is there; kept up to date.
             pose: Pose of the object.
         """
         speed = np.maximum(self._speed, 1e-9) / _TICKS
         while tick < _TICKS:
-            at = self._posed(tick)
-            least = float(_TICKS - tick)
-            # The earliest possible contact first: its distance rules most others out.
-            for shape in np.argsort(near / speed, kind="stable").tolist():
-                if near[shape] / speed[shape] >= least:
-                    break
-                near[shape] = self.scene.touch(shape, at, pose).distance
-                least = min(least, float(near[shape] / speed[shape]))
-                if least < 1.0:
-                    return tick
+            # No farther than needed: what is far away is looked at when it comes near.
+            least = near.least(self._posed(tick), pose, _SOON, speed, below=1.0)
+            if least < 1.0:
+                return tick
             # Rounded down, so that the hand stops before it touches.
-            tick += math.floor(least)
-            near -= speed * math.floor(least)
+            ticks = min(math.floor(least), _TICKS - tick)
+            tick += ticks
+            near.closed(self._speed * (ticks / _TICKS))
         return _TICKS
 
-    def _touching(self, near: FloatArray, at: HandPose, pose: FloatArray) -> list[Touch]:
-        """Return the shapes that touch; measures only what the lower bounds leave open."""
-        found = []
-        for shape in np.flatnonzero(near <= TOUCH).tolist():
-            touch = self.scene.touch(shape, at, pose)
-            near[shape] = touch.distance
-            if touch.distance <= TOUCH:
-                found.append(touch)
-        return found
-
-    def _push(self, near: FloatArray, at: HandPose, pose: FloatArray) -> list[Touch]:
+    def _push(self, near: Nearness, at: HandPose, pose: FloatArray) -> list[Touch]:
         """Move the object out of the links that push it, unless they oppose each other."""
-        touches = self._touching(near, at, pose)
+        touches = near.touching(at, pose)
         for _ in range(_PUSHES):
             deep = [touch for touch in touches if touch.distance < 0.0]
             if not deep or self._opposed(touches):
@@ -256,9 +251,8 @@ class Closing:
             ):  # as several shapes of a jaw: the mean would leave it inside
                 push = _clear_of(min(deep, key=lambda touch: touch.distance))
             pose[:3, 3] += push
-            # The object may have come nearer to any shape by all of the push.
-            near -= float(np.linalg.norm(push))
-            touches = self._touching(near, at, pose)
+            near.pushed(push)
+            touches = near.touching(at, pose)
         return touches
 
     def _opposed(self, touches: Sequence[Touch]) -> bool:
@@ -276,8 +270,7 @@ class Closing:
         if float((normals @ mean).min()) > np.sin(slope) * np.linalg.norm(mean):
             return False  # all push the same way
         # Forces alone: an object that does not turn needs no balance of torques.
-        edges = [cone(normal, self.friction) for normal in normals]
-        return balanced(np.concatenate(edges))
+        return balanced(cones(normals, self.friction).reshape(-1, 3))
 
     def _links(self, touches: Sequence[Touch]) -> set[str]:
         """Return the links that touch."""

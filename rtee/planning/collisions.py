@@ -10,6 +10,7 @@ import numpy as np
 
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
+from rtee.planning.nearness import Nearness
 from rtee.planning.objects import GraspObject
 from rtee.planning.reached import Collision
 from rtee.planning.scene import GraspScene
@@ -100,10 +101,9 @@ class Collisions:
             return []
         at = scene.posed(u)
         depths: dict[str, float] = {}
-        # The bounds are lower ones: a shape with a positive one cannot be in the object.
-        for number in np.flatnonzero(scene.bounds(at, self._pose) < 0.0).tolist():
-            link = self._geometry.shapes[number].link
-            depth = -scene.touch(number, at, self._pose).distance
+        near = Nearness(scene, at, self._pose)
+        for touch in near.touching(at, self._pose):
+            link, depth = self._geometry.shapes[touch.shape].link, -touch.distance
             if depth > (_PRESSED if self._tips.get(link) in fingers else _DEPTH):
                 depths[link] = max(depth, depths.get(link, 0.0))
         return [Collision((link, OBJECT), depth, posture) for link, depth in depths.items()]

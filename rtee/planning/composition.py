@@ -44,7 +44,7 @@ def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
     best: GraspPlan | None = None
     chosen: Composed | None = None
     for draft in drafts:
-        plan = planner.best(draft, _POSES)
+        plan = planner.best(draft, _POSES, best)
         if isinstance(plan, GraspPlan) and (best is None or rank(plan) < rank(best)):
             best, chosen = plan, draft
     if best is None or chosen is None:

@@ -68,11 +68,10 @@ class Piece:
     points: FloatArray
     radius: float = 0.0
 
-    @cached_property
-    def ball(self) -> tuple[FloatArray, float]:
-        """Middle ``(3,)`` and radius of a ball around it [m]."""
-        middle = 0.5 * (self.points.min(axis=0) + self.points.max(axis=0))
-        return middle, float(np.linalg.norm(self.points - middle, axis=1).max()) + self.radius
+    def support(self, directions: FloatArray) -> FloatArray:
+        """Return how far it reaches along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
+        reach: FloatArray = (self.points @ directions.T).max(axis=0) + self.radius
+        return reach
 
 
 @dataclass(frozen=True)
@@ -93,8 +92,7 @@ class GraspObject:
 
     def support(self, directions: FloatArray) -> FloatArray:
         """Return how far it reaches along unit vectors ``(d, 3)`` of its frame ``(d,)`` [m]."""
-        reach = [(p.points @ directions.T).max(axis=0) + p.radius for p in self.pieces]
-        farthest: FloatArray = np.max(reach, axis=0)
+        farthest: FloatArray = np.max([p.support(directions) for p in self.pieces], axis=0)
         return farthest
 
     def scaled(self, factor: float) -> GraspObject:

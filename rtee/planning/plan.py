@@ -78,7 +78,7 @@ def plan_grasps(
             f"rtee extract {hand.name} --save"
         )
     plans, rejected = planner.plan(library)
-    # Composing takes a second or two, so only where no stored action is good enough.
+    # Composing takes about as long again, so only where no stored action is good enough.
     if compose and (not plans or plans[0].score < GOOD):
         made = composed_for(planner, library)
         if made is not None and (not plans or made.score > plans[0].score):

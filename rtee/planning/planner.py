@@ -14,6 +14,7 @@ from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.nearness import Nearness
 from rtee.planning.objects import GraspObject
 from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
@@ -58,6 +59,12 @@ _SQUEEZE: Final = {JointKind.PRISMATIC: 0.01}
 
 _SQUEEZE_ANGLE: Final = 0.3
 """The same of turning ones [rad]: the full effort of a servo of ordinary stiffness."""
+
+_CLEAR: Final = 1e-3
+"""What a pre-shape leaves free between the hand and the object [m]: models are that exact."""
+
+_FAR: Final = 0.05
+"""Clearance that is told exactly up to here [m]."""
 
 _MOST_CONTACTS: Final = 32
 """Contacts that count; more add nothing but time."""
@@ -167,15 +174,18 @@ class Planner:
             tuple(notes),
         )
 
-    def best(self, action: Action, most: int = _MOST) -> GraspPlan | str:
+    def best(
+        self, action: Action, most: int = _MOST, beat: GraspPlan | None = None
+    ) -> GraspPlan | str:
         """Return the best grasp by an action, or why there is none.
 
         Args:
             action: The action.
             most: Poses of the object that are tried.
+            beat: A grasp that it must not be worse than to matter.
         """
         found = self._grasps(action, most)
-        return found if isinstance(found, str) else self._best_of(found)
+        return found if isinstance(found, str) else self._best_of(found, beat)
 
     def _grasps(self, action: Action, most: int) -> list[_Grasp] | str:
         """Return the most promising grasps by an action, or why there is none."""
@@ -204,9 +214,16 @@ class Planner:
         grasps.sort(key=lambda grasp: -grasp.promise)
         return grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
 
-    def _best_of(self, grasps: Sequence[_Grasp]) -> GraspPlan | str:
+    def _best_of(self, grasps: Sequence[_Grasp], beat: GraspPlan | None = None) -> GraspPlan | str:
         """Return the best of the grasps of an action, or why there is none."""
-        best = min((self._judged(grasp) for grasp in grasps), key=rank)
+        best: GraspPlan | None = None
+        least = 0.0 if beat is None else beat.score
+        for grasp in grasps:
+            judged = self._judged(grasp, least)
+            if judged is not None and (best is None or rank(judged) < rank(best)):
+                best, least = judged, max(least, judged.score)
+        if best is None:
+            return "it is no better than others"
         return best if best.load > 0.0 else "it can't carry the weight along this axis"
 
     def closed(self, action: Action, plan: GraspPlan) -> Closure | None:
@@ -246,16 +263,26 @@ class Planner:
         force = self.thing.mass * GRAVITY * self.task.weight_axis
         return load(found, torques, np.concatenate([force, np.zeros(3)]))
 
-    def _judged(self, grasp: _Grasp) -> GraspPlan:
+    def _judged(self, grasp: _Grasp, least: float) -> GraspPlan | None:
+        """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
+
+        What it carries takes longest to work out, and can only lower the score.
+        """
         action, closing, candidate = grasp.action, grasp.closing, grasp.candidate
         closure = grasp.closure
         contacts = closure.contacts[:_MOST_CONTACTS]
         found = self._wrenches(closure, contacts)
-        ball, times = quality(found), self._carried(closure, contacts, found)
+        ball = quality(found)
         points = np.array([contact.point for contact in contacts])
         off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
-        preshape, opening, clearance = self._before(grasp)
+        # Rounded, as scores are compared.
+        if round(_score(SAFETY, ball, off / self.thing.length), 4) < least:
+            return None
+        times = self._carried(closure, contacts, found)
         score = _score(times, ball, off / self.thing.length)
+        if round(score, 4) < least:
+            return None
+        preshape, opening, clearance = self._before(grasp)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
         return GraspPlan(
@@ -308,12 +335,17 @@ class Planner:
             wide = gaps[step] >= candidate.width + _MARGIN
             if step and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
-            least = math.inf
+            at, along[:3, 3] = closing.table[step], ways[0]
+            near, least = Nearness(self.scene, at, along), math.inf
             for place in ways:
+                near.pushed(place - along[:3, 3])
                 along[:3, 3] = place
-                least = min(least, self.scene.nearest(closing.table[step], along, enough=0.05))
+                least = near.least(at, along, min(least, _FAR))
+                # Where a posture is ruled out, its other places do not matter.
+                if step and least <= _CLEAR:
+                    break
             # Rest is the last posture to try: there any clearance is reported.
-            if not step or least > 1e-3:
+            if not step or least > _CLEAR:
                 return float(closing.grid[step]), float(gaps[step] if step else gaps.max()), least
         return 0.0, float(gaps.max()), 0.0
 

@@ -12,9 +12,12 @@ import coal
 import numpy as np
 
 from rtee.actions.types import Action
+from rtee.hand.linalg import cross
 from rtee.planning.closing import Closing
+from rtee.planning.nearness import Nearness
 from rtee.planning.objects import GraspObject
-from rtee.planning.scene import GraspScene, HandPose
+from rtee.planning.postures import HandPose
+from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
 
 GAP: Final = 1e-3
@@ -198,7 +201,7 @@ class Poses:
     def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
         middles = at.middles[tips]
         # Roughly by volume, so that many small shapes do not draw the middle to them.
-        weight = self._scene.radii[tips] ** 3
+        weight = self._scene.postures.radii[tips] ** 3
         return np.asarray(weight @ middles / weight.sum())
 
     def _opposition(self) -> tuple[FloatArray | None, FloatArray]:
@@ -315,14 +318,12 @@ class Poses:
 
     def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
         opening, open_at = float(self.gaps.max()), int(np.argmax(self.gaps))
-        _, closing = self._at(STEP_MIDDLE)
-        fitting = []
-        for number, turn in enumerate(turns):
-            width = self._width(closing, turn)
-            if width <= opening - 2.0 * GAP:
-                deep = self._width(self._out, turn, closing)
-                # Rounded, so that the last digits do not decide between turns of the same width.
-                fitting.append((round(width, 3), round(deep, 3), number))
+        fitting = [
+            # Rounded, so that the last digits do not decide between turns of the same width.
+            (round(width, 3), round(deep, 3), number)
+            for number, (width, _, deep) in enumerate(self._sizes(turns))
+            if width <= opening - 2.0 * GAP
+        ]
         for width, _, number in sorted(fitting):
             # The last step that leaves room: before the widest one, the tips are still opening.
             there = np.flatnonzero(self.gaps >= width + GAP)
@@ -348,33 +349,29 @@ class Poses:
     def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
         _, closing = self._at(STEP_MIDDLE)
         front = self._ways()[1:]
-        sized = []
-        for number, turn in enumerate(turns):
-            rotation = self._rotation(closing, turn)
-            both = np.stack([front[0][0], -front[0][0]]) @ rotation
-            thick = float(self._scene.object.support(both).sum())
-            high = self._width(self._out, turn, closing)
-            sized.append((round(thick + high, 3), number))
+        across = front[0][0] @ np.stack([self._rotation(closing, turn) for turn in turns])
+        thick = self._scene.object.support(across) + self._scene.object.support(-across)
+        sized = [
+            (round(float(thick[number]) + high, 3), number)
+            for number, (_, _, high) in enumerate(self._sizes(turns))
+        ]
         for _, number in sorted(sized):
             placed = self._placed(3 * STEP_MIDDLE // 2, turns[number], front)
             yield from itertools.islice(placed, _share(most, len(sized)))
 
     def narrowest(self, turns: list[FloatArray]) -> float:
         """Return the object's least width between the fingers [m]."""
-        _, closing = self._at(STEP_MIDDLE)
-        return min(self._width(closing, turn) for turn in turns)
+        return min(width for width, _, _ in self._sizes(turns))
+
+    def _sizes(self, turns: list[FloatArray]) -> list[tuple[float, float, float]]:
+        """Return the object's width, across the axis of closing, and depth, for each turn [m]."""
+        # These are its extents along the turn's own rows, wherever the axes of the hand are.
+        return [self._scene.sizes(turn) for turn in turns]
 
     def _rotation(self, closing: FloatArray, turn: FloatArray) -> FloatArray:
-        side = np.cross(self._out, closing)
+        side = cross(self._out, closing)
         rotation: FloatArray = np.stack([closing, side, self._out], axis=1) @ turn
         return rotation
-
-    def _width(
-        self, along: FloatArray, turn: FloatArray, closing: FloatArray | None = None
-    ) -> float:
-        rotation = self._rotation(along if closing is None else closing, turn)
-        both = np.stack([along, -along]) @ rotation
-        return float(self._scene.object.support(both).sum())
 
     def _placed(
         self, step: int, turn: FloatArray, ways: list[tuple[FloatArray, FloatArray]]
@@ -384,7 +381,7 @@ class Poses:
         pose[:3, :3] = self._rotation(closing, turn)
         # The middle of its box, since a mesh may have its origin anywhere.
         pose[:3, 3] = middle - pose[:3, :3] @ self._scene.object.box[0]
-        width, opening = self._width(closing, turn), float(self.gaps.max())
+        (width, _, _), opening = self._scene.sizes(turn), float(self.gaps.max())
         for way, shift in ways:
             begin = pose.copy()
             begin[:3, 3] += shift
@@ -427,14 +424,17 @@ class Poses:
         inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
         # Its near side, not its middle, begins beyond the reach of the fingers.
         depth = first = _WAY + float(inner)
+        moved[:3, 3] += depth * way
+        near = Nearness(self._scene, at, moved)
         while depth > -_DEEPEST:
-            moved[:3, 3] = pose[:3, 3] + depth * way
             # A step of the free distance cannot pass a link; `GAP` is left at the end.
-            free = self._scene.nearest(at, moved, enough=first) - GAP
+            free = near.least(at, moved, enough=first) - GAP
             if free < 0.5 * GAP:
                 # What touches before its first step has no way in.
                 return None if depth >= first else depth
             depth -= free
+            moved[:3, 3] = pose[:3, 3] + depth * way
+            near.pushed(-free * way)
         return -_DEEPEST
 
 

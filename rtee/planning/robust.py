@@ -12,6 +12,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.nearness import Nearness
 from rtee.planning.planner import Planner
 from rtee.planning.poses import GAP, Candidate, Poses
 from rtee.sample import FloatArray
@@ -158,8 +159,9 @@ def _judged(
 def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray | None:
     """Return the pose to which the open hand pushes an object on its way; none if out of reach."""
     pose, length = pose.copy(), float(np.linalg.norm(way))
+    at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
-        if closing.scene.nearest(closing.table[0], pose, enough=_PUSH) > 0.0:
+        if Nearness(closing.scene, at, pose).least(at, pose, enough=_PUSH) > 0.0:
             return pose
         # Without a way in, there is no direction to push it.
         if not length:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
 import coal
 import numpy as np
@@ -14,6 +12,7 @@ import pinocchio as pin
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.planning.objects import GraspObject
+from rtee.planning.postures import HandPose, Postures
 from rtee.planning.result import Contact
 from rtee.sample import FloatArray
 
@@ -23,22 +22,18 @@ TOUCH: Final = 5e-4
 _OTHERS: Final = 4
 """Most contacts of one link with one piece that count: the corners of a patch."""
 
-_BALL_AXES: Final = np.vstack([np.zeros(3), np.eye(3)])
-"""A shape moves no faster than these points of its ball, in units of the radius, nearly."""
+NOWHERE: Final = np.zeros(3)
+"""Point and normal of what does not touch."""
 
 
-_NOWHERE: Final = np.zeros(3)
-
-
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """A shape of the hand that touches the object.
+class Touch(NamedTuple):
+    """How near a shape of the hand is to the object.
 
     Attributes:
         shape: Its index.
         distance: Signed distance; negative inside [m].
         point: The middle of the closest points ``(3,)`` in the base frame [m], if they touch.
-        normal: Unit normal into the object ``(3,)``, if they touch.
+        normal: Unit normal into the object ``(3,)``.
     """
 
     shape: int
@@ -47,27 +42,8 @@ class Touch:
     normal: FloatArray
 
 
-@dataclass(frozen=True)
-class HandPose:
-    """Where the shapes of a hand are at a posture.
-
-    Attributes:
-        turns: Their rotations ``(n, 3, 3)`` in the base frame.
-        places: Their positions ``(n, 3)`` [m].
-        middles: Middles of their bounding balls ``(n, 3)`` [m].
-    """
-
-    turns: FloatArray
-    places: FloatArray
-    middles: FloatArray
-    _transforms: dict[int, coal.Transform3s] = field(default_factory=dict, repr=False)
-
-    def where(self, shape: int) -> coal.Transform3s:
-        """Return a shape's pose for Coal."""
-        # Kept, since one posture is compared with many poses of the object.
-        if shape not in self._transforms:
-            self._transforms[shape] = coal.Transform3s(self.turns[shape], self.places[shape])
-        return self._transforms[shape]
+Measured: TypeAlias = tuple[float, FloatArray, FloatArray]
+"""Distance of a shape from a piece, and point and normal as in `Touch`; the normal in any case."""
 
 
 class GraspScene:
@@ -77,8 +53,8 @@ class GraspScene:
         hand: The hand.
         object: The object.
         geometry: The hand's geometry.
+        postures: Where its shapes are.
         finger: Per shape, the finger that alone has its link; empty for the palm and linkages.
-        asked: How many distances were measured.
     """
 
     def __init__(
@@ -96,77 +72,75 @@ class GraspScene:
         """
         self.hand, self.object = hand, thing
         self.geometry = geometry or HandGeometry(hand)
-        self.asked = 0
-        shapes = self.geometry.shapes
-        self._bodies = np.array([shape.body for shape in shapes], dtype=np.int64)
-        self._turns = np.array([shape.placement.rotation for shape in shapes]).reshape(-1, 3, 3)
-        self._places = np.array([shape.placement.translation for shape in shapes]).reshape(-1, 3)
-        self._balls = np.array([shape.ball[0] for shape in shapes]).reshape(-1, 3)
-        self.radii = np.array([shape.ball[1] for shape in shapes])
-        self.finger = tuple(_finger_of(hand, shape.link) for shape in shapes)
+        self.postures = Postures(self.geometry)
+        self.finger = tuple(_finger_of(hand, shape.link) for shape in self.geometry.shapes)
+        self._convex = [shape.convex for shape in self.geometry.shapes]
+        self._pieces = [piece.shape for piece in thing.pieces]
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
         self._pose, self._transform = b"", coal.Transform3s()
-        balls = [piece.ball for piece in thing.pieces]
-        self._centres = self._middles = np.array([middle for middle, _ in balls])
-        self._reaches = np.array([reach for _, reach in balls])
-        self._middle, self._half = thing.box
-        self._axes = thing.frame
+        # Kept, since every action asks for those of the same few turns.
+        self._sizes: dict[bytes, tuple[float, float, float]] = {}
+        # A box around each piece, along the axes of the object's box.
+        high = np.array([piece.support(thing.frame.T) for piece in thing.pieces])
+        low = -np.array([piece.support(-thing.frame.T) for piece in thing.pieces])
+        self._middles, self._halves = 0.5 * (high + low), 0.5 * (high - low)
 
     def posed(self, u: FloatArray) -> HandPose:
         """Return where the shapes are at actuator positions ``(n,)`` [rad | m]."""
-        kinematics = self.geometry.kinematics
-        joints = self.hand.transmission.joints(u)
-        pin.forwardKinematics(kinematics.model, kinematics.data, joints)
-        # Copied into arrays: the next posture overwrites Pinocchio's data.
-        frames = [(m.rotation, m.translation) for m in kinematics.data.oMi]
-        turns = np.array([frame[0] for frame in frames])[self._bodies]
-        origins = np.array([frame[1] for frame in frames])[self._bodies]
-        places = origins + np.einsum("nij,nj->ni", turns, self._places)
-        turns = turns @ self._turns
-        return HandPose(turns, places, places + np.einsum("nij,nj->ni", turns, self._balls))
+        return self.postures.posed(self.postures.frames(u[None])[0])
 
-    def bounds(self, at: HandPose, pose: FloatArray) -> FloatArray:
-        """Return lower bounds of the shapes' distances from the object ``(n,)`` [m].
+    def gaps(self, at: HandPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return gaps between the shapes and the pieces, without measuring distances.
 
         Args:
             at: Where the hand is.
             pose: Pose of the object ``(4, 4)`` in the base frame.
+
+        Returns:
+            Widths ``(n, pieces)`` of gaps between two parallel planes, lower bounds of the
+            distances [m], and their unit normals ``(n, pieces, 3)``, from the shape to the piece.
         """
-        turn = pose[:3, :3] @ self._axes
-        middle = pose[:3, :3] @ self._middle + pose[:3, 3]
-        # A box holds the object and a ball each shape, so their distance is a lower bound.
-        outside = np.maximum(np.abs((at.middles - middle) @ turn) - self._half, 0.0)
-        found: FloatArray = np.sqrt((outside * outside).sum(axis=1)) - self.radii
-        return found
+        # Boxes hold shapes and pieces, and boxes around these boxes tell how far those are apart:
+        # in the axes of the pieces' boxes and in those of the shapes' ones.
+        axes = pose[:3, :3] @ self.object.frame
+        turns, halves = axes.T @ at.turns, self.postures.halves
+        swung = np.abs(turns)
+        between = self._middles - ((at.middles - pose[:3, 3]) @ axes)[:, None]
+        reach = self._halves + (swung @ halves[:, :, None]).swapaxes(1, 2)
+        gaps, ways = _box_gaps(between, reach)
+        others, aside = _box_gaps(between @ turns, halves[:, None] + self._halves @ swung)
+        wider = others > gaps
+        normals = np.where(wider[:, :, None], aside @ at.turns.swapaxes(1, 2), ways @ axes.T)
+        return np.where(wider, others, gaps), normals
 
-    def touch(self, shape: int, at: HandPose, pose: FloatArray) -> Touch:
-        """Return how near a shape is to the object, and where if they touch."""
-        # Before `_rooms`, which takes the pieces to be where this puts them.
-        there, here = at.where(shape), self._where(pose)
-        body, result = self.geometry.shapes[shape].convex, self._result
-        least, point, normal = math.inf, _NOWHERE, _NOWHERE
-        pieces = self.object.pieces
-        rooms = self._rooms(shape, at) if len(pieces) > 1 else (-math.inf,)
-        # The nearest piece first: its distance rules most others out.
-        for room, piece in sorted(zip(rooms, pieces, strict=True), key=lambda pair: pair[0]):
-            if room >= least:
-                break
-            result.clear()
-            self.asked += 1
-            distance = coal.distance(body, there, piece.shape, here, self._request, result)
-            if distance < least:
-                least = distance
-                # Only contacts need the points, and each takes a copy.
-                if distance <= TOUCH:
-                    point = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
-                    normal = np.array(result.normal)
-        return Touch(shape, least, point, normal)
+    def measured(self, shape: int, piece: int, at: HandPose, pose: FloatArray) -> Measured:
+        """Return how near a shape is to a piece of the object.
 
-    def _rooms(self, shape: int, at: HandPose) -> list[float]:
-        """Return lower bounds of a shape's distances from the pieces, where they are last."""
-        apart = np.sqrt(((self._middles - at.middles[shape]) ** 2).sum(axis=1))
-        rooms: list[float] = (apart - self._reaches - self.radii[shape]).tolist()
-        return rooms
+        Args:
+            shape: The shape.
+            piece: The piece.
+            at: Where the hand is.
+            pose: Pose of the object ``(4, 4)`` in the base frame.
+        """
+        result, here = self._result, self._where(pose)
+        result.clear()
+        distance: float = coal.distance(
+            self._convex[shape], at.where(shape), self._pieces[piece], here, self._request, result
+        )
+        # Only contacts need the points, and each takes a copy.
+        point = NOWHERE
+        if distance <= TOUCH:
+            point = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
+        return distance, point, np.array(result.normal)
+
+    def sizes(self, turn: FloatArray) -> tuple[float, float, float]:
+        """Return the extents of the turned object ``(3, 3)`` along three axes [m]."""
+        key = turn.tobytes()
+        if key not in self._sizes:
+            low, high = self.object.support(-turn), self.object.support(turn)
+            x, y, z = (low + high).tolist()
+            self._sizes[key] = x, y, z
+        return self._sizes[key]
 
     def _where(self, pose: FloatArray) -> coal.Transform3s:
         """Return a pose of the object for Coal; the one asked for last is kept."""
@@ -174,7 +148,6 @@ class GraspScene:
         key = pose.tobytes()
         if key != self._pose:
             self._pose, self._transform = key, coal.Transform3s(pose[:3, :3], pose[:3, 3])
-            self._middles = self._centres @ pose[:3, :3].T + pose[:3, 3]
         return self._transform
 
     def apart(
@@ -182,33 +155,8 @@ class GraspScene:
     ) -> float:
         """Return the signed distance of a shape of the hand from another one [m]."""
         self._result.clear()
-        body = self.geometry.shapes[shape].convex
-        return float(
-            coal.distance(body, at.where(shape), other, where, self._request, self._result)
-        )
-
-    def nearest(self, at: HandPose, pose: FloatArray, enough: float = np.inf) -> float:
-        """Return the least distance of the hand from the object [m].
-
-        Args:
-            at: Where the hand is.
-            pose: Pose of the object ``(4, 4)`` in the base frame.
-            enough: Distances above this need not be exact [m].
-        """
-        bounds = self.bounds(at, pose)
-        least = enough
-        for shape in np.argsort(bounds, kind="stable").tolist():
-            # The bounds rise: no shape after this one can be nearer.
-            if bounds[shape] >= least:
-                break
-            least = min(least, self.touch(shape, at, pose).distance)
-        return float(least)
-
-    def touching(self, at: HandPose, pose: FloatArray, within: float = TOUCH) -> list[Touch]:
-        """Return the shapes that touch the object, in their order."""
-        near = np.flatnonzero(self.bounds(at, pose) <= within).tolist()
-        found = (self.touch(shape, at, pose) for shape in near)
-        return [touch for touch in found if touch.distance <= within]
+        body, there = self._convex[shape], at.where(shape)
+        return float(coal.distance(body, there, other, where, self._request, self._result))
 
     def contacts(self, touches: Sequence[Touch], at: HandPose, pose: FloatArray) -> list[Contact]:
         """Return the contacts of shapes that touch: one for a point, several for a patch."""
@@ -243,15 +191,6 @@ class GraspScene:
         x, y, z = (float(v) for v in point)
         a, b, c = (float(v) for v in normal / np.linalg.norm(normal))
         return Contact(self.geometry.shapes[shape].link, self.finger[shape], (x, y, z), (a, b, c))
-
-    def speeds(self, before: HandPose, after: HandPose) -> FloatArray:
-        """Return how far points of the shapes go at most, from a posture to one near it [m]."""
-        reach = self.radii[:, None, None] * _BALL_AXES
-        moved = [
-            at.middles[:, None] + reach @ at.turns.transpose(0, 2, 1) for at in (before, after)
-        ]
-        found: FloatArray = np.linalg.norm(moved[1] - moved[0], axis=2).max(axis=1)
-        return found
 
     def torques(self, u: FloatArray, contacts: Sequence[Contact]) -> FloatArray:
         """Return the maps from forces at contacts to the actuators' efforts ``(k, n, 3)``.
@@ -293,6 +232,27 @@ def _corners(points: list[FloatArray]) -> list[FloatArray]:
     aside = across @ widest
     chosen = [first, int(np.argmin(along)), int(np.argmax(aside)), int(np.argmin(aside))]
     return [points[i] for i in dict.fromkeys(chosen)]
+
+
+def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the gaps ``(n, k)`` between upright boxes and their unit normals ``(n, k, 3)``.
+
+    Where boxes overlap, the axis counts along which they overlap least; its gap is negative.
+
+    Args:
+        between: Ways from the middles of the first boxes to those of the others ``(n, k, 3)``.
+        reach: Sums of their half extents.
+    """
+    apart = np.abs(between) - reach
+    ways = np.maximum(apart, 0.0)
+    gaps = np.sqrt(np.einsum("nki,nki->nk", ways, ways))
+    inside = gaps <= 0.0
+    if inside.any():
+        axis = apart[inside].argmax(axis=-1)
+        ways[inside] = np.eye(3)[axis]
+        gaps[inside] = apart[inside].max(axis=-1)
+    size = np.where(inside, 1.0, gaps)
+    return gaps, np.copysign(ways, between) / size[:, :, None]
 
 
 def _finger_of(hand: Hand, link: str) -> str:

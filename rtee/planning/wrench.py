@@ -20,11 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
 
 from rtee.hand.halton import halton
+from rtee.hand.linalg import cross
 from rtee.planning.result import Contact
 from rtee.sample import FloatArray
 
@@ -83,13 +85,26 @@ def cone(normal: FloatArray, friction: float) -> FloatArray:
         normal: Unit normal into the object ``(3,)``.
         friction: Coefficient of friction.
     """
-    x, y, z = (float(v) for v in normal)
-    # Crossed with the axis farthest from the normal, so that the product is never near zero.
-    first = (0.0, -z, y) if abs(x) <= min(abs(y), abs(z)) else (z, 0.0, -x)
-    first = (-y, x, 0.0) if abs(z) < min(abs(x), abs(y)) else first
-    a, b, c = (v / math.hypot(*first) for v in first)
-    second = (y * c - z * b, z * a - x * c, x * b - y * a)
-    edges: FloatArray = normal + friction * (_CIRCLE @ np.array([(a, b, c), second]))
+    edges: FloatArray = cones(normal[None], friction)[0]
+    return edges
+
+
+def cones(normals: FloatArray, friction: float) -> FloatArray:
+    """Return the edges of cones of friction ``(k, EDGES, 3)``; see `cone`.
+
+    Args:
+        normals: Unit normals into the object ``(k, 3)``.
+        friction: Coefficient of friction.
+    """
+    # Crossed with the axis farthest from the normal, so that the product is never near zero. Of
+    # equal ones x comes first, then y.
+    size = np.abs(normals)
+    least = size.min(axis=1)
+    axes = np.where(size[:, 0] <= least, 0, np.where(size[:, 1] <= least, 1, 2))
+    first = cross(np.eye(3)[axes], normals)
+    first /= np.sqrt((first * first).sum(axis=1, keepdims=True))
+    second = cross(normals, first)
+    edges: FloatArray = normals[:, None] + friction * (_CIRCLE @ np.stack([first, second], axis=1))
     return edges
 
 
@@ -108,55 +123,71 @@ def wrenches(
         `EDGES` + 2 wrenches for each contact: the edges of its cone, and its normal with a torque
         about it to either side.
     """
-    rows = []
+    if not contacts:
+        return np.zeros((0, 6))
     # Moment of friction of a disc under even pressure.
     torsion = 2.0 / 3.0 * friction * PATCH / length
-    for contact in contacts:
-        normal, arm = np.array(contact.normal), np.array(contact.point) - centre
-        edges = cone(normal, friction)
-        rows.append(np.hstack([edges, np.cross(arm, edges) / length]))
-        straight = np.concatenate([normal, np.cross(arm, normal) / length])
-        twist = np.concatenate([np.zeros(3), torsion * normal])
-        rows.append(np.stack([straight + twist, straight - twist]))
-    return np.concatenate(rows) if rows else np.zeros((0, 6))
+    normals = np.array([contact.normal for contact in contacts])
+    arms = (np.array([contact.point for contact in contacts]) - centre)[:, None]
+    forces = np.empty((len(contacts), EDGES + 2, 3))
+    forces[:, :EDGES], forces[:, EDGES:] = cones(normals, friction), normals[:, None]
+    torques = cross(arms, forces) / length
+    torques[:, EDGES] += torsion * normals
+    torques[:, EDGES + 1] -= torsion * normals
+    return np.concatenate([forces, torques], axis=2).reshape(-1, 6)
 
 
-def least_squares(matrix: FloatArray, target: FloatArray) -> tuple[FloatArray, float]:
+def least_squares(
+    matrix: FloatArray, target: FloatArray, start: FloatArray | None = None
+) -> tuple[FloatArray, float]:
     """Solve ``min |matrix x - target|`` with ``x >= 0`` (Lawson and Hanson, 1974, algorithm NNLS).
 
     Args:
         matrix: ``(m, n)``.
         target: ``(m,)``.
+        start: Where the search begins, not negative ``(n,)``: near the solution, it takes few
+            steps.
 
     Returns:
         ``x`` ``(n,)``, and the residual's norm.
     """
     count = matrix.shape[1]
-    x, used = np.zeros(count), np.zeros(count, dtype=bool)
+    x = np.zeros(count) if start is None else start.copy()
+    used = x > 0.0
+    # What the search begins with is solved for first.
+    settled = not used.any()
     enough = 1e-10 * max(1.0, float(np.abs(matrix).max(initial=0.0)))
     # The limit of the authors' own code: rounding could make the exchange go on for ever.
     for _ in range(3 * count):
-        gradient = matrix.T @ (target - matrix @ x)
-        gradient[used] = -np.inf
-        best = int(np.argmax(gradient)) if count else 0
-        if used.all() or gradient[best] <= enough:
-            break
-        used[best] = True
-        while used.any():
-            trial = np.zeros(count)
-            trial[used] = np.linalg.lstsq(matrix[:, used], target, rcond=None)[0]
-            below = used & (trial <= 0.0)
-            if not below.any():
-                x = trial
+        if settled:
+            gradient = (target - matrix @ x) @ matrix
+            gradient[used] = -np.inf
+            best = int(gradient.argmax()) if count else 0
+            if used.all() or gradient[best] <= enough:
+                break
+            used[best] = True
+        settled = True
+        while True:
+            columns = np.flatnonzero(used)
+            if not len(columns):
+                break
+            shares = np.linalg.lstsq(matrix[:, columns], target, rcond=None)[0]
+            if shares.min() > 0.0:
+                x = np.zeros(count)
+                x[columns] = shares
                 break
             # As far towards the trial as no share becomes negative.
-            ratio = x[below] / np.maximum(x[below] - trial[below], 1e-300)
-            x = x + float(ratio.min()) * (trial - x)
-            before = int(used.sum())
-            used &= x > 1e-12
-            x[~used] = 0.0
-            if int(used.sum()) == before:  # rounding: drop what would be negative
-                used &= ~below
+            before = x[columns]
+            below = shares <= 0.0
+            ratio = before[below] / np.maximum(before[below] - shares[below], 1e-300)
+            after = before + float(ratio.min()) * (shares - before)
+            left = after <= 1e-12
+            if not left.any():  # rounding: drop what would be negative
+                left = below
+            after[left] = 0.0
+            x = np.zeros(count)
+            x[columns] = after
+            used[columns[left]] = False
     return x, float(np.linalg.norm(matrix @ x - target))
 
 
@@ -255,6 +286,7 @@ def _climb(found: FloatArray, start: FloatArray) -> float:
     return float(np.linalg.norm(x))
 
 
+@cache
 def _starts(dimensions: int) -> FloatArray:
     """Return unit vectors ``(_STARTS + 2 dimensions, dimensions)``: the axes, and all over."""
     spread = 2.0 * halton(dimensions, _STARTS) - 1.0
@@ -282,18 +314,23 @@ def load(
     heavy = float(np.linalg.norm(weight))
     if not len(found) or heavy <= 0.0:
         return 0.0
-    actuators = torques.shape[1]
-    # Columns: normal forces in units of the weight, then what is left of each effort, both ways.
-    slack = np.eye(2 * actuators)
+    # Both ways of each actuator; one in which nothing drives it needs no limit.
     upper = np.vstack([torques.T, -torques.T]) * heavy
-    system = np.block([[found.T, np.zeros((6, 2 * actuators))], [upper, slack]])
+    upper = upper[upper.max(axis=1) > 0.0]
+    # Columns: normal forces in units of the weight, then what is left of each effort.
+    limits, count = len(upper), len(found)
+    system = np.block([[found.T, np.zeros((6, limits))], [upper, np.eye(limits)]])
     # Columns of equal length: `least_squares` compares all gradients with one bound.
-    scale = np.maximum(np.linalg.norm(system[:, : len(found)], axis=0), 1e-9)
-    system[:, : len(found)] /= scale
+    scale = np.maximum(np.linalg.norm(system[:, :count], axis=0), 1e-9)
+    system[:, :count] /= scale
+    # Without a load there is no force, and all of each effort is left.
+    x = np.concatenate([np.zeros(count), np.ones(limits)])
 
     def carried(times: float) -> bool:
-        target = np.concatenate([-times * weight / heavy, np.ones(2 * actuators)])
-        return least_squares(system, target)[1] < _CLOSED * 1e2 * max(1.0, times)
+        nonlocal x
+        target = np.concatenate([-times * weight / heavy, np.ones(limits)])
+        x, residual = least_squares(system, target, x)
+        return residual < _CLOSED * 1e2 * max(1.0, times)
 
     if not carried(_LEAST_LOAD):
         return 0.0

@@ -16,6 +16,7 @@ from rtee.planning.wrench import (
     PATCH,
     balanced,
     cone,
+    cones,
     least_squares,
     load,
     quality,
@@ -97,6 +98,16 @@ def test_without_contacts_nothing_is_held() -> None:
     assert load(none, np.zeros((0, 1)), np.ones(6)) == 0.0
 
 
+def test_edges_of_many_cones_are_those_of_each() -> None:
+    normals = np.vstack([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(20, 3))])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    edges = cones(normals, 0.7)
+    for normal, mine in zip(normals, edges, strict=True):
+        assert mine @ normal == pytest.approx(np.ones(EDGES))
+        assert np.linalg.norm(mine - normal, axis=1) == pytest.approx(np.full(EDGES, 0.7))
+        assert mine.mean(axis=0) == pytest.approx(normal)  # all around
+
+
 @pytest.mark.parametrize("number", range(10))
 def test_least_squares_are_those_of_scipy(number: int) -> None:
     generator = np.random.default_rng(number)
@@ -104,6 +115,16 @@ def test_least_squares_are_those_of_scipy(number: int) -> None:
     if number % 2:
         matrix = np.abs(matrix)  # so that the target is out of reach
     found, residual = least_squares(matrix, target)
+    assert (found >= 0.0).all()
+    assert residual == pytest.approx(nnls(matrix, target)[1], abs=1e-7)
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_least_squares_do_not_depend_on_where_they_begin(number: int) -> None:
+    generator = np.random.default_rng(100 + number)
+    matrix, target = generator.normal(size=(8, 20)), generator.normal(size=8)
+    start = generator.uniform(0.0, 3.0, 20) * (generator.random(20) < 0.3)
+    found, residual = least_squares(matrix, target, start)
     assert (found >= 0.0).all()
     assert residual == pytest.approx(nnls(matrix, target)[1], abs=1e-7)
 
