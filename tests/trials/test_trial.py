@@ -102,6 +102,12 @@ def test_what_is_wider_than_the_gripper_at_its_largest_does_not_fit_either() -> 
     assert "88 mm wide" in varied.reason
 
 
+def test_beyond_the_ends_of_parallel_jaws_nothing_fits_between_them() -> None:
+    wide = attempt("robotiq_hand_e", Trial("Grasp", object="sphere:0.03"))
+    assert not wide.fits
+    assert wide.reason == "60 mm wide, the hand opens to 50 mm"
+
+
 def test_what_is_heavier_than_the_payload_does_not_fit() -> None:
     heavy = Trial("Grasp", object="sphere:0.03", mass=5.5)
     result = attempt(GRIPPER, heavy)
