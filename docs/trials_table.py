@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.hand.load import load_configured
 from rtee.trials.result import OBJECTS, TrialResult
-from rtee.trials.store import FILE_NAME, fingerprint, read_results
+from rtee.trials.store import FILE_NAME, read_results
 from rtee.trials.variation import interval
 
 ROOT = Path(__file__).parents[1]
@@ -32,7 +33,7 @@ class Stored:
         name: The hand.
         results: The results.
         actions: How many actions the hand has.
-        outdated: They were made with other files of the hand, or by an earlier method.
+        outdated: Some were made with other files of the hand, or by an earlier method.
     """
 
     name: str
@@ -56,10 +57,10 @@ def stored() -> list[Stored]:
     for path in sorted((ROOT / "config").glob(f"*/{FILE_NAME}")):
         folder = path.parent
         results = read_results(path)
-        current = read_results(path, fingerprint(folder))
         library = ActionLibrary.load(load_configured(str(folder))[0], folder / "actions")
-        count = len(list(library))
-        found.append(Stored(folder.name, tuple(results.values()), count, not current))
+        current = read_results(path, Fingerprints.of(folder, library))
+        outdated = len(current) < len(results)
+        found.append(Stored(folder.name, tuple(results.values()), len(library), outdated))
     return found
 
 
@@ -118,7 +119,7 @@ def _own(hand: Stored) -> str:
         if fitting and fitting[0].held:
             best = fitting[0]
             low, high = interval(best.survived, best.trial.variations)
-            action = " ".join((best.trial.action, *best.trial.elements))
+            action = best.trial.what
             share = f"{low * 100:.0f} to {high * 100:.0f} %"
         good = sum(one.survived >= WANTED for one in fitting)
         count = f"{good} of {len(fitting)} tried" if fitting else ""

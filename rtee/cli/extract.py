@@ -29,6 +29,7 @@ from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from rtee.actions.library import ActionLibrary
     from rtee.actions.openings import Openings
     from rtee.actions.types import Primitive
     from rtee.exchange.reading import ReadableModel
@@ -172,29 +173,32 @@ def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) 
     from rtee.extract.report import make_report
 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
-    tried, notes = _tried(folder)
+    tried, notes = _tried(folder, custom)
     found = replace(found, notes=(*found.notes, *notes))
     with progress_bar("taking pictures") as progress:
         return make_report(hand, found, custom, trials=tried, jobs=jobs, progress=progress)
 
 
-def _tried(folder: Path | None) -> tuple[list[Tried], list[str]]:
+def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tried], list[str]]:
     """Return the results of `rtee try --all` for the report, and notes about them."""
+    from rtee.actions.fingerprints import Fingerprints
     from rtee.extract.report import Tried
-    from rtee.trials.store import FILE_NAME, fingerprint, read_results
+    from rtee.trials.store import FILE_NAME, read_results
 
-    if folder is None:
+    if folder is None or library is None:
         return [], []
     results, notes = read_results(folder / FILE_NAME), []
     # Outdated results are still shown, with a note.
-    if results and not read_results(folder / FILE_NAME, fingerprint(folder)):
+    old = len(results) - len(read_results(folder / FILE_NAME, Fingerprints.of(folder, library)))
+    if old:
+        which = "the trials" if old == len(results) else f"{old} of {len(results)} trials"
         notes.append(
-            f"the trials in {FILE_NAME} are outdated, made with other files of this hand or by an"
+            f"{which} in {FILE_NAME} are outdated, made with other files of this hand or by an"
             f" earlier method; `rtee try {folder.name} --all` repeats them"
         )
     tried = [
         Tried(
-            " ".join((result.trial.action, *result.trial.elements)),
+            result.trial.what,
             result.trial.object,
             result.held,
             f"slip {result.slip * 1e3:.1f} mm" if result.held else result.reason,

@@ -18,6 +18,7 @@ from rtee.cli._common import complete_hand, report_copy
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from rtee.actions.fingerprints import Fingerprints
     from rtee.trials.trial import Trial, TrialResult
 
 _VARIATIONS = 20
@@ -250,24 +251,25 @@ def _all(
     out: Path | None,
 ) -> list[TrialResult]:
     """Run the trials whose results are not known yet; each result is stored as it comes."""
+    from rtee.actions.fingerprints import Fingerprints
     from rtee.drivers.mujoco.objects import parse_object
     from rtee.errors import ConfigError
     from rtee.hand.own_copy import own
-    from rtee.trials.store import FILE_NAME, fingerprint, read_results
+    from rtee.trials.store import FILE_NAME, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 
     # A mistyped object is refused once, and before any process starts.
     for shape in {trial.object: None for trial in trials}:
         parse_object(shape)
     ready = bench(name)
-    path, made_with = out or ready.folder / FILE_NAME, fingerprint(ready.folder)
+    path, made_with = out or ready.folder / FILE_NAME, Fingerprints.of(ready.folder, ready.library)
     if not trials:
         raise ConfigError(
             f"hand '{ready.hand.name}' has no actions to try; find its primitives first: "
             f"rtee extract {name} --save"
         )
     known = read_results(path, made_with)
-    old = {} if known else read_results(path)
+    old = read_results(path).keys() - known.keys()
     if old:
         print(
             f"rtee: the {len(old)} results in {path} are outdated, made with other files of this "
@@ -275,7 +277,7 @@ def _all(
             file=sys.stderr,
         )
         # An earlier command may have been interrupted while it replaced them.
-        known = read_results(_unfinished(path), made_with)
+        known |= read_results(_unfinished(path), made_with)
     todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:
@@ -314,7 +316,7 @@ def _unfinished(path: Path) -> Path:
 class _Kept:
     """Results in a file, written as they come."""
 
-    def __init__(self, path: Path, made_with: str, known: dict[str, TrialResult]) -> None:
+    def __init__(self, path: Path, made_with: Fingerprints, known: dict[str, TrialResult]) -> None:
         self._path, self._made_with, self._known = path, made_with, known
         self._write_at = 0.0
         self._taken = 0
@@ -391,7 +393,7 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
         return
     for result in results:
         trial = result.trial
-        what = f"{' '.join((trial.action, *trial.elements))} on {trial.object}"
+        what = f"{trial.what} on {trial.object}"
         if not result.held:
             print(f"{what}: {'lost' if result.fits else 'does not fit'}; {result.reason}")
             continue
@@ -421,7 +423,7 @@ def _table(results: Sequence[TrialResult]) -> None:
     shapes = list(dict.fromkeys(result.trial.object for result in results))
     rows: dict[str, dict[str, Any]] = {}
     for result in results:
-        name = " ".join((result.trial.action, *result.trial.elements))
+        name = result.trial.what
         tries = result.trial.variations
         word = f"{result.survived}/{tries}" if tries else f"{result.slip * 1e3:.1f}"
         word = word if result.held else "–" if result.fits else "no fit"

@@ -24,12 +24,13 @@ class Tried:
 
     Attributes:
         results: The results by action.
-        outdated: Whether the files of the hand, or how trials are made, have changed since.
+        outdated: Keys of the trials since which the hand, the action or how trials are made has
+            changed.
         own: The results of trials of this page, by action; the newest last.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
-    outdated: bool = False
+    outdated: frozenset[str] = frozenset()
     own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
 
     def with_own(self, result: TrialResult) -> Tried:

@@ -93,9 +93,25 @@ def fingerprint(folder: Path) -> str:
     Args:
         folder: The hand's folder.
     """
+    return _digest(folder, [*_model(folder), *(folder / "actions").rglob("*.yaml")])
+
+
+def model_fingerprint(folder: Path) -> str:
+    """Return the same of the model, the configuration and the primitives, without other actions.
+
+    Args:
+        folder: The hand's folder.
+    """
+    return _digest(folder, [*_model(folder), *(folder / "actions/primitives").rglob("*.yaml")])
+
+
+def _model(folder: Path) -> list[Path]:
+    return [*folder.rglob("*.urdf"), *folder.rglob("*.srdf"), *folder.glob("hand.yaml")]
+
+
+def _digest(folder: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
-    files = [*folder.rglob("*.urdf"), *folder.rglob("*.srdf"), *folder.glob("hand.yaml")]
-    for file in sorted([*files, *(folder / "actions").rglob("*.yaml")]):
+    for file in sorted(files):
         # With the names, so that moving a file is a change, too.
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]

@@ -247,7 +247,22 @@ class Poses:
     def _room(self, shift: float) -> float:
         """Return how wide the fingers open, some way out from the tips' middle [m]."""
         self._shift = shift
+        # Beyond the ends of open jaws all is free, and nothing is between them. Hands with further
+        # fingers compare places between other ones, too, and need no such care.
+        if shift and len(self._scene.hand.fingers) < _SEVERAL and self._beyond():
+            return 0.0
         return max(self._gap(0), self._gap(STEP_MIDDLE))
+
+    def _beyond(self) -> bool:
+        """Return whether the open jaws end short of the middle."""
+        middle, _ = self._at(0)
+        closing = self._between(0)
+        closing = closing / max(float(np.linalg.norm(closing)), _STILL)
+        at = self._closing.table[0]
+        return all(
+            self._met(at, tips, middle, side * closing) is None
+            for tips, side in zip(self._tips, self._sides, strict=True)
+        )
 
     def _between(self, step: int) -> FloatArray:
         """Return the way from the fingertips of one side to those of the other ``(3,)`` [m]."""
@@ -283,7 +298,14 @@ class Poses:
 
         One that passes by the fingertip comes as far as the fingertip's middle.
         """
-        far = float(np.max((at.middles[tips] - middle) @ towards))
+        met = self._met(at, tips, middle, towards)
+        return max(0.0, self._far(at, tips, middle, towards)) if met is None else met
+
+    def _met(
+        self, at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray
+    ) -> float | None:
+        """Return where a probe from the middle meets a fingertip [m]; none if nowhere."""
+        far = self._far(at, tips, middle, towards)
         gone = 0.0
         # A step of the free distance cannot jump over a fingertip.
         while gone < far:
@@ -293,7 +315,12 @@ class Poses:
                 # The probe's radius is room as well, but not where the probe itself has none.
                 return max(0.0, gone + _PROBE) if gone else 0.0
             gone += least
-        return max(0.0, far)
+        return None
+
+    @staticmethod
+    def _far(at: HandPose, tips: list[int], middle: FloatArray, towards: FloatArray) -> float:
+        """Return how far beyond the middle a fingertip's own middle is [m]."""
+        return float(np.max((at.middles[tips] - middle) @ towards))
 
     @cached_property
     def gaps(self) -> FloatArray:

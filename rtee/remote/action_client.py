@@ -88,7 +88,8 @@ class ActionClient:
         """Return the text of the file with the results of trials; empty if there is none.
 
         `rtee.trials.store.parse_results` reads it. Its last line, ``present``, identifies the
-        hand's files as they are now; trials ``made_with`` other files are out of date.
+        hand's files as they are now, ``present_model`` and ``present_actions`` its model and each
+        of its actions; `rtee.trials.store.outdated` says which trials were made with others.
         """
         return str((await self._link.ask("trials"))["data"])
 

@@ -14,11 +14,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.naming import normalise
 from rtee.actions.types import Primitive
 from rtee.errors import RequestRejected, RteeError
-from rtee.hand.catalog import fingerprint
 from rtee.hand.own_copy import TRIALS, copy_notice
+from rtee.hand.yamlwrite import emit
 from rtee.loop.handloop import HandLoop
 from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
@@ -249,7 +250,9 @@ class QueryHandlers:
             return ""
         with contextlib.suppress(OSError, UnicodeDecodeError):
             text = (folder.parent / TRIALS).read_text(encoding="utf-8")
-            return f"{text}present: '{fingerprint(folder.parent)}'\n"
+            present = Fingerprints.of(folder.parent, self._library)
+            actions = emit({"present_model": present.model, "present_actions": present.actions})
+            return f"{text}{actions}present: '{present.files}'\n"
         return ""
 
     # --- actions

@@ -64,9 +64,14 @@ class Trial:
     choosing: int = CHOOSING
 
     @property
+    def what(self) -> str:
+        """Name and elements of the action."""
+        return " ".join((self.action, *self.elements))
+
+    @property
     def key(self) -> str:
         """Tells this trial from all others of the hand."""
-        return f"{' '.join((self.action, *self.elements))} @ {self.object}"
+        return f"{self.what} @ {self.object}"
 
 
 @dataclass(frozen=True, slots=True)

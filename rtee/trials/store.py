@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from rtee.actions.fingerprints import Fingerprints
 from rtee.errors import ConfigError
-from rtee.hand.catalog import fingerprint as fingerprint
 from rtee.hand.files import write_atomically
 from rtee.hand.own_copy import TRIALS
 from rtee.hand.yamlfile import YamlDocument, parse_yaml, read_yaml
@@ -104,31 +104,38 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
     )
 
 
-def write_results(path: Path, made_with: str, results: Iterable[TrialResult]) -> None:
+def write_results(path: Path, made_with: Fingerprints, results: Iterable[TrialResult]) -> None:
     """Write results, sorted; the text depends on nothing else.
 
     Args:
         path: The file.
-        made_with: The fingerprint of the hand's files.
-        results: The results.
+        made_with: What the hand's files and actions are.
+        results: The results, made with these.
 
     Raises:
         ConfigError: if it cannot be written.
     """
     ordered = sorted(results, key=lambda result: result.trial.key)
     entries = [to_document(result) for result in ordered]
-    document = {"made_with": made_with, "method": METHOD, "trials": entries}
-    head = "# What `rtee try` found; made anew when the hand's files or the method change.\n"
+    tried = {result.trial.what for result in ordered} & made_with.actions.keys()
+    actions = {name: made_with.actions[name] for name in sorted(tried)}
+    document = {
+        "made_with": made_with.files,
+        "method": METHOD,
+        **({"model": made_with.model, "actions": actions} if actions else {}),
+        "trials": entries,
+    }
+    head = "# What `rtee try` found; made anew when the hand, the action or the method changes.\n"
     write_atomically(path, head + emit(document))
 
 
-def read_results(path: Path, made_with: str | None = None) -> dict[str, TrialResult]:
+def read_results(path: Path, made_with: Fingerprints | None = None) -> dict[str, TrialResult]:
     """Read results by the keys of their trials.
 
     Args:
         path: The file; nothing is found where it does not exist.
-        made_with: Results made with other files of the hand, or by an earlier method, are not
-            given.
+        made_with: Results made with another model of the hand or other actions than these, or by
+            an earlier method, are not given.
 
     Raises:
         ConfigError: if the file holds something else.
@@ -151,10 +158,11 @@ def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
     return _results(parse_yaml(text, path, "the trials"), None) if text else {}
 
 
-def outdated(text: str, path: Path) -> bool:
-    """Return whether the hand's files or the method are others now than the text says.
+def outdated(text: str, path: Path) -> frozenset[str]:
+    """Return the keys of the trials that were made with other files, actions or methods than now.
 
-    A running hand sends the text with the fingerprint of its present files, as ``present``.
+    A running hand sends the text with what its files and actions are now, as ``present``,
+    ``present_model`` and ``present_actions``.
 
     Args:
         text: The text.
@@ -163,25 +171,30 @@ def outdated(text: str, path: Path) -> bool:
     Raises:
         ConfigError: if the text is something else.
     """
-    document = parse_yaml(text, path, "the trials").data if text else {}
-    if not isinstance(document, dict) or not {"present", "made_with"} <= document.keys():
-        return False
-    return not _current(document, str(document["present"]))
+    read = parse_yaml(text, path, "the trials") if text else None
+    document = None if read is None else read.data
+    if read is None or not isinstance(document, dict):
+        return frozenset()
+    if not {"present", "made_with"} <= document.keys():
+        return frozenset()
+    # An older hand sends the word of all its files only.
+    model, actions = document.get("present_model", ""), document.get("present_actions", {})
+    present = Fingerprints(str(document["present"]), model, actions)
+    return frozenset(_results(read, None).keys() - _results(read, present).keys())
 
 
-def _current(document: Mapping[str, Any], present: str) -> bool:
-    """Return whether results were made with the present files, by the present method."""
-    # Files that were written before the method was counted do not name it.
-    made = document["made_with"], document.get("method", 1)
-    return bool(made == (present, METHOD))
-
-
-def _results(read: YamlDocument, made_with: str | None) -> dict[str, TrialResult]:
+def _results(read: YamlDocument, made_with: Fingerprints | None) -> dict[str, TrialResult]:
     document = read.data
     try:
-        if made_with is not None and not _current(document, made_with):
-            return {}
         results = [from_document(entry) for entry in document["trials"]]
+        if made_with is not None:
+            # Files that were written before the method was counted do not name it.
+            current = document.get("method", 1) == METHOD
+            results = [
+                result
+                for result in results
+                if current and made_with.same(result.trial.what, document)
+            ]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(
             f"these are not results of trials ({error}); remove the file to make them anew",

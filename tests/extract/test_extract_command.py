@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 
 from extract.models import figure_3
+from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.cli.main import main
-from rtee.hand.catalog import find_hand, fingerprint
+from rtee.hand.catalog import find_hand
+from rtee.hand.load import load_configured
 from rtee.trials.result import Trial, TrialResult
 from rtee.trials.store import write_results
 
@@ -143,7 +145,9 @@ def test_report_says_that_trials_are_of_other_files(
     folder, report = tmp_path / "robotiq_2f_85", tmp_path / "report.html"
     shutil.copytree(find_hand("robotiq_2f_85"), folder)
     held = TrialResult(Trial("Grasp", (), "sphere:0.03"), True)
-    write_results(folder / "trials.yaml", fingerprint(folder), [held])
+    hand, _ = load_configured(folder)
+    present = Fingerprints.of(folder, ActionLibrary.load(hand, folder / "actions"))
+    write_results(folder / "trials.yaml", present, [held])
     command = ["extract", folder, "--report", report]
     assert rtee(capsys, monkeypatch, *command)[0] == 0
     assert "are outdated, made with" not in report.read_text()

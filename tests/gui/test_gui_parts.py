@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rtee.actions.build import full_posture, generic
+from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.types import (
     ActionKind,
     ActionReference,
@@ -238,7 +239,7 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
         TrialResult(Trial("Trig", ("index",), "sphere:0.03"), True),
         TrialResult(Trial("fist", (), "drill"), True),
     ]
-    write_results(file, "0", results)
+    write_results(file, Fingerprints("0"), results)
     tried = tried_in(file.read_text() + "present: '0'\n")
     found = tried.results
     posture = full_posture(hand, {hand.actuator_names[1]: 0.1})
@@ -249,7 +250,9 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
     assert picture.index("sphere:0.03") < picture.index("sphere:0.01"), "what was held comes first"
     assert "it slipped &lt;out&gt;" in picture
     assert not tried.outdated
-    assert tried_in(file.read_text() + "present: '1'\n").outdated
+    assert tried_in(file.read_text() + "present: '1'\n").outdated == {
+        result.trial.key for result in results
+    }
     earlier = re.sub(r"(?m)^method: .*\n", "", file.read_text())
     assert tried_in(earlier + "present: '0'\n").outdated, "made before methods were numbered"
     assert line(found["fist", ()], outdated=True) == "held 1 of 1 object, outdated"
@@ -262,7 +265,7 @@ def test_trials_are_found_by_action_and_counted(hand: Hand, tmp_path: Path) -> N
 def test_more_variations_held_than_there_were_are_no_results(tmp_path: Path, held: int) -> None:
     file = tmp_path / "trials.yaml"
     varied = TrialResult(Trial("fist", (), "drill", variations=10), True, survived=9)
-    write_results(file, "0", [varied])
+    write_results(file, Fingerprints("0"), [varied])
     assert verdict(*tried_in(file.read_text()).results["fist", ()]).startswith("held, 9 of 10")
     with pytest.raises(ConfigError, match=f"{held} of 10 variations"):
         tried_in(file.read_text().replace("held: 9", f"held: {held}"))

@@ -7,10 +7,10 @@ import pytest
 
 import rtee
 from rtee.actions.build import StepPlan
+from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import RequestRejected
-from rtee.hand.catalog import fingerprint
 from rtee.hand.model import Hand
 
 from .serving import make_library, serving
@@ -145,13 +145,13 @@ async def test_a_library_without_a_folder_stores_nothing(hand: Hand) -> None:
 async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
     make_library(hand, tmp_path / "actions")
     async with (
-        serving(hand, ActionLibrary.load(hand, tmp_path / "actions")),
+        serving(hand, library := ActionLibrary.load(hand, tmp_path / "actions")),
         rtee.connect("small") as remote,
     ):
         assert await remote.trials() == ""
         (tmp_path / "trials.yaml").write_text("trials: []\n")
         text = await remote.trials()
         assert text.startswith("trials: []\n")
-        assert text.endswith(f"present: '{fingerprint(tmp_path)}'\n")
+        assert text.endswith(f"present: '{Fingerprints.of(tmp_path, library).files}'\n")
     async with serving(hand, make_library(hand)), rtee.connect("small") as remote:
         assert await remote.trials() == ""

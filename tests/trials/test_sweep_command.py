@@ -15,12 +15,16 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
 
+from rtee.actions.fingerprints import Fingerprints
+from rtee.actions.library import ActionLibrary
+from rtee.actions.types import ActionReference
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.errors import ConfigError
+from rtee.hand.load import load_configured
 from rtee.hand.own_copy import copy_hand
 from rtee.trials.result import Trial, TrialResult
-from rtee.trials.store import fingerprint, read_results, write_results
+from rtee.trials.store import read_results, write_results
 
 GRIPPER = "robotiq_2f_85"
 
@@ -30,6 +34,12 @@ def hand(tmp_path: Path, repository: Path) -> Path:
     """A gripper of one's own that was never tried."""
     copy_hand(repository / "config" / GRIPPER, tmp_path / "config/mine")
     return tmp_path / "config/mine"
+
+
+def now(hand: Path) -> Fingerprints:
+    """Return what the hand's files and actions are now."""
+    model, _ = load_configured(hand)
+    return Fingerprints.of(hand, ActionLibrary.load(model, hand / "actions"))
 
 
 def start(hand: Path) -> subprocess.Popen[str]:
@@ -116,7 +126,7 @@ def test_a_worker_that_is_killed_is_told_in_one_sentence(hand: Path) -> None:
 
 def test_outdated_results_stay_until_all_new_ones_are_there(hand: Path) -> None:
     old = [TrialResult(Trial("Grasp", (), "sphere:0.07"), True)]
-    write_results(hand / "trials.yaml", "0", old)
+    write_results(hand / "trials.yaml", Fingerprints("0"), old)
     before = (hand / "trials.yaml").read_text()
     sweep = start(hand)
     wait_for_a_result(hand, "trials.new.yaml")
@@ -128,10 +138,32 @@ def test_outdated_results_stay_until_all_new_ones_are_there(hand: Path) -> None:
     kept = set(read_results(hand / "trials.new.yaml"))
     words = [str(hand), "--all", "--variations", "0", "--object", "sphere:0.03", "--jobs", "1"]
     CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
-    found = read_results(hand / "trials.yaml", fingerprint(hand))
+    found = read_results(hand / "trials.yaml", now(hand))
     assert kept <= set(found)
     assert {result.trial.object for result in found.values()} >= {"sphere:0.03"}
     assert not (hand / "trials.new.yaml").exists()
+
+
+def test_results_of_other_actions_outlive_a_new_one(hand: Path) -> None:
+    known = {
+        name: TrialResult(Trial(name, (), "sphere:0.03"), True, position=(0.0, 0.0, place))
+        for name, place in (("Grasp", 1.0), ("half", 2.0))
+    }
+    library = ActionLibrary.load(load_configured(hand)[0], hand / "actions")
+    library.add(library.compose("half", [ActionReference("Grasp", (), 0.5)]), store=True)
+    write_results(hand / "trials.yaml", now(hand), known.values())
+    library.add(library.compose("fist", [ActionReference("Grasp")]), store=True)
+    assert read_results(hand / "trials.yaml", now(hand)) == read_results(hand / "trials.yaml")
+    library.remove("half")
+    library.add(library.compose("half", [ActionReference("Grasp", (), 0.6)]), store=True)
+    kept = read_results(hand / "trials.yaml", now(hand))
+    assert list(kept.values()) == [known["Grasp"]]
+    words = [str(hand), "--all", "--variations", "0", "--object", "sphere:0.03", "--jobs", "1"]
+    CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
+    found = read_results(hand / "trials.yaml", now(hand))
+    assert found == read_results(hand / "trials.yaml")
+    assert found[known["Grasp"].trial.key] == known["Grasp"], "not made anew"
+    assert found[known["half"].trial.key].position != known["half"].position, "made anew"
 
 
 def test_a_hand_without_actions_is_told_what_to_type(hand: Path) -> None:

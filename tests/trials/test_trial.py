@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 
 import mujoco
 
+from rtee.actions.fingerprints import Fingerprints
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.drivers.mujoco.options import SimOptions
@@ -30,7 +31,6 @@ from rtee.trials.recorded import recorder_for
 from rtee.trials.robust_places import graspable, robust_places
 from rtee.trials.store import (
     FILE_NAME,
-    fingerprint,
     from_document,
     read_results,
     to_document,
@@ -100,6 +100,12 @@ def test_what_is_wider_than_the_gripper_at_its_largest_does_not_fit_either() -> 
     assert once.fits
     assert not varied.fits
     assert "88 mm wide" in varied.reason
+
+
+def test_beyond_the_ends_of_parallel_jaws_nothing_fits_between_them() -> None:
+    wide = attempt("robotiq_hand_e", Trial("Grasp", object="sphere:0.03"))
+    assert not wide.fits
+    assert wide.reason == "60 mm wide, the hand opens to 50 mm"
 
 
 def test_what_is_heavier_than_the_payload_does_not_fit() -> None:
@@ -206,14 +212,15 @@ def test_places_are_free_and_between_the_fingertips(shape: str) -> None:
 def test_results_are_kept_as_they_are(tmp_path: Path, held: TrialResult) -> None:
     path = tmp_path / "trials.yaml"
     lost = TrialResult(Trial("Trig", ("no",), "drill"), False, 'it "fell": 3')
-    write_results(path, "abc", [lost, held])
+    present = Fingerprints("abc")
+    write_results(path, present, [lost, held])
     text = path.read_text()
-    assert read_results(path, "abc") == {held.trial.key: held, lost.trial.key: lost}
-    assert read_results(path, "other") == {}
-    write_results(path, "abc", [held, lost])
+    assert read_results(path, present) == {held.trial.key: held, lost.trial.key: lost}
+    assert read_results(path, Fingerprints("other")) == {}
+    write_results(path, present, [held, lost])
     assert path.read_text() == text
     path.write_text(re.sub(r"(?m)^method: .*\n", "", text))
-    assert read_results(path, "abc") == {}, "made before methods were numbered"
+    assert read_results(path, present) == {}, "made before methods were numbered"
     assert len(read_results(path)) == 2
     assert from_document(json.loads(json.dumps(to_document(held)))) == held
 
@@ -223,26 +230,6 @@ def test_a_file_of_something_else_is_refused(tmp_path: Path) -> None:
     path.write_text("trials: 3\n")
     with pytest.raises(ConfigError, match="not results of trials"):
         read_results(path)
-
-
-def test_the_fingerprint_follows_the_files(tmp_path: Path) -> None:
-    (tmp_path / "hand.yaml").write_text("name: a\n")
-    first = fingerprint(tmp_path)
-    assert fingerprint(tmp_path) == first
-    (tmp_path / "hand.yaml").write_text("name: b\n")
-    assert fingerprint(tmp_path) != first
-
-
-@pytest.mark.parametrize("suffix", ["urdf", "srdf"])
-def test_the_fingerprint_follows_a_model_in_a_folder_of_its_own(
-    tmp_path: Path, suffix: str
-) -> None:
-    model = tmp_path / "model" / f"a.{suffix}"
-    model.parent.mkdir()
-    model.write_text("<robot/>")
-    first = fingerprint(tmp_path)
-    model.write_text("<robot></robot>")
-    assert fingerprint(tmp_path) != first
 
 
 def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> None:
@@ -304,7 +291,7 @@ def test_all_resumes_what_is_known(tmp_path: Path) -> None:
     ready = bench(GRIPPER)
     trials = all_trials(ready.library, ["sphere:0.02"], variations=20)
     known = [TrialResult(trial, True) for trial in trials]
-    write_results(path, fingerprint(ready.folder), known)
+    write_results(path, Fingerprints.of(ready.folder, ready.library), known)
     command = [GRIPPER, "--all", "--object", "sphere:0.02", "--out", str(path)]
     outcome = CliRunner().invoke(app_of(try_), command)
     assert outcome.exit_code == 0, outcome.output
@@ -344,7 +331,8 @@ def test_shipped_results_can_be_read(name: str) -> None:
 
 def test_a_trial_finds_what_is_stored(held: TrialResult) -> None:
     ready = bench(GRIPPER)
-    stored = read_results(ready.folder / FILE_NAME, fingerprint(ready.folder))
+    present = Fingerprints.of(ready.folder, ready.library)
+    stored = read_results(ready.folder / FILE_NAME, present)
     if not stored:
         pytest.skip(f"the stored results of the {GRIPPER} are outdated")
     known = stored[BALL.key]

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
 
+from rtee.actions.fingerprints import Fingerprints
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
 from rtee.drivers.mujoco.objects import parse_object
@@ -147,7 +148,7 @@ def test_results_of_variations_are_kept(tmp_path: Path, varied: TrialResult) -> 
     assert document["variations"]["held"] == 4
     assert document["variations"]["interval"] == pytest.approx([0.51, 1.0], abs=1e-3)
     assert from_document(document) == varied
-    write_results(tmp_path / "trials.yaml", "abc", [varied])
+    write_results(tmp_path / "trials.yaml", Fingerprints("abc"), [varied])
     assert read_results(tmp_path / "trials.yaml") == {varied.trial.key: varied}
 
 

@@ -307,13 +307,11 @@ class Card:
         own = self._tried.own.get(key_of(self.action), ())
         self._found.content = ""
         if results:
-            outdated = self._tried.outdated
+            outdated = any(one.trial.key in self._tried.outdated for one in results)
             title = "Of the objects it was tried on in simulation (rtee try --all)"
             if outdated:
-                title += (
-                    "; its model, configuration or actions, or how trials are made, have changed"
-                )
-                title += " since: try them again"
+                title += "; the hand, this action, or how trials are made, has changed since: try"
+                title += " them again"
             said = tried_line(results, outdated=outdated)
             self._found.content = small(
                 f'<details><summary title="{title}">{said}</summary>'

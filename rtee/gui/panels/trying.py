@@ -279,7 +279,7 @@ class TryPanel:
         if "result" in said:
             result = result_of(said["result"])
             self._found(result)
-            what = " ".join((result.trial.action, *result.trial.elements))
+            what = result.trial.what
             sign = "●" if result.held else "○"
             self._lines.append(
                 f"{sign} {what} on {object_name(result.trial.object)}: {verdict(result)}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import rtee
+from rtee.actions.fingerprints import Fingerprints
 from rtee.remote.blocking import BlockingHand
 from rtee.testing.browser import browser
 from rtee.trials.result import Trial, TrialResult
@@ -48,7 +49,7 @@ def place(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         TrialResult(Trial("Grasp", (), "sphere:0.03"), True),
         TrialResult(Trial("Grasp", (), "sphere:0.05"), False, reason="too wide for it"),
     ]
-    write_results(squeezer / "trials.yaml", "0", results)
+    write_results(squeezer / "trials.yaml", Fingerprints("0"), results)
     return folder
 
 
