@@ -306,7 +306,7 @@ def test_a_resumed_sweep_finds_what_an_uninterrupted_one_does(tmp_path: Path) ->
             ready = bench(GRIPPER)
             first, *others = read_results(whole).values()
             assert others
-            write_results(parts, fingerprint(ready.folder), [first])
+            write_results(parts, Fingerprints.of(ready.folder, ready.library), [first])
         outcome = CliRunner().invoke(app_of(try_), [*command, "--out", str(path)])
         assert outcome.exit_code == 0, outcome.output
     assert parts.read_text() == whole.read_text()
