@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypedDict, TypeVar
 
-from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, MaxLen, MinLen
+from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MaxLen, MinLen
 
 T = TypeVar("T")
 
@@ -352,6 +353,7 @@ def _dataclass(kind: Any) -> _Checker:
 
 _BOUNDS: Final[Mapping[Any, tuple[str, str, str]]] = {
     Le: ("less_than_equal", "le", "less than or equal to"),
+    Lt: ("less_than", "lt", "less than"),
     Ge: ("greater_than_equal", "ge", "greater than or equal to"),
     Gt: ("greater_than", "gt", "greater than"),
 }
@@ -414,12 +416,11 @@ def _bound(metadata: Any) -> _Bound:
 
         return short_enough
     kind, name, words = _BOUNDS[type(metadata)]
-    limit = getattr(metadata, name)
+    limit, holds = getattr(metadata, name), getattr(operator, name)
     message = f"Input should be {words} {limit:g}"
 
     def within(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
-        inside = {"le": value <= limit, "ge": value >= limit, "gt": value > limit}[name]
-        if not inside:
+        if not holds(value, limit):
             _mistake(mistakes, kind, at, message, given, **{name: limit})
 
     return within
