@@ -23,9 +23,9 @@ class Tried:
     """Results of trials.
 
     Attributes:
-        results: The results by action.
-        outdated: Whether the files of the hand, or how trials are made, have changed since.
-        own: The results of trials of this page, by action; the newest last.
+        results: The stored results by action.
+        outdated: Whether the files of the hand, or the method of trials, have changed since.
+        own: The results of trials started in this page, by action; the newest last.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
@@ -33,7 +33,7 @@ class Tried:
     own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
 
     def with_own(self, result: TrialResult) -> Tried:
-        """Return the same with a result of a trial of this page, instead of one of its object."""
+        """Return a copy with a result of this page, which replaces an earlier one of its object."""
         trial = result.trial
         key = (trial.action, trial.elements)
         others = [one for one in self.own.get(key, ()) if one.trial.object != trial.object]
@@ -59,14 +59,14 @@ def tried_in(text: str) -> Tried:
 
 
 def object_name(text: str) -> str:
-    """Return the name of an object, of a mesh without its folder."""
+    """Return the name of an object; that of a mesh without its folder."""
     return text.rpartition("/")[2]
 
 
 def rate(result: TrialResult) -> str:
-    """Return in how many variations an object was held; empty if there were none.
+    """Return the rate of variations held, such as ``18 of 20 variations (95 %: 70 to 97 %)``.
 
-    ``18 of 20 variations (95 %: 70 to 97 %)``.
+    Empty if there were no variations.
     """
     tries = result.trial.variations
     if not (tries and result.held):
@@ -76,7 +76,7 @@ def rate(result: TrialResult) -> str:
 
 
 def verdict(result: TrialResult) -> str:
-    """Return how a trial ended: held, with the rate of its variations, or why not."""
+    """Return the outcome of a trial as text: held, with the rate of variations, or the reason."""
     if not result.held:
         return result.reason or "lost"
     return ", ".join(filter(None, ("held", rate(result))))
