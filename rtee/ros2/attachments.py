@@ -42,6 +42,10 @@ class Attachment:
     time: int
     gid: bytes
 
+    def encode(self) -> bytes:
+        """Return the bytes of the attachment."""
+        return encode(self.sequence, self.time, self.gid)
+
 
 def encode(sequence: int, time: int, gid: bytes) -> bytes:
     """Return the bytes of an attachment; see `Attachment`."""

@@ -127,7 +127,7 @@ def test_no_qos_breaks_the_parser() -> None:
 
 def test_attachments_are_those_of_zenoh() -> None:
     gid = bytes(range(16))
-    data = attachments.encode(7, 123456789, gid)
+    data = Attachment(7, 123456789, gid).encode()
     assert data == bytes(z_serialize((Int64(7), Int64(123456789), gid)))
     assert attachments.decode(data) == Attachment(7, 123456789, gid)
 
