@@ -1,4 +1,4 @@
-"""The documents of actions: what their YAML files contain, and how it becomes an action."""
+"""The YAML documents of actions, and their conversion to actions and back."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ SetPoints = Annotated[dict[str, Number], Field(min_length=1)]
 
 
 class Entry(BaseModel):
-    """A mapping in a file of actions: no other keys, and no value is converted."""
+    """A mapping in a file of actions, with strict types and no other keys."""
 
-    # Built when first used: a hand with primitives alone needs none of the others at its start.
+    # Built when first used, since a hand with only primitives needs none of the other models.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
 
@@ -76,7 +76,7 @@ class OppositionEntry(Entry):
 
 
 class EvidenceEntry(Entry):
-    """What the extraction found at a posture; see `Evidence`."""
+    """Evidence of the extraction for a posture; see `Evidence`."""
 
     depth: Amount = 0.0
     distance: Amount = 0.0
@@ -100,7 +100,7 @@ class EvidenceEntry(Entry):
 
 
 class PostureEntry(Entry):
-    """A posture of a primitive, and what is known of it."""
+    """A posture of a primitive, with its evidence."""
 
     set_points: SetPoints
     evidence: EvidenceEntry | None = None
@@ -189,7 +189,7 @@ def _posture(
     try:
         return full_posture(hand, values)
     except UserError:
-        for name, value in values.items():  # which of them is it?
+        for name, value in values.items():  # find the value that the error is about
             with located(document, (*at, name)):
                 full_posture(hand, {name: value})
         raise
@@ -214,7 +214,7 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
-    """Return evidence as plain data, without what is not known."""
+    """Return evidence as plain data, without unknown values."""
     found = {name: getattr(evidence, name) for name in EvidenceEntry.model_fields}
     return {name: _plain(value) for name, value in found.items() if value not in (None, ())}
 
@@ -244,7 +244,7 @@ class UseEntry(Entry):
 
     @property
     def use(self) -> ActionReference:
-        """The use of an action that this is."""
+        """Return the entry as a use of an action."""
         return ActionReference(self.action, self.elements, self.scale)
 
 
@@ -276,16 +276,16 @@ class CustomDocument(Entry):
 
     @abstractmethod
     def make(self, hand: Hand, find: Find, document: YamlDocument) -> Action:
-        """Return the action; what it is made of is looked up in the order of the file.
+        """Return the action; look up its parts in the order of the file.
 
         Raises:
-            UserError: if it cannot be made.
+            UserError: if the action cannot be made.
         """
 
     @staticmethod
     @abstractmethod
     def entries(action: Any) -> dict[str, Any]:
-        """Return what the file of an action holds besides its name and description."""
+        """Return the entries of an action's file other than name and description."""
 
 
 class ComposedDocument(CustomDocument):
@@ -365,7 +365,7 @@ CUSTOM: Final[Mapping[ActionKind, type[CustomDocument]]] = {
     ActionKind.COMPOSED: ComposedDocument,
     ActionKind.TIMED: TimedDocument,
 }
-"""The contents of files by kind; those that others are made of first."""
+"""Models of files by kind; kinds that others are made of come first."""
 
 
 def _use_entry(use: ActionReference) -> dict[str, Any]:
@@ -386,7 +386,7 @@ def read_document(path: Path) -> YamlDocument:
     """Read a YAML file of actions.
 
     Raises:
-        ActionError: if it cannot be read, is empty or is not YAML; with the line.
+        ActionError: if the file cannot be read, is empty or is not YAML; names the line.
     """
     text = read_text(path, WHAT, ActionError)
     return parse_yaml(text, path, WHAT, ActionError, foreign=True)
@@ -394,7 +394,7 @@ def read_document(path: Path) -> YamlDocument:
 
 @contextmanager
 def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[None]:
-    """Give the errors inside the block the file and the line of an entry, unless they have one."""
+    """Add the file and line of an entry to errors inside the context that have none."""
     try:
         yield
     except UserError as error:
@@ -410,8 +410,8 @@ def validated(model: type[M], document: YamlDocument, at: Location = (), data: A
     Args:
         model: The model.
         document: The document.
-        at: Its location; the root of the document unless given.
-        data: The content there; the whole document unless given.
+        at: Location of the content; by default the root of the document.
+        data: The content; by default the whole document.
 
     Raises:
         ActionError: for the first mistake in the file, with its line.
@@ -426,7 +426,7 @@ def validated(model: type[M], document: YamlDocument, at: Location = (), data: A
 
 
 def _sentence(model: type[BaseModel], location: Location, error: Mapping[str, Any]) -> str:
-    """Return a pydantic error in words."""
+    """Return a pydantic error as a sentence."""
     kind, value, limits = error["type"], error["input"], error.get("ctx", {})
     key = location[-1] if location else ""
     if kind == "extra_forbidden":
@@ -439,7 +439,7 @@ def _sentence(model: type[BaseModel], location: Location, error: Mapping[str, An
     what = _called(location)
     if error["loc"][-1:] == ("[key]",):  # pydantic's mark, which `location` leaves out
         return f"the key {value} in {_called(location[:-1])} must be a name"
-    # An integer that is too large for a float is of the wrong type for pydantic.
+    # pydantic reports an integer too large for a float as a wrong type.
     if kind == "finite_number" or (kind == "float_type" and type(value) is int):
         return f"{what} must be a finite number"
     if kind == "greater_than_equal":
@@ -458,11 +458,11 @@ _WANTED: Final = {
     "bool_type": "true or false",
     "float_type": "a number",
 }
-"""What is expected, by the type of pydantic's error."""
+"""Expected values by type of pydantic's error."""
 
 
 def _called(location: Location) -> str:
-    """Return how an entry is called in a sentence."""
+    """Return the name of an entry for a sentence."""
     named = [part for part in location if isinstance(part, str)]
     return f"'{named[-1]}'" if named else "the file"
 
@@ -471,7 +471,7 @@ def _kind(value: Any) -> str:
     match value:
         case None:
             return "empty"
-        case bool():  # before int: True is one
+        case bool():  # before int, since True is an int
             return "true or false"
         case int() | float():
             return "a number"

@@ -26,6 +26,8 @@ from rtee.ros2.message import Message
 from rtee.ros2.participant import Participant
 from rtee.ros2.types import ServiceType
 
+__all__ = ["Client", "Service"]  # `fields_handler` serves only the other modules of this room
+
 log = logging.getLogger(__name__)
 
 _MOST_WAITING = 100
