@@ -380,8 +380,10 @@ class Installation:
         if program is None:
             return f"there is no {words[0]} here"
         done = subprocess.run([program, *words[1:]], capture_output=True, text=True)
-        said = (done.stderr or done.stdout).strip().splitlines()
-        return "" if done.returncode == 0 else (said[-1] if said else f"status {done.returncode}")
+        output = (done.stderr or done.stdout).strip().splitlines()
+        return (
+            "" if done.returncode == 0 else (output[-1] if output else f"status {done.returncode}")
+        )
 
 
 def _is_ours(path: str) -> bool:

@@ -78,16 +78,16 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
     files: dict[Path, str | bytes] = {}
     notes: list[str] = []
     if Kind.URDF in kinds:
-        text, meshes, said = _urdf(hand)
+        text, meshes, remarks = _urdf(hand)
         files |= {target / place: read_bytes(path, "mesh", ModelError) for place, path in meshes}
         files[target / f"{hand.name}.urdf"] = text
-        notes += said
+        notes += remarks
     if Kind.MJCF in kinds:
         with needing_extra("exporting MJCF", "sim"):
             from rtee.exchange.mjcf_export import mjcf_of
-        text, said = mjcf_of(hand)
+        text, remarks = mjcf_of(hand)
         files[target / f"{hand.name}.xml"] = text
-        notes += said
+        notes += remarks
     if Kind.SRDF in kinds:
         files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
     write_all(files, folders=[target])

@@ -165,10 +165,10 @@ def listening(notes: list[str]) -> Iterator[None]:
     # By default, MuJoCo prints warnings and writes them to a file in the working directory.
     mujoco.set_mju_user_warning(heard.append)
     try:
-        with warnings.catch_warnings(record=True) as said:  # and others come this way
+        with warnings.catch_warnings(record=True) as caught:  # Python's own warnings
             warnings.simplefilter("always")
             yield
-        heard += [str(each.message) for each in said]
+        heard += [str(each.message) for each in caught]
         notes += [f"MuJoCo warns: {' '.join(text.split())}" for text in dict.fromkeys(heard)]
     finally:
         mujoco.set_mju_user_warning(before)
@@ -249,14 +249,14 @@ def _check_meshes(
     elements: Sequence[Element], file: Path, allowed: Sequence[Path]
 ) -> dict[str, str]:
     """Check every file that a model names; return the reason for each unusable mesh."""
-    said = [element.attributes for element in elements if element.tag == "compiler"]
+    compilers = [element.attributes for element in elements if element.tag == "compiler"]
     missing: dict[str, str] = {}
     for element in elements:
         for attribute, name in element.attributes.items():
             if not attribute.startswith("file") or element.tag == "include":
                 continue
             own = "texturedir" if element.tag == "texture" else "meshdir"
-            folders = [c[key] for c in said for key in (own, "assetdir") if key in c]
+            folders = [c[key] for c in compilers for key in (own, "assetdir") if key in c]
             places = [file.parent / folder / name for folder in ("", *folders)]
             there = [p for p in places if _inside(p, allowed, element, name).is_file()]
             if element.tag != "mesh":  # textures and the like are never opened

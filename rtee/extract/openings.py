@@ -410,12 +410,12 @@ def _falling(width: Sequence[float]) -> list[int]:
 
 
 def _note(first: float, last: float, width: float) -> str:
-    said = []
+    sentences = []
     if first > _WORTH:
-        said.append(f"the tips first part: used from {first:.0%} of the way on")
+        sentences.append(f"the tips first part: used from {first:.0%} of the way on")
     if last < 1.0 - _WORTH and width > _TOUCH:
-        said.append(f"the tips part again: used up to {last:.0%} of the way")
-    return "; ".join(said)
+        sentences.append(f"the tips part again: used up to {last:.0%} of the way")
+    return "; ".join(sentences)
 
 
 def _angle(motion: FloatArray, towards: FloatArray) -> float:

@@ -233,8 +233,8 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
         tips = tuple(tip for f in fingers if (tip := hand.finger(f).tip) is not None)
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
-    said = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
-    return Card(title, fingers, (), primitive.posture, evidence, said), (view,)
+    summary = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
+    return Card(title, fingers, (), primitive.posture, evidence, summary), (view,)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
@@ -250,13 +250,13 @@ def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
             case _:
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
-                said = _said(action)
-                plan = Card(action.name, fingers, (), action.posture, None, said), (view,)
+                summary = _summary(action)
+                plan = Card(action.name, fingers, (), action.posture, None, summary), (view,)
         groups.setdefault(action.action_kind, []).append(plan)
     return {kind.capitalize(): groups[kind] for kind in ActionKind if kind in groups}
 
 
-def _said(action: CustomAction) -> str:
+def _summary(action: CustomAction) -> str:
     if action.description or not action.uses:
         return action.description
     parts = (
