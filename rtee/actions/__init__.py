@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when first used: the extraction needs the types alone.
+    # Imported when first used, since the extraction needs only the types.
     if name == "ActionLibrary":
         from rtee.actions.library import ActionLibrary
 

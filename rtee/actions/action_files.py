@@ -43,14 +43,14 @@ from rtee.hand.yamlwrite import emit
 log = logging.getLogger(__name__)
 
 ACTIONS: Final = "actions"
-"""The folder of the actions in a hand's folder."""
+"""Name of the folder of the actions in a hand's folder."""
 
 PRIMITIVES: Final = "primitives"
-"""The folder of the primitives in it; those of other actions are called like their kinds."""
+"""Name of the folder of the primitives; those of other actions have the names of their kinds."""
 
 
 class ActionFiles:
-    """Where the actions of one hand are stored.
+    """The stored actions of one hand.
 
     Args:
         hand: The hand.
@@ -71,12 +71,12 @@ class ActionFiles:
         """Return the actions in the files.
 
         Args:
-            keep: Further actions, which are in memory only.
+            keep: Further actions, which exist only in memory.
 
         Raises:
             ActionError: for every mistake in the files, with file and line.
         """
-        seen = stamps(self.folder)  # before reading: a change meanwhile is noticed later
+        seen = stamps(self.folder)  # before reading, so that a concurrent change is noticed later
         actions = read_actions(self.hand, self.folder)
         index = Index(self.hand, (*actions, *keep))
         self._stored = {normalise(a.name) for a in actions if not isinstance(a, Primitive)}
@@ -90,7 +90,7 @@ class ActionFiles:
             if copy is not None and os.path.isdir(copy / ACTIONS):
                 self.folder = copy / ACTIONS
         if self._seen and not os.path.isdir(self.folder):
-            # A hand that runs keeps what it can do, whatever becomes of its files.
+            # A running hand keeps its actions even if its files are deleted.
             if not self._gone:
                 log.warning("%s is gone; the actions stay as they were read", self.folder)
             self._gone = True
@@ -99,21 +99,21 @@ class ActionFiles:
         return stamps(self.folder) != self._seen
 
     def holds(self, name: str) -> bool:
-        """Return whether a composed, timed or generic action is stored in a file."""
+        """Return whether a file holds a composed, timed or generic action of this name."""
         return normalise(name) in self._stored
 
     def write(self, index: Index, action: Action) -> None:
-        """Write one action to its file; of primitives all.
+        """Write an action to its file; a primitive with all other primitives.
 
         Raises:
-            ActionError: if it uses an action that is not stored.
+            ActionError: if the action uses one that is not stored.
             ConfigError: if the file cannot be written.
         """
         if isinstance(action, Primitive):
             primitive_changes(self._writable(), self.hand, index.primitives).write()
             self._remember()
             return
-        # An action whose parts have no files could not be read again.
+        # An action whose parts have no files could not be read back.
         for use in action.uses:
             inner = index.find(use.action, use.elements, None)
             if not isinstance(inner, Primitive) and not self.holds(inner.name):
@@ -123,7 +123,7 @@ class ActionFiles:
         self._write_custom([action])
 
     def write_all(self, index: Index) -> None:
-        """Write all actions to their files, or none; nothing is written that is equal.
+        """Write all actions to their files, or none; leave unchanged files untouched.
 
         Raises:
             ConfigError: if a file cannot be written.
@@ -135,7 +135,7 @@ class ActionFiles:
             files = {**primitives.files, **custom.files}
             return Changes(files, [*primitives.gone, *custom.gone], primitives.folders)
 
-        # Compared first: the hand is copied only where there is something to change.
+        # Compared first, so that a shipped hand is copied only if something changes.
         found = changes(self.folder)
         if found.files or found.gone:
             found = changes(self._writable())
@@ -146,7 +146,7 @@ class ActionFiles:
         """Delete an action's file, if it has one.
 
         Raises:
-            ConfigError: if it cannot be deleted.
+            ConfigError: if the file cannot be deleted.
         """
         if self.holds(action.name):
             write_all({}, gone=[_custom_path(self._writable(), action)])
@@ -154,12 +154,12 @@ class ActionFiles:
             self._remember()
 
     def rename(self, action: Action, new_name: str, changed: Sequence[CustomAction]) -> None:
-        """Store an action under another name, if it is stored, and what uses it.
+        """Store a stored action under another name, and the actions that use it.
 
         Args:
-            action: The action, as it was called.
-            new_name: What it is called now.
-            changed: The action and those that use it, as they are now.
+            action: The action with its old name.
+            new_name: Its new name.
+            changed: The renamed action and those that use it.
 
         Raises:
             ConfigError: if a file cannot be written.
@@ -167,7 +167,7 @@ class ActionFiles:
         if not self.holds(action.name):
             return
         new = normalise(new_name)
-        # The old file goes last: an error in between leaves a file too many, not too few.
+        # The old file goes last, so that an error in between loses no action.
         before = _custom_path(self._writable(), action)
         stored = [a for a in changed if normalise(a.name) == new or self.holds(a.name)]
         self._write_custom(stored, {new: before})
@@ -181,12 +181,12 @@ class ActionFiles:
         self._remember(normalise(action.name) for action in actions)
 
     def _remember(self, stored: Iterable[str] = ()) -> None:
-        """Remember that the files are as they were just written."""
+        """Note the present times of the files as those of this library's last write."""
         self._stored.update(stored)
         self._seen = stamps(self.folder)
 
     def _writable(self) -> Path:
-        """Return the folder to write to; a hand that is not to be changed is copied for it.
+        """Return the folder to write to; copy a shipped hand first.
 
         Raises:
             ConfigError: if a copy is needed and cannot be made.
@@ -201,7 +201,7 @@ class ActionFiles:
 
 
 def _of_a_hand(folder: Path) -> bool:
-    """Return whether a folder of actions is that of a hand, not one that was given by itself."""
+    """Return whether a folder of actions belongs to a hand's folder."""
     return folder.name == ACTIONS and os.path.isfile(folder.parent / FILE_NAME)
 
 
@@ -219,14 +219,14 @@ def _files(folder: Path) -> list[Path]:
 
 
 def stamps(folder: Path) -> dict[Path, int]:
-    """Return the files of a folder of actions with the times of their last change [ns]."""
+    """Return the time of the last change [ns] of each file in a folder of actions."""
     found: dict[Path, int] = {}
     for room in (PRIMITIVES, *CUSTOM):
         for path in _files(folder / room):
             try:
                 found[path] = path.stat().st_mtime_ns
             except OSError:
-                # Deleted since it was listed: that it is missing here shows as a change.
+                # Deleted since the listing; its absence from the result shows as a change.
                 continue
     return found
 
@@ -235,7 +235,7 @@ def stamps(folder: Path) -> dict[Path, int]:
 
 
 def read_actions(hand: Hand, folder: Path) -> list[Action]:
-    """Read all actions of a hand, those that others are made of first.
+    """Read all actions of a hand, parts before the actions that use them.
 
     Raises:
         ActionError: for every mistake, with file and line.
@@ -287,12 +287,12 @@ def _primitive_path(folder: Path, name: str) -> Path:
 
 @dataclass(frozen=True)
 class Changes:
-    """What is to change in a folder of actions.
+    """Changes of a folder of actions.
 
     Attributes:
-        files: The files that are new or different, with their text.
+        files: Texts of new and different files, by path.
         gone: The files to delete.
-        folders: The folders that are there afterwards.
+        folders: The folders that exist afterwards.
     """
 
     files: Mapping[Path, str]
@@ -300,7 +300,7 @@ class Changes:
     folders: Sequence[Path] = ()
 
     def write(self) -> None:
-        """Write them: all, or none where the folder or disk does not allow one.
+        """Make all changes, or none if one of them fails.
 
         Raises:
             ConfigError: if a file cannot be written.
@@ -309,10 +309,10 @@ class Changes:
 
 
 def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive]) -> Changes:
-    """Return what is to change so that a folder holds these primitives, one file per kind.
+    """Return the changes after which a folder holds exactly these primitives, one file per kind.
 
-    The same primitives give the same text. Comments of people in the files are kept; files of
-    kinds that are gone go too.
+    The same primitives give the same text. Keeps people's comments in the files, and deletes files
+    of kinds without primitives.
 
     Args:
         folder: The hand's folder of actions.
@@ -320,7 +320,7 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
         primitives: All its primitives.
 
     Raises:
-        ActionError: if a file that is there cannot be read.
+        ActionError: if an existing file cannot be read.
     """
     named: dict[str, list[Primitive]] = {}
     # In the index's order, so that the same primitives give the same text.
@@ -340,19 +340,19 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
 def custom_changes(
     folder: Path, actions: Iterable[CustomAction], before: Mapping[str, Path] = MappingProxyType({})
 ) -> Changes:
-    """Return what is to change so that a folder holds these composed, timed or generic actions.
+    """Return the changes after which a folder holds these composed, timed or generic actions.
 
-    Comments in their files are kept.
+    Keeps comments in their files.
 
     Raises:
-        ActionError: if a file that is there cannot be read.
+        ActionError: if an existing file cannot be read.
     """
     changed: dict[Path, str] = {}
     gone: list[Path] = []
     for action in actions:
         former = before.get(normalise(action.name))
         changed |= _change(_custom_path(folder, action), custom_document(action), former=former)
-        # One that replaces an action of another kind: two files would define the name.
+        # The file of a replaced action of another kind would define the name a second time.
         gone += [
             path
             for kind in CUSTOM
@@ -365,7 +365,7 @@ def custom_changes(
 
 def _custom_path(folder: Path, action: Action) -> Path:
     room = folder / kind_of(action)
-    # A file with another spelling is kept, as a second one would define the action twice.
+    # Reuse a file with another spelling, since a second one would define the action twice.
     same = (path for path in _files(room) if normalise(path.stem) == normalise(action.name))
     return next(same, room / f"{action.name}.yaml")
 
@@ -373,14 +373,14 @@ def _custom_path(folder: Path, action: Action) -> Path:
 def _change(
     path: Path, data: dict[str, Any], comments: Sequence[str] = (), former: Path | None = None
 ) -> dict[Path, str]:
-    """Return a file with its new text, comments kept; nothing if it is the same."""
+    """Return a file with its new text, with comments kept; ``{}`` if it is unchanged."""
     text = emit(data, comments)
     source = path if former is None or path.exists() else former
     if source.exists():
         old = read_text(source, WHAT, ActionError)
         if source == path and old == text:
             return {}
-        # What reads as emitted, under the same header, nobody has edited: no comments to keep.
+        # A file in the emitted form with the same header was never edited and has no comments.
         if read_emitted(old) is None or _header(old) != _header(text):
             text = rewritten(old, data) or text
     return {path: text}

@@ -1,4 +1,4 @@
-"""Making composed, timed and generic actions, by the paper's rules.
+"""Construction of composed, timed and generic actions, by the paper's rules.
 
 A set-point is scaled from the rest posture: ``value = rest + scale * (set-point - rest)``. An
 actuator that several parts of a composed action set gets the mean of their values.
@@ -28,13 +28,13 @@ from rtee.hand.names import check_name
 from rtee.types import ActuatorSpec, JointKind, from_rest
 
 Find = Callable[[str, tuple[str, ...]], Action]
-"""Looks an action up by name and elements."""
+"""Returns an action by name and elements."""
 
 SLACK = 1e-6
-"""How far a stored value may lie outside the limits, by rounding [rad | m]."""
+"""Largest excess of a stored value over the limits that counts as rounding [rad | m]."""
 
 MAX_MARGIN = 3600.0
-"""Longest margin of an inner action [s]."""
+"""Longest margin of an inner action [s]: an hour is surely a mistake of units."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class StepPlan:
 
     Attributes:
         use: The inner action.
-        alias: Its name within the timed action; empty: the action's own name.
-        before: Margin before it starts [s].
-        after: Margin after it is completed [s].
+        alias: Name within the timed action; empty: the action's own name.
+        before: Margin before its start [s].
+        after: Margin after its end [s].
     """
 
     use: ActionReference
@@ -63,11 +63,11 @@ def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
 
     Raises:
         UnknownActuator: if the hand has no such actuator.
-        ActionError: if a value is not finite or outside the limits, which are named.
+        ActionError: if a value is not finite or outside the limits.
     """
     if not involved:
         raise ActionError("an action must involve at least one actuator")
-    # Raises for an unknown name, which the mapping below would leave out.
+    # Raises an error for an unknown name, which the mapping below would drop.
     for name in involved:
         hand.actuator_index(name)
     position = {
@@ -87,12 +87,12 @@ def _inside(spec: ActuatorSpec, value: float) -> float:
             f"the set-point {value:g} {unit} of '{spec.name}' is outside its {side} limit "
             f"{limit:g} {unit}"
         )
-    # Outside by less than `SLACK`, the limit itself is meant.
+    # A value outside by less than `SLACK` stands for the limit.
     return min(max(value, spec.lower), spec.upper)
 
 
 def scaled(hand: Hand, posture: Posture, scale: float) -> Posture:
-    """Return a posture scaled from rest; above 1 it is clamped into the limits."""
+    """Return a posture scaled from rest and clamped to the limits."""
     position = dict(posture.position)
     for name in posture.involved:
         index = hand.actuator_index(name)
@@ -122,15 +122,15 @@ def compose(
 
     Args:
         hand: The hand.
-        find: Where the parts are looked up.
-        name: The new action's name.
-        parts: What it is made of.
+        find: Function that returns a part by name and elements.
+        name: Name of the new action.
+        parts: The parts.
         independent: Refuse parts that set the same actuator.
         description: One sentence for people.
 
     Raises:
         UnknownAction: if there is no such part.
-        ActionError: if a part cannot be used, or the name or a scale is not good.
+        ActionError: if a part cannot be used, or the name or a scale is invalid.
     """
     check_custom_name(name)
     if not parts:
@@ -149,7 +149,7 @@ def compose(
                 )
             setter[actuator] = label(use.action, use.elements)
             values.setdefault(actuator, []).append(posture.position[actuator])
-    # fsum, so that the order of the parts does not move the last digit.
+    # With fsum, the order of the parts does not change the last digit.
     mean = {actuator: math.fsum(found) / len(found) for actuator, found in values.items()}
     return Composed(name, tuple(resolved), full_posture(hand, mean), independent, description)
 
@@ -166,14 +166,14 @@ def sequence(
 
     Args:
         hand: The hand.
-        find: Where the inner actions are looked up.
-        name: The new action's name.
+        find: Function that returns an inner action by name and elements.
+        name: Name of the new action.
         steps: The inner actions in order.
         description: One sentence for people.
 
     Raises:
         UnknownAction: if there is no such inner action.
-        ActionError: if an inner action cannot be used, or a name, margin or scale is not good.
+        ActionError: if an inner action cannot be used, or a name, margin or scale is invalid.
     """
     check_custom_name(name)
     if not steps:
@@ -207,12 +207,12 @@ def generic(
 
     Args:
         hand: The hand.
-        name: The new action's name.
+        name: Name of the new action.
         set_points: Position of the involved actuators [rad | m]; the others are not involved.
         description: One sentence for people.
 
     Raises:
-        ActionError: if an actuator is unknown, a value outside its limits, or the name not good.
+        ActionError: if an actuator is unknown, a value outside its limits, or the name invalid.
     """
     check_custom_name(name)
     try:
@@ -223,7 +223,7 @@ def generic(
 
 
 def warnings_of(action: Action) -> list[str]:
-    """Return what is allowed but may not be meant: scales above 1."""
+    """Return sentences about scales above 1, which are allowed but may be a mistake."""
     return [
         f"'{action.name}' scales {label(use.action, use.elements)} by {use.scale:g}: "
         "above 1 it may pass the limits, where it is clamped"
@@ -233,7 +233,7 @@ def warnings_of(action: Action) -> list[str]:
 
 
 def rebuilt(hand: Hand, find: Find, action: CustomAction) -> CustomAction:
-    """Return an action rebuilt from what it is made of, which may have changed."""
+    """Return an action rebuilt from its parts, which may have changed."""
     match action:
         case Composed():
             return compose(
@@ -256,10 +256,10 @@ def _resolve(
     what = label(use.action, use.elements)
     check_scale(use.scale, f"{what} in {where}")
     found = find(use.action, use.elements)
-    # A timed action has no single posture that could be scaled or averaged.
+    # A timed action has no single posture to scale or average.
     if isinstance(found, Timed):
         raise ActionError(f"{where} cannot contain the timed action '{found.name}'")
-    # In the action's own spelling, since it goes into files and to users.
+    # In the action's own spelling, which files and users see.
     reference = ActionReference(found.name, found.elements, use.scale)
     return reference, scaled(hand, found.posture, use.scale)
 
@@ -269,14 +269,14 @@ _PRIMITIVE_NAMES = tuple(normalise(kind) for kind in PrimitiveKind)
 
 def is_primitive_name(name: str) -> bool:
     """Return whether a name is, or may become, that of a primitive."""
-    # Whatever the count: a later extraction may find one that does not exist yet.
+    # With any count, since a later extraction may find primitives of other counts.
     return normalise(name).rstrip("0123456789") in _PRIMITIVE_NAMES
 
 
 def check_custom_name(name: str) -> None:
-    """Raise `UserError` unless a name can be that of a composed, timed or generic action."""
+    """Raise `UserError` unless a name is valid for a composed, timed or generic action."""
     check_name(name, "action")
-    # Names are compared without underscores and hyphens: nothing of it would be left.
+    # Names are compared without underscores and hyphens, so that these alone are no name.
     if not normalise(name):
         raise ActionError(f"the name '{name}' has no letter or digit")
     if is_primitive_name(name):

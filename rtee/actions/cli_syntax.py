@@ -1,4 +1,4 @@
-"""Actions as words of a command line.
+"""Syntax of actions on the command line.
 
 ::
 
@@ -41,11 +41,11 @@ def read_step(word: str) -> StepPlan:
     Raises:
         ActionError: if the word is not like that.
     """
-    # From the end: elements follow a colon as well, but have no equals sign.
+    # From the end, since elements follow a colon, too, but have no equals sign.
     body, colon, options = word.rpartition(":")
     if not colon or "=" not in options:
         return StepPlan(read_use(word))
-    # A scale behind the options still belongs to the action.
+    # A scale after the options belongs to the action, too.
     options, star, factor = options.partition("*")
     alias, margins = "", {"before": 0.0, "after": 0.0}
     for option in options.split(","):
@@ -81,11 +81,12 @@ def read_set_points(words: Sequence[str]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Efforts:
-    """Effort limits as words say them.
+    """Effort limits given on the command line.
 
     Attributes:
-        share: Of the limit of every actuator that is not named, above 0 up to 1; ``None``: its own.
-        shares: The same by actuator.
+        share: Share of the limits of all actuators that are not named, above 0 up to 1; ``None``:
+            the full limits.
+        shares: Shares of the limits by actuator.
         limits: Limits by actuator [N·m | N].
     """
 
@@ -133,9 +134,9 @@ def _number(text: str, what: str, word: str) -> float:
 
 
 def read_on_contact(texts: Sequence[str]) -> dict[str, str]:
-    """Return what fingers do on contact, by name, from texts such as ``hold`` or ``thumb=stop``.
+    """Return reactions to contact by finger, from texts such as ``hold`` or ``thumb=stop``.
 
-    A text without a finger is for all that have none of their own, by the name "".
+    A text without a finger gets the name ``""`` and applies to all other fingers.
     """
     split = [text.rpartition("=") for text in texts]
     return {finger.strip(): word.strip() for finger, _, word in split}

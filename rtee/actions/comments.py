@@ -1,4 +1,4 @@
-"""Rewriting a YAML file that people have edited, with their comments kept."""
+"""Update of a YAML file that people have edited, with their comments kept."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rtee.hand.yamlfile import yaml_reader
 from rtee.hand.yamlwrite import emit
 
 _IDENTITY = ("elements", "alias", "action")
-"""Keys by which the entries of a list are recognised, the first that they have."""
+"""Keys that identify the entries of a list; the first one present counts."""
 
 
 def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
-    """Return an edited file brought up to date, changing as little as possible.
+    """Return an edited file with new data, changed as little as possible.
 
     Args:
-        text: The file as it is.
-        data: What it is to hold, as for `emit`.
+        text: The present text of the file.
+        data: The new data, as for `emit`.
 
     Returns:
         The new text; ``None`` if the old one cannot be kept.
@@ -27,7 +27,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
 
     yaml = yaml_reader(keep_comments=True)
     yaml.preserve_quotes = True
-    # Long lines would be folded, though nothing in them has changed.
+    # At the default width, ruamel would fold long lines that have not changed.
     yaml.width = 4096
     try:
         fresh = yaml_reader().load(emit(data))
@@ -36,7 +36,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
             return None
         stream = io.StringIO()
         yaml.dump(_merged(document, fresh), stream)
-        # A merge that reads back as something else would be worse than a lost comment.
+        # A merge that reads back as other data would be worse than a lost comment.
         same = yaml_reader().load(stream.getvalue()) == fresh
     except (YAMLError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
         return None
@@ -45,7 +45,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
 
 def _merged(old: Any, new: Any) -> Any:
     if isinstance(old, dict) and isinstance(new, Mapping):
-        # A list of its own, since the loop deletes keys.
+        # A new list, since the loop deletes keys.
         for key in [key for key in old if key not in new]:
             del old[key]
         for key, value in new.items():
@@ -67,7 +67,7 @@ def _merged_list(old: list[Any], new: list[Any]) -> list[Any]:
     for index, item in enumerate(new):
         same = known.get(_identity(item, index))
         merged.append(_styled(item) if same is None else _merged(same, item))
-    # Only then, since replacing the items drops the comments between them.
+    # Only if needed, since replacing the items drops the comments between them.
     if len(merged) != len(old) or any(a is not b for a, b in zip(old, merged, strict=True)):
         old[:] = merged
     return old

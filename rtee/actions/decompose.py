@@ -1,4 +1,4 @@
-"""Finding again what an action was made of, from its set-points."""
+"""Decomposition of set-points into the actions that they were composed of."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CLOSE: Final = 1e-4
 
 
 def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> float | None:
-    """Return the scale from rest that makes a posture these set-points, if there is one.
+    """Return the scale from rest at which a posture has these set-points, or ``None``.
 
     Args:
         hand: The hand.
@@ -26,9 +26,9 @@ def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> f
         return None
     rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))
     whole = {name: posture.position[name] - rest[name] for name in set_points}
-    # On the longest way, the rounding of stored set-points matters least.
+    # The rounding of stored set-points matters least for the longest travel.
     widest = max(whole, key=lambda name: abs(whole[name]))
-    # A posture that is at rest is the same at every scale.
+    # The rest posture is the same at every scale.
     scale = 1.0
     if abs(whole[widest]) > SLACK:
         scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
@@ -43,13 +43,13 @@ def find_parts(
     set_points: Mapping[str, float],
     fingers: Collection[str] = (),
 ) -> list[ActionReference] | None:
-    """Return actions that share no actuator and make up set-points, if there are any.
+    """Return actions without common actuators that have these set-points together, or ``None``.
 
     Args:
         hand: The hand.
-        choices: What each part may be; parts with the same choices are adjacent.
+        choices: Candidates for each part; parts with the same candidates are adjacent.
         set_points: Positions by actuator [rad | m].
-        fingers: The fingers that primitives among them may be done with; any if empty.
+        fingers: Fingers allowed in primitives; any if empty.
     """
     return _find(hand, choices, set_points, set(fingers), 0)
 
@@ -71,7 +71,7 @@ def _find(
         if scale is None or (fingers and not fingers.issuperset(action.fingers)):
             continue
         others = {name: value for name, value in left.items() if name not in own}
-        # Parts with the same choices are combinations, not permutations.
+        # Parts with the same candidates give combinations instead of permutations.
         again = i + 1 if list(choices[1:2]) == [choices[0]] else 0
         more = _find(hand, choices[1:], others, fingers, again)
         if more is not None:

@@ -1,4 +1,4 @@
-"""A hand and its actions as one plain object, for JSON and for the network."""
+"""A hand and its actions as plain data, for JSON and for the network."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rtee.hand.model import Hand
 
 
 def clearance_text(clearance: float) -> str:
-    """Return a clearance [m] in words."""
+    """Return a clearance [m] as text."""
     text = f"{clearance * 1e3:.1f} mm"
     return f"{text} or more" if clearance >= FARTHEST_CLEARANCE else text
 
@@ -32,7 +32,7 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
     Args:
         hand: The hand.
         actions: Its actions.
-        seconds: How long it took to find or read them [s], if this is to be said.
+        seconds: Time that it took to find or read the actions [s]; ``None`` leaves it out.
 
     Returns:
         ``hand``, ``fingers``, ``actuators``, ``primitives``, ``composed``, ``timed``, ``generic``
@@ -99,7 +99,7 @@ def _primitive(action: Primitive) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return the fields of an action as plain data; those of a posture or use among them."""
+    """Return a field of an action as plain data, including postures and uses of actions."""
     match value:
         case Posture():
             return _posture(value)

@@ -1,4 +1,4 @@
-"""The documents of actions: what their YAML files contain, and how it becomes an action."""
+"""The YAML documents of actions, and their conversion to actions and back."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class OppositionEntry:
 
 @dataclass(frozen=True, slots=True)
 class EvidenceEntry:
-    """What the extraction found at a posture; see `Evidence`."""
+    """Evidence of the extraction for a posture; see `Evidence`."""
 
     depth: Amount = 0.0
     distance: Amount = 0.0
@@ -95,7 +95,7 @@ class EvidenceEntry:
 
 @dataclass(frozen=True, slots=True)
 class PostureEntry:
-    """A posture of a primitive, and what is known of it."""
+    """A posture of a primitive, with its evidence."""
 
     set_points: SetPoints
     evidence: EvidenceEntry | None = None
@@ -186,7 +186,7 @@ def _posture(
     try:
         return full_posture(hand, values)
     except UserError:
-        for name, value in values.items():  # which of them is it?
+        for name, value in values.items():  # find the value that the error is about
             with located(document, (*at, name)):
                 full_posture(hand, {name: value})
         raise
@@ -211,7 +211,7 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
-    """Return evidence as plain data, without what is not known."""
+    """Return evidence as plain data, without unknown values."""
     found = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
     return {name: _plain(value) for name, value in found.items() if value not in (None, ())}
 
@@ -242,7 +242,7 @@ class UseEntry:
 
     @property
     def use(self) -> ActionReference:
-        """The use of an action that this is."""
+        """Return the entry as a use of an action."""
         return ActionReference(self.action, self.elements, self.scale)
 
 
@@ -270,16 +270,16 @@ class CustomDocument:
 
     @abstractmethod
     def make(self, hand: Hand, find: Find, document: YamlDocument) -> Action:
-        """Return the action; what it is made of is looked up in the order of the file.
+        """Return the action; look up its parts in the order of the file.
 
         Raises:
-            UserError: if it cannot be made.
+            UserError: if the action cannot be made.
         """
 
     @staticmethod
     @abstractmethod
     def entries(action: Any) -> dict[str, Any]:
-        """Return what the file of an action holds besides its name and description."""
+        """Return the entries of an action's file other than name and description."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -362,7 +362,7 @@ CUSTOM: Final[Mapping[ActionKind, type[CustomDocument]]] = {
     ActionKind.COMPOSED: ComposedDocument,
     ActionKind.TIMED: TimedDocument,
 }
-"""The contents of files by kind; those that others are made of first."""
+"""Models of files by kind; kinds that others are made of come first."""
 
 
 def _use_entry(use: ActionReference) -> dict[str, Any]:
@@ -383,7 +383,7 @@ def read_document(path: Path) -> YamlDocument:
     """Read a YAML file of actions.
 
     Raises:
-        ActionError: if it cannot be read, is empty or is not YAML; with the line.
+        ActionError: if the file cannot be read, is empty or is not YAML; names the line.
     """
     text = read_text(path, WHAT, ActionError)
     return parse_yaml(text, path, WHAT, ActionError, foreign=True)
@@ -391,7 +391,7 @@ def read_document(path: Path) -> YamlDocument:
 
 @contextmanager
 def located(document: YamlDocument, location: Sequence[str | int]) -> Iterator[None]:
-    """Give the errors inside the block the file and the line of an entry, unless they have one."""
+    """Add the file and line of an entry to errors inside the context that have none."""
     try:
         yield
     except UserError as error:
@@ -468,11 +468,11 @@ _WANTED: Final = {
     "bool_type": "true or false",
     "float_type": "a number",
 }
-"""What is expected, by the kind of mistake."""
+"""Expected values by kind of mistake."""
 
 
 def _called(location: Location) -> str:
-    """Return how an entry is called in a sentence."""
+    """Return the name of an entry for a sentence."""
     named = [part for part in location if isinstance(part, str)]
     return f"'{named[-1]}'" if named else "the file"
 
@@ -481,7 +481,7 @@ def _kind(value: Any) -> str:
     match value:
         case None:
             return "empty"
-        case bool():  # before int: True is one
+        case bool():  # before int, since True is an int
             return "true or false"
         case int() | float():
             return "a number"

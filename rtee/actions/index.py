@@ -1,4 +1,4 @@
-"""An immutable index over actions; the library swaps a whole one in at every change."""
+"""Immutable index of actions, which the library replaces as a whole at every change."""
 
 from __future__ import annotations
 
@@ -38,23 +38,23 @@ class Index:
     """Actions by name and elements.
 
     Args:
-        hand: The hand, whose order of fingers and actuators is that of all answers.
+        hand: The hand, whose order of fingers and actuators all results have.
         actions: The actions.
 
     Raises:
-        ActionError: if two have the same name (and elements).
+        ActionError: if two actions have the same name (and elements).
     """
 
     def __init__(self, hand: Hand, actions: Sequence[Action]) -> None:
         self.hand = hand
         order = [*hand.finger_names, *hand.actuator_names]
-        # Elements may be spelled in any case, unless that would make two of them the same.
+        # Elements may be spelled in any case, unless two of them differ only in case.
         ambiguous = any(
             len({normalise(name) for name in names}) < len(names)
             for names in (hand.finger_names, hand.actuator_names)
         )
         self._spelling: Callable[[str], str] = str if ambiguous else normalise
-        # Reversed, so that a finger keeps its place where an actuator has the same name.
+        # Reversed, so that a finger takes precedence over an actuator of the same name.
         self._place = {name: index for index, name in reversed(list(enumerate(order)))}
         primitives = [action for action in actions if isinstance(action, Primitive)]
         self.primitives = tuple(sorted(primitives, key=self._primitive_order))
@@ -88,7 +88,7 @@ class Index:
             what = label(primitive.name, primitive.elements)
             raise ActionError(f"the primitive {what} is there twice")
         group[key] = primitive
-        # Also without its count: the elements say which one is meant.
+        # Also under the name without its count, which follows from the elements.
         if primitive.kind.counted:
             self._named.setdefault(normalise(primitive.kind), {}).setdefault(key, primitive)
 
@@ -115,7 +115,7 @@ class Index:
             return next(iter(group.values()))
         key = self._key(elements)
         found = group.get(key)
-        # The key is a set, in which an element that is given twice would count once.
+        # The key is a set, in which a repeated element would count once.
         if found is None or len(key) != len(elements):
             raise self._wrong_elements(name, elements, group)
         return found
@@ -198,7 +198,7 @@ class Index:
         )
 
     def without(self, action: Action) -> tuple[Action, ...]:
-        """Return all actions but the one of the same name (and elements)."""
+        """Return all actions except that of the same name (and elements)."""
         if isinstance(action, Primitive):
             key = self._key(action.elements)
             return tuple(
@@ -234,7 +234,7 @@ class Index:
                 raise ActionError(f"the action '{inner}' would contain itself: {chain}")
             if key not in done:
                 under_way.append(key)
-                # It asks `find` for its parts, so these are rebuilt before it.
+                # Its parts, which it looks up by `find`, are rebuilt first.
                 fresh[key] = rebuilt(self.hand, find, fresh[key])
                 under_way.pop()
                 done.add(key)

@@ -1,4 +1,4 @@
-"""All grasping actions of one hand, to be looked up, listed, added and removed."""
+"""Library of all grasping actions of one hand."""
 
 from __future__ import annotations
 
@@ -36,16 +36,17 @@ class ActionLibrary:
     """The grasping actions of one hand.
 
     Names are compared regardless of case, underscores, hyphens and spaces; the order of elements
-    does not matter. Every change replaces the whole index at once, so that other threads may look
-    up while one changes. Files are touched by `save`, `store` and ``add(store=True)`` only.
+    does not matter. Every change replaces the whole index at once, so that other threads may read
+    concurrently. `save`, `store` and ``add(store=True)`` write files, and `remove` and `rename` do
+    so for stored actions.
 
     Args:
         hand: The hand.
-        actions: Its actions; what they refer to must be among them.
-        folder: Where they are stored, or ``None`` to keep them in memory.
+        actions: Its actions, including all that others refer to.
+        folder: Folder of their files, or ``None`` to keep them in memory.
 
     Attributes:
-        version: Counts the changes, so that what was derived from the actions can be kept.
+        version: Number of changes, to detect that derived data is outdated.
 
     Raises:
         ActionError: if two actions have the same name, or one refers to a missing one.
@@ -59,14 +60,14 @@ class ActionLibrary:
         self._index = Index(hand, tuple(actions))
         self._stored = None if folder is None else _files_in(hand, folder)
         self._openings: tuple[int | None, Openings] | None = None
-        # A missing part is reported here, not by the first goal that needs it.
+        # Report a missing part here instead of at the first goal that needs it.
         for action in self._index.custom.values():
             for use in action.uses:
                 self.find(use.action, use.elements)
 
     @classmethod
     def load(cls, hand: Hand, folder: Path) -> ActionLibrary:
-        """Read the actions stored in a folder; a missing folder holds none.
+        """Read the actions stored in a folder; a missing folder counts as empty.
 
         Raises:
             ActionError: for every mistake in the files, with file and line.
@@ -76,7 +77,7 @@ class ActionLibrary:
         return library
 
     def _read(self, keep: Sequence[Action] = ()) -> None:
-        # Swapped in once all is read: a mistake in a file leaves the library as it was.
+        # Assigned after reading all files, so that a mistake leaves the library unchanged.
         self._index = self._files.read(keep)
         self.version += 1
         for action in self._index.custom.values():
@@ -85,17 +86,17 @@ class ActionLibrary:
 
     @property
     def folder(self) -> Path | None:
-        """Where the actions are stored; ``None`` if they are kept in memory."""
+        """Folder of the files; ``None`` if the actions are kept in memory."""
         return None if self._stored is None else self._stored.folder
 
     @property
     def openings(self) -> Openings:
-        """The openings of its actions, as the file beside them holds them now.
+        """The openings of the actions, by the present file beside them.
 
         Raises:
-            ConfigError: if the file holds something else.
+            ConfigError: if the file is invalid.
         """
-        # Imported only here: a client's library needs no YAML.
+        # Imported only here, since a client's library needs no YAML.
         from rtee.actions.openings import FILE_NAME, Openings, read_openings
 
         if self._stored is None:
@@ -104,7 +105,7 @@ class ActionLibrary:
         try:
             stamp: int | None = os.stat(home / FILE_NAME).st_mtime_ns
         except OSError:
-            # No file is a state like any other: one that appears later is read.
+            # A missing file has a stamp, too, so that a file that appears later is read.
             stamp = None
         if self._openings is None or self._openings[0] != stamp:
             self._openings = stamp, read_openings(home, self.hand)
@@ -124,7 +125,7 @@ class ActionLibrary:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names there are, each once."""
+        """The names of the actions, each once."""
         return self._index.names
 
     def find(
@@ -136,16 +137,16 @@ class ActionLibrary:
         """Return one action.
 
         ``MultiPinchTight`` and ``SingleJointMultipleTips`` may be given without their count. A
-        primitive that exists with one set of elements only needs none.
+        primitive that exists with a single set of elements needs no elements.
 
         Args:
-            name: Its name.
+            name: Name of the action.
             elements: For a primitive, the fingers or the actuator, in any order.
-            kind: Which of the four kinds it must be, if that matters.
+            kind: Kind of the action; ``None`` for any.
 
         Raises:
-            UnknownAction: if there is none of that name (and kind).
-            ActionError: if it does not exist with these elements; the possible ones are named.
+            UnknownAction: if there is no action of that name (and kind).
+            ActionError: if it does not exist with these elements; names the possible ones.
         """
         return self._index.find(name, tuple(elements), kind)
 
@@ -158,22 +159,22 @@ class ActionLibrary:
         """Return the actions that pass a filter, in a fixed order.
 
         Args:
-            kind: Of this kind only.
-            name: Of this name only.
-            elements: Only primitives done with all of these elements.
+            kind: Only actions of this kind.
+            name: Only actions of this name.
+            elements: Only primitives with all of these elements.
         """
         return self._index.select(kind, name, tuple(elements))
 
     def primitives(self) -> list[PrimitiveGroup]:
-        """Return the primitives as a user interface shows them, one group per name."""
+        """Return the primitives in groups of the same name, for user interfaces."""
         return self._index.groups()
 
     def partners(self, name: str, element: str) -> tuple[str, ...]:
-        """Return the elements that a primitive can be done with together with a given one.
+        """Return the elements that occur together with a given one in a primitive.
 
         Raises:
             UnknownAction: if there is no primitive of that name.
-            ActionError: if it is never done with that element.
+            ActionError: if it never has that element.
         """
         return self._index.partners(name, element)
 
@@ -193,13 +194,13 @@ class ActionLibrary:
         independent: bool = False,
         description: str = "",
     ) -> Composed:
-        """Make a composed action of this library's actions, without adding it; see `build`."""
+        """Return a composed action of the library's actions, without adding it; see `build`."""
         return compose(
             self.hand, self.find, name, parts, independent=independent, description=description
         )
 
     def sequence(self, name: str, steps: Sequence[StepPlan], *, description: str = "") -> Timed:
-        """Make a timed action of this library's actions, without adding it; see `build`."""
+        """Return a timed action of the library's actions, without adding it; see `build`."""
         return sequence(self.hand, self.find, name, steps, description=description)
 
     def add(self, action: Action, store: bool = False, *, replace_same: bool = False) -> None:
@@ -208,11 +209,11 @@ class ActionLibrary:
         Args:
             action: The action.
             store: Write it to its file at once.
-            replace_same: Replace the action of the same name, and bring those that use it up to
-                date, instead of refusing.
+            replace_same: Replace an action of the same name, and rebuild those that use it, instead
+                of refusing.
 
         Raises:
-            ActionError: if the name is taken, or what it refers to is missing or the action itself.
+            ActionError: if the name is taken, or the action refers to a missing one or to itself.
         """
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
@@ -220,14 +221,14 @@ class ActionLibrary:
             raise ActionError(f"there already is an action '{label(there, action.elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
-        # The new index is checked, written to files and swapped in, in this order: whatever fails
-        # leaves the library as it was.
+        # The new index is checked, written to files and assigned, in this order, so that an error
+        # leaves the library unchanged.
         index = Index(self.hand, (*others, action))
         for use in action.uses:
             if normalise(use.action) == normalise(action.name):
                 raise ActionError(f"the action '{action.name}' would contain itself")
             index.find(use.action, use.elements, None)
-        # Its users hold postures that were computed from the action before.
+        # The actions that use it hold postures computed from the old one.
         index = index.rebuilt() if replace_same else index
         if store:
             self._files.write(index, action)
@@ -248,8 +249,8 @@ class ActionLibrary:
         """Remove a composed, timed or generic action, and its file.
 
         Raises:
-            UnknownAction: if there is none.
-            ActionError: if another action uses it, which is named; or if it is a primitive.
+            UnknownAction: if there is no such action.
+            ActionError: if another action uses it, or it is a primitive.
         """
         action = self.find(name)
         if isinstance(action, Primitive):
@@ -258,7 +259,7 @@ class ActionLibrary:
         if users:
             raise ActionError(f"'{action.name}' is used by {', '.join(users)}; remove that first")
         if self._stored is not None:
-            # The file first: if it cannot be deleted, it would bring the action back.
+            # The file first, since a file that cannot be deleted would bring the action back.
             self._stored.delete(action)
         self._index = Index(self.hand, self._index.without(action))
         self.version += 1
@@ -267,15 +268,15 @@ class ActionLibrary:
         """Give a composed, timed or generic action another name, everywhere it is used.
 
         Raises:
-            UnknownAction: if there is none.
-            ActionError: if the new name is taken or not good; or if it is a primitive.
+            UnknownAction: if there is no such action.
+            ActionError: if the new name is taken or invalid, or the action is a primitive.
         """
         action = self.find(name)
         if isinstance(action, Primitive):
             raise ActionError(f"'{action.name}' is a primitive; its name cannot change")
         check_custom_name(new_name)
         old, new = normalise(action.name), normalise(new_name)
-        # Another spelling of its own name is free.
+        # A new spelling of its own name is allowed.
         if new != old and new in self._index.custom:
             raise ActionError(f"there already is an action '{new_name}'")
 
@@ -291,7 +292,7 @@ class ActionLibrary:
                 changed.append(other.with_uses(renamed))
             else:
                 kept.append(other)
-        # As in `add`: first checked, then written, then swapped in.
+        # As in `add`: checked, written and assigned, in this order.
         index = Index(self.hand, (*kept, *changed))
         if self._stored is not None:
             self._stored.rename(action, new_name, changed)
@@ -299,10 +300,10 @@ class ActionLibrary:
         self.version += 1
 
     def save(self, folder: Path | None = None) -> None:
-        """Write all actions to their files, or none; nothing is written that is equal.
+        """Write all actions to their files, or none; leave unchanged files untouched.
 
         Args:
-            folder: Where to, and from now on; ``None``: where they came from.
+            folder: Folder to write to, now and later; ``None``: the present one.
 
         Raises:
             ActionError: if there is no folder.
@@ -318,17 +319,17 @@ class ActionLibrary:
         return self._stored is not None and self._stored.changed()
 
     def reload(self, *, force: bool = False) -> bool:
-        """Read the files again if they changed; actions that are only in memory stay.
+        """Read the files again if they changed; keep actions that exist only in memory.
 
         Returns:
-            Whether they were read.
+            Whether the files were read.
 
         Raises:
-            ActionError: for every mistake in the files; the library stays as it was.
+            ActionError: for every mistake in the files; the library is then unchanged.
         """
         if not (force or self.changed()):
             return False
-        # Actions that have no file would be lost with the old index.
+        # Actions without a file would be lost with the old index.
         volatile = [
             action for action in self._index.custom.values() if not self.is_stored(action.name)
         ]
@@ -337,7 +338,7 @@ class ActionLibrary:
 
 
 def _files_in(hand: Hand, folder: Path) -> ActionFiles:
-    # Imported only here: a library in memory, as a client has one, needs neither pydantic nor YAML.
+    # Imported only here, since a library in memory, as in a client, needs no pydantic and YAML.
     from rtee.actions.action_files import ActionFiles
 
     return ActionFiles(hand, folder)

@@ -1,4 +1,4 @@
-"""Names of actions: regardless of case, underscores, hyphens and spaces, two spellings are one."""
+"""Names of actions, compared regardless of case, underscores, hyphens and spaces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 
 
 def normalise(name: str) -> str:
-    """Return the spelling under which names are compared.
+    """Return the normal form of a name, by which names are compared.
 
     ``pinchTight``, ``PinchTight``, ``pinch_tight`` and ``pinch tight`` all become ``pinchtight``.
     """
@@ -16,10 +16,10 @@ def normalise(name: str) -> str:
 
 
 def snake_case(name: str) -> str:
-    """Return a name in small letters: ``PinchTight`` as ``pinch_tight``."""
+    """Return a name in snake case: ``pinch_tight`` for ``PinchTight``."""
     return _HUMP.sub("_", name).lower()
 
 
 def label(name: str, elements: tuple[str, ...] = ()) -> str:
-    """Return how an action is called in a sentence: ``PinchTight (index, thumb)``."""
+    """Return the name of an action for a sentence: ``PinchTight (index, thumb)``."""
     return f"{name} ({', '.join(elements)})" if elements else name

@@ -1,10 +1,10 @@
-"""How far an action's fingertips are apart, and what force of theirs its actuators make: as tables.
+"""Tables of the distances and forces between the fingertips of actions.
 
-The *opening* of an action is the least distance between its opposing tips. Its table holds, over
-intensity, the opening and the actuators' *levers*: how much nearer the tips come for a unit of each
-actuator, which by virtual work is also the effort that a unit of force between the tips takes. The
-offline half makes the tables (`rtee.extract.openings`), and a file beside the actions keeps them,
-so that running a hand takes neither Pinocchio nor Coal.
+The *opening* of an action is the least distance between its opposing tips. Its table holds, by
+intensity, the opening and the actuators' *levers*: the decrease of the opening per unit of each
+actuator, which by virtual work is also the effort for a unit of force between the tips. The offline
+half computes the tables (`rtee.extract.openings`) and stores them in a file beside the actions, so
+that running a hand needs neither Pinocchio nor Coal.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rtee.sample import FloatArray
 from rtee.types import readonly
 
 FILE_NAME: Final = "openings.yaml"
-"""Where the tables stand in a hand's folder."""
+"""Name of the file of the tables in a hand's folder."""
 
 FORMAT: Final = 1
 """Version of the file."""
@@ -41,21 +41,19 @@ _WORD: Final = 16
 _WHAT: Final = "the openings"
 
 MARGIN: Final = 0.01
-"""Before it closes, a hand opens wider than the object by this, or as far as it can [m]."""
+"""Excess of the opening over the object's width before a hand closes, if it opens so far [m]."""
 
 _SQUARE: Final = 0.1
-"""Actions whose tips move to the object at angles that differ by less than this are as good as one
-another [rad]."""
+"""Difference of the tips' angles to the object below which actions count as equally good [rad]."""
 
 _STRONGER: Final = 1.5
-"""An action that gives less than this many times the force of another is as good: other things then
-matter more."""
+"""Ratio of forces below which actions count as equally strong, so that other criteria decide."""
 
 _WEAKEST: Final = 1e-3
-"""Forces are compared from here [N] to its reciprocal: actuators without limits know none."""
+"""Least force compared [N]; its reciprocal is the largest, since some actuators have no limit."""
 
 _TAKES_PART: Final = 0.1
-"""Actuators whose lever is smaller than this share of the largest one do not press."""
+"""Share of the largest lever below which an actuator does not press."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +63,17 @@ class Opening:
     Attributes:
         action: Name of the action.
         elements: Elements of a primitive.
-        posture: Fingerprint of the posture, and the way to it, that the table was made for.
-        sides: The fingers that oppose each other: those of one side, those of the other; or, where
-            they close on a middle from all around, each finger for itself.
-        actuators: The actuators that move on the way, in the hand's order.
-        intensity: Intensities at which the table was made ``(k,)``, rising.
-        width: The opening there ``(k,)`` [m], falling.
-        lever: What the opening loses by a unit of each actuator ``(k, a)`` [m/rad | 1]; by virtual
-            work also the effort of each that a force of 1 N between the sides takes.
-        angle: Largest angle between a tip's motion and the line to those that oppose it ``(k,)``
+        posture: Fingerprint of the posture, and the path to it, for which the table was made.
+        sides: The fingers that oppose each other: those of one side and those of the other; or, if
+            they close on a middle from all around, each finger by itself.
+        actuators: The actuators that move, in the hand's order.
+        intensity: Intensities of the rows ``(k,)``, rising.
+        width: Openings ``(k,)`` [m], falling.
+        lever: Decrease of the opening per unit of each actuator ``(k, a)`` [m/rad | 1]; by virtual
+            work also the effort of each actuator for a force of 1 N between the sides.
+        angle: Largest angle between a tip's motion and the line to its opposing tips ``(k,)``
             [rad].
-        note: What is unusual about the way, in words.
+        note: Sentence about peculiarities of the path.
     """
 
     action: str
@@ -91,7 +89,7 @@ class Opening:
 
     @property
     def label(self) -> str:
-        """How the action is called in a sentence."""
+        """Name of the action for a sentence."""
         return label(self.action, self.elements)
 
     @property
@@ -115,11 +113,11 @@ class Opening:
         return float(self.width[-1])
 
     def at(self, intensity: float) -> float:
-        """Return the opening at an intensity [m]; beyond the table, that at its end."""
+        """Return the opening at an intensity [m]; beyond the table, that of its end."""
         return float(np.interp(intensity, self.intensity, self.width))
 
     def intensity_at(self, width: float) -> float:
-        """Return the intensity of an opening [m]; beyond the table, that at its end."""
+        """Return the intensity of an opening [m]; beyond the table, that of its end."""
         # np.interp needs rising abscissae, and the width falls.
         return float(np.interp(-width, -self.width, self.intensity))
 
@@ -129,7 +127,7 @@ class Opening:
         return dict(zip(self.actuators, map(float, columns), strict=True))
 
     def angle_at(self, intensity: float) -> float:
-        """Return how squarely the tips move towards each other at an intensity [rad]."""
+        """Return the largest angle of the tips' motion to the line between them [rad]."""
         return float(np.interp(intensity, self.intensity, self.angle))
 
     def strongest(self, hand: Hand, intensity: float) -> float:
@@ -141,7 +139,7 @@ class Opening:
         """
         levers = {name: abs(lever) for name, lever in self.levers_at(intensity).items()}
         most = max(levers.values())
-        # A lever is the effort that one newton takes: the weakest actuator limits the force.
+        # A lever is the effort for one newton, so that the weakest actuator limits the force.
         forces = [
             hand.actuator(name).effort / lever
             for name, lever in levers.items()
@@ -150,32 +148,32 @@ class Opening:
         return min(forces, default=0.0)
 
     def corrected(self, pairs: Iterable[tuple[float, float]]) -> Opening:
-        """Return the table with what was measured on the real hand.
+        """Return the table corrected by measurements of the real hand.
 
-        Between two measured pairs the difference from the model is interpolated; beyond them it is
-        that of the nearest pair. Points at which the corrected table would not fall are left out.
+        Interpolates the difference from the model between two measured pairs, and takes that of the
+        nearest pair beyond them. Drops rows at which the corrected table would not fall.
 
         Args:
             pairs: Intensities and the openings measured there [m].
 
         Raises:
-            ActionError: if the corrected table does not fall anywhere.
+            ActionError: if the corrected table falls nowhere.
         """
         measured = sorted(pairs)
         if not measured:
             return self
         at = [pair[0] for pair in measured]
         off = [width - self.at(intensity) for intensity, width in measured]
-        # The measured intensities become points of the table, so that it is exact there.
+        # The measured intensities become rows of the table, which is then exact there.
         grid = np.unique(np.concatenate([self.intensity, at]))
         grid = grid[(grid >= self.intensity[0]) & (grid <= self.intensity[-1])]
         width = np.interp(grid, self.intensity, self.width) + np.interp(grid, at, off)
         keep = [0]
         for i in range(1, len(grid)):
-            # Only a falling table has one intensity for each width, and no width is below 0.
+            # Only in a falling table, each width has one intensity; no width is negative.
             if width[i] < width[keep[-1]] and width[keep[-1]] > 0.0:
                 keep.append(i)
-        # A single point has no way from it to another opening.
+        # A single row has only one opening, and no motion.
         if len(keep) < 2:
             raise ActionError(
                 f"the openings of {self.label} measured in hand.yaml do not fall with its "
@@ -208,25 +206,24 @@ def doubtful(action: Action) -> bool:
 def suitability(
     hand: Hand, action: Action, opening: Opening, width: float, margin: float = MARGIN
 ) -> tuple[float, ...]:
-    """Return how well an action suits an object of a width [m]; the least suits best.
+    """Return a key that sorts actions by suitability for an object of a width, the best first.
 
-    What was found clear and in force closure comes first; then where the hand opens by the whole
-    margin; then, in coarse classes, the strongest force in the direction in which the tips are to
-    press; then the tips that meet the object most squarely; then the fewest actuators.
+    The criteria, in order: collision-free and in force closure; opens by the whole margin; force in
+    the direction of pressing, in coarse classes; tips meet the object squarely; few actuators.
 
     Args:
         hand: The hand.
         action: The action.
         opening: Its opening.
-        width: The width [m], inside of the opening's range.
-        margin: How much wider the hand is to open before it closes [m].
+        width: Width of the object [m], inside the opening's range.
+        margin: Excess of the opening over the width before the hand closes [m].
     """
     at = opening.intensity_at(width)
     angle = opening.angle_at(at)
     # A tip that moves at more than a right angle to the line of closing does not press.
     force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
     force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
-    # A logarithm, so that a class is a ratio of forces, whatever their size.
+    # By the logarithm, a class is a ratio of forces, whatever their size.
     strength = math.log(force) / math.log(_STRONGER)
     return (
         doubtful(action),
@@ -238,10 +235,10 @@ def suitability(
 
 
 def fingerprint_of(hand: Hand, action: Action) -> str:
-    """Return a word that changes with the way of an action: its posture, or the hand's rest."""
+    """Return a fingerprint of the path of an action: its posture and the hand's rest posture."""
     digest = hashlib.sha256()
     for name, rest in zip(hand.actuator_names, hand.rest.tolist(), strict=True):
-        # To the decimals that files keep: what is read again has the same fingerprint.
+        # With the decimals of the files, so that a posture read back has the same fingerprint.
         digest.update(f"{name} {rest:.9f}\n".encode())
     for posture in action.waypoints:
         for name in posture.involved:
@@ -250,7 +247,7 @@ def fingerprint_of(hand: Hand, action: Action) -> str:
 
 
 def model_of(hand: Hand) -> str:
-    """Return a word that changes with the hand's URDF."""
+    """Return a fingerprint of the hand's URDF."""
     return hashlib.sha256(hand.urdf.text.encode()).hexdigest()[:_WORD]
 
 
@@ -260,8 +257,8 @@ class Openings:
 
     Attributes:
         hand: The hand.
-        tables: The tables as they are stored.
-        made: Whether there are tables at all.
+        tables: The stored tables.
+        made: Whether tables were made at all.
         outdated: Whether they were made for another model of the hand.
     """
 
@@ -275,10 +272,10 @@ class Openings:
         return {_key(table.action, table.elements): table for table in self.tables}
 
     def of(self, action: Action) -> Opening:
-        """Return the opening of an action, corrected by what hand.yaml says was measured.
+        """Return the opening of an action, corrected by the measurements in hand.yaml.
 
         Raises:
-            ActionError: if it has none, or none that is up to date; the message says what to do.
+            ActionError: if it has none that is up to date; the message says what to do.
         """
         name = label(action.name, action.elements)
         if isinstance(action, Timed):
@@ -301,7 +298,7 @@ class Openings:
         return found.corrected(self.measured(action))
 
     def measured(self, action: Action) -> tuple[tuple[float, float], ...]:
-        """Return the pairs of intensity and opening [m] that hand.yaml has for an action."""
+        """Return the measured pairs of intensity and opening [m] of an action in hand.yaml."""
         wanted = _key(action.name, action.elements)
         for words, pairs in self.hand.openings.items():
             name, *elements = words.split()
@@ -338,15 +335,15 @@ def to_document(hand: Hand, tables: Iterable[Opening]) -> dict[str, Any]:
 
 
 def _rounded(values: FloatArray) -> list[float]:
-    """Return numbers rounded to what matters: 1 µm, 1 µm/rad."""
+    """Return numbers rounded to 1 µm or 1 µm/rad, finer than any measurement."""
     return [round(float(value), 6) for value in values]
 
 
 def write_openings(folder: Path, hand: Hand, tables: Iterable[Opening]) -> Path:
-    """Write the tables into a hand's folder; returns the file.
+    """Write the tables into a hand's folder and return the file.
 
     Raises:
-        ConfigError: if it cannot be written.
+        ConfigError: if the file cannot be written.
     """
     path = folder / FILE_NAME
     lines = (f"Openings of the actions, made by `rtee openings {hand.name} --save`.",)
@@ -358,7 +355,7 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
     """Return the tables stored in a hand's folder.
 
     Raises:
-        ConfigError: if the file holds something else.
+        ConfigError: if the file is invalid.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -385,7 +382,7 @@ def read_openings(folder: Path, hand: Hand) -> Openings:
 
 
 def _table(entry: Mapping[str, Any]) -> Opening:
-    """Return a table from plain data; raises `ValueError` and the like if it is none."""
+    """Return a table from plain data; raise `ValueError` and the like if it is invalid."""
     intensity, width = readonly(entry["intensity"]), readonly(entry["opening"])
     lever, angle = readonly(entry["lever"]), readonly(entry["angle"])
     actuators = tuple(str(name) for name in entry["actuators"])
@@ -396,7 +393,7 @@ def _table(entry: Mapping[str, Any]) -> Opening:
     )
     if not shaped or not all(map(math.isfinite, (*intensity, *width, *lever.ravel(), *angle))):
         raise ValueError(f"the columns of '{entry['action']}' do not fit each other")
-    # Both are looked up by interpolation, which silently fails on what is not monotonic.
+    # Interpolation silently gives wrong values unless both are monotonic.
     if not (np.all(np.diff(intensity) > 0.0) and np.all(np.diff(width) < 0.0)):
         raise ValueError(f"the opening of '{entry['action']}' does not fall")
     return Opening(

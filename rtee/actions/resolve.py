@@ -1,4 +1,4 @@
-"""From definitions, which refer to each other by name, to actions."""
+"""Resolution of definitions, which refer to each other by name, into actions."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from rtee.hand.yamlfile import YamlDocument
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """A custom action as its file defines it, before what it refers to is looked up.
+    """A custom action as defined in its file, before its references are resolved.
 
     Attributes:
         content: The content of the file.
-        document: The same, with its lines.
+        document: The document of the file, with line numbers.
     """
 
     content: CustomDocument
@@ -44,7 +44,7 @@ def read_definition(kind: ActionKind, path: Path) -> Definition:
 
 
 class Builder:
-    """Makes actions of definitions in the order in which they need each other."""
+    """Makes actions from definitions, each after those that it refers to."""
 
     def __init__(
         self, hand: Hand, primitives: Sequence[Primitive], definitions: Mapping[str, Definition]
@@ -75,10 +75,10 @@ class Builder:
     def _find(self, name: str, elements: tuple[str, ...]) -> Action:
         key = normalise(name)
         if key not in self.definitions:
-            # A misspelled name may be meant for a custom action, made or not.
+            # Suggestions include custom actions that are not made yet.
             known = [*self.primitives.names, *(d.name for d in self.definitions.values())]
             return self.primitives.find(name, elements, None, known)
-        # Without this, a cycle would end at Python's recursion limit, with no names.
+        # Otherwise a cycle would end at Python's recursion limit, without any names.
         if key in self.under_way:
             chain = [*self.under_way[self.under_way.index(key) :], key]
             names = " > ".join(self.definitions[k].name for k in chain)
@@ -98,6 +98,6 @@ class Builder:
             count += 1
             return self._find(name, elements)
 
-        # `at` is looked at when an error comes: the line is that of the part at fault.
+        # `located` reads `at` when an error occurs, for the line of the faulty part.
         with located(document, at):
             return content.make(self.hand, find, document)

@@ -1,4 +1,4 @@
-"""A rest posture that is a pinch, recognised from the stored primitives alone."""
+"""Detection of a rest posture that is a pinch, from the stored primitives alone."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rtee.hand.yamlwrite import rest_line
 from rtee.sample import FloatArray
 
 _HERE: Final = 0.1
-"""A pinch is at rest if no actuator travels farther than this share of its range to it."""
+"""Largest travel to a pinch, as a share of an actuator's range, at which it counts as at rest."""
 
 _MEETING: Final = 0.02
-"""Tips meet at once if no actuator has travelled this share of its range at the first contact."""
+"""Largest travel to the first contact, as a share of the range, at which tips touch at rest."""
 
 
 def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
-    """Return what is wrong with a rest posture that is a pinch, and what to type; else nothing.
+    """Return a sentence about a rest posture that is a pinch, with a remedy; else ``""``.
 
-    No shapes are needed: a stored pinch of two fingers lies at the rest posture itself, its
-    evidence says that the tips meet there, or nearly do, and the motion that carries them farthest
-    past each other goes along the contact normal.
+    Needs no shapes. The rest posture is a pinch if a stored pinch of two fingers lies at it, its
+    evidence says that the tips touch there or nearly do, and the motion that moves the tips
+    farthest past each other is along the contact normal.
 
     Args:
         hand: The hand.
@@ -38,7 +38,7 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     if not closed:
         return ""
     opened = {name: bound for _, way in ways for name, bound in way.items()}
-    # The line replaces the one in hand.yaml, so the rests given there are repeated.
+    # The suggested line replaces that in hand.yaml, and so repeats the rests given there.
     given = {
         spec.name: opened.get(spec.name, spec.rest)
         for spec in hand.actuators
@@ -63,7 +63,7 @@ def _is_at_rest(hand: Hand, pinch: Primitive) -> bool:
 
 
 def _travel(hand: Hand, pinch: Primitive) -> dict[str, float]:
-    """Return how far the actuators travel from rest, as shares of their ranges."""
+    """Return the travel of the actuators from rest, as shares of their ranges."""
     specs = [hand.actuator(name) for name in pinch.posture.involved]
     return {
         spec.name: abs(pinch.posture.position[spec.name] - spec.rest) / (spec.upper - spec.lower)
@@ -72,16 +72,16 @@ def _travel(hand: Hand, pinch: Primitive) -> dict[str, float]:
 
 
 def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
-    """Return the limits to which actuators part the tips of a pinch at rest [rad | m]; may be none.
+    """Return the limits that separate the tips of a pinch at rest, by actuator [rad | m].
 
-    Whether the tips are opposed is decided as `closed_rest` does.
+    Empty if none does. Decides like `closed_rest` whether the tips oppose each other.
     """
     evidence = pinch.evidence[0]
     if evidence.point is None or evidence.normal is None:
         return {}
     past = _past(hand, pinch.fingers, np.array(evidence.point))
     spans = hand.upper - hand.lower
-    spans = np.where(np.isfinite(spans), spans, 0.0)  # a continuous one has no limit to go to
+    spans = np.where(np.isfinite(spans), spans, 0.0)  # a continuous actuator has no limit
     own = {name for finger in pinch.fingers for name in hand.finger(finger).own}
     speeds = np.linalg.norm(past, axis=0)
     moved = speeds * spans
@@ -89,7 +89,7 @@ def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
     opposed = np.abs(parting) >= APART * speeds
     first = np.array([name in own for name in hand.actuator_names]) & (moved >= OWN * moved.max())
     farthest = int(np.argmax(np.where(first, moved, 0.0) if first.any() else moved))
-    # The largest motion slides the tips along each other: they lie side by side.
+    # If the largest motion slides the tips along each other, they lie side by side.
     if moved[farthest] == 0.0 or not opposed[farthest]:
         return {}
     found = {}
@@ -106,14 +106,14 @@ def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
     Args:
         hand: The hand, at rest.
         fingers: The two fingers.
-        point: Where the tips meet, in the base frame [m].
+        point: Contact point of the tips, in the base frame [m].
     """
     velocities = []
     for name in fingers:
         tip = hand.finger(name).tip
         assert tip is not None  # noqa: S101 - a finger without a fingertip has no pinch
         pose, jacobian = tip_pose_and_jacobian(hand, tip, hand.rest)
-        # Velocities at the point of contact, not at the frames' origins: v + ω x r.
+        # Velocities at the point of contact instead of the frames' origins: v + ω x r.
         arm = point - pose[:3, 3]
         velocities.append(jacobian[:3] + np.cross(jacobian[3:], arm, axis=0))
     past: FloatArray = velocities[1] - velocities[0]

@@ -1,13 +1,13 @@
-"""Reading the action files of ROS End-Effector.
+"""Importer of the action files of ROS End-Effector.
 
 Its files hold, per action, a posture of all actuators (``JointPos``, a list per joint) and a count
-per actuator that says which are involved. Primitives are keyed by their fingers (``[index,
-thumb]``) or their joint and keep several ``ActionState_N``; composed ones name their parts without
-elements and scales; timed ones hold the postures of their inner actions. What a custom action was
-made of is therefore found again by comparing postures; where that fails, set-points stay.
+per actuator, which is not 0 for involved ones. Primitives are keyed by their fingers (``[index,
+thumb]``) or their joint and have several ``ActionState_N``; composed actions name their parts
+without elements and scales; timed ones hold the postures of their inner actions. The parts of a
+custom action are therefore found by comparing postures; if that fails, it becomes a generic action.
 
-Older files name fingertips' links where newer ones name fingers. The oldest ones say neither which
-primitive they hold nor, by name, which actuators it involves; those are left out.
+Older files name the links of fingertips instead of fingers. The oldest ones name neither their
+primitive nor the involved actuators, and are left out.
 """
 
 from __future__ import annotations
@@ -70,14 +70,14 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Names = Annotated[tuple[str, ...], Strict(False)]
 Counts = dict[str, Amount]
-"""How often a joint takes part, by its name."""
+"""Counts by name of the joint; 0 for joints that are not involved."""
 
 Joints = dict[str, Any]
-"""Positions by joint; those of other joints than the hand's may be anything."""
+"""Positions by joint; those of joints that the hand does not have may be anything."""
 
 
 class _Entry(BaseModel):
-    """A mapping in a file of ROS End-Effector; keys that are not needed may be anything."""
+    """A mapping in a file of ROS End-Effector, with any other keys."""
 
     model_config = ConfigDict(strict=True, alias_generator=to_pascal)
 
@@ -152,9 +152,9 @@ class _Found:
     """An action in a file.
 
     Attributes:
-        key: Its name, or the elements of a primitive.
-        data: Its content.
-        document: The file.
+        key: Name of the action, or the elements of a primitive.
+        data: Content of the action.
+        document: Document of the file.
     """
 
     key: Any
@@ -162,14 +162,14 @@ class _Found:
     document: YamlDocument
 
     def read(self, model: type[M], *at: str) -> M:
-        """Return the content, or what is at a location inside, as far as a model asks for it."""
+        """Return the content, or that at a location inside it, as a model."""
         data: Any = self.data
         for part in at:
             data = data[part]
         return _validated(model, self.document, (self.key, *at), data)
 
     def joints(self, *at: str) -> tuple[Location, Joints]:
-        """Return the positions of joints in a state, and their location."""
+        """Return the location of a state's joint positions, and the positions."""
         state = self.read(_State, *at)
         if not (state.joint_pos or state.joint_states):
             with located(self.document, (self.key, *at)):
@@ -181,12 +181,12 @@ class _Found:
 
 @dataclass
 class Imported:
-    """What was found in a folder of ROS End-Effector.
+    """Result of an import from ROS End-Effector.
 
     Attributes:
-        actions: The actions, those that others are made of first.
-        files: How many files they came from.
-        notes: What could not be taken over as it was, one sentence each.
+        actions: The actions, parts before the actions that use them.
+        files: Number of files read.
+        notes: Sentences about content that could not be imported unchanged.
     """
 
     actions: list[Action] = field(default_factory=list)
@@ -198,18 +198,18 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     """Read all action files of ROS End-Effector in a folder and those below it.
 
     Raises:
-        ActionError: if there are none, if the folder cannot be searched, or for a mistake in one,
-            with file and line.
+        ActionError: if there are no files, the folder cannot be searched, or a file has a mistake;
+            names file and line.
     """
     try:
         paths = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")])
-    except OSError as error:  # such as of a process that has ended below /proc
+    except OSError as error:  # a folder may vanish during the search, such as below /proc
         raise ActionError(f"cannot be searched: {reason(error)}", path=folder) from None
     reader = _Reader(hand)
     entries: list[_Found] = []
     for path in paths:
         document = read_document(path)
-        # A folder may also hold YAML files of other programs.
+        # The folder may also hold YAML files of other programs.
         if not isinstance(document.data, dict):
             continue
         entries += _entries(document)
@@ -219,7 +219,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
         why = f"; {_EARLY}" if reader.imported.notes else ""
         raise ActionError(f"holds no action files of ROS End-Effector{why}", path=folder)
     reader.imported.files = len({found.document.path for found in entries})
-    # Parts are recognised among the actions that were read before.
+    # In this order, since parts are searched among the actions read before.
     for stage in (None, _GENERIC, _COMPOSED, _TIMED):
         for found in entries:
             with located(found.document, (found.key,)):
@@ -301,7 +301,7 @@ class _Reader:
         return Primitive(kind, elements, tuple(postures), fingers=fingers)
 
     def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Return the fingers of these names, or of fingertips' links of these names."""
+        """Return the fingers with these names, or with tip links of these names."""
         by_tip = {f.tip: f.name for f in self.hand.fingers if f.name not in names}
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
@@ -314,7 +314,7 @@ class _Reader:
         if not keys:
             raise ActionError(f"{what} has no ActionState_1")
         counts = found.read(_Counted).joints_involved_count
-        # By number, as the first is executed: by text, 10 would come before 2.
+        # By number, since the first one is executed and "10" sorts before "2".
         keys.sort(key=lambda key: int(key.removeprefix("ActionState_")))
         places = [found.joints(key) for key in keys]
         return [self._posture(found, *place, counts, what) for place in places]
@@ -331,7 +331,7 @@ class _Reader:
         names = entry.inner_actions_names
         parts = find_parts(
             self.hand,
-            # `find_parts` wants parts with the same choices side by side.
+            # `find_parts` needs parts with the same candidates side by side.
             [self._called(n) for n in sorted(names, key=names.index)],
             set_points,
             self._fingers(entry.fingers_involved),
@@ -345,7 +345,7 @@ class _Reader:
         return self.library.compose(name, parts, independent=bool(entry.independent))
 
     def _called(self, name: str) -> list[Action]:
-        """Return the actions that the files call so."""
+        """Return the imported actions of this name."""
         base = normalise(name)
         kind = _KINDS.get(base.rstrip("0123456789"))
         return [
@@ -374,12 +374,12 @@ class _Reader:
             posture = self._posture(found, at, positions[alias], counts[alias], what)
             use = self._use(name, alias, _involved(posture))
             before, after = margins[alias].margin_before, margins[alias].margin_after
-            # Aliases there may have characters that names do not have here.
+            # Aliases of ROS End-Effector may have characters that rtee does not allow.
             plans.append(StepPlan(use, safe_name(alias, "step"), before, after))
         return self.library.sequence(name, plans)
 
     def _use(self, timed: str, alias: str, set_points: Mapping[str, float]) -> ActionReference:
-        """Return the action of these set-points, the one called like the alias first."""
+        """Return the use of an action with these set-points; prefer one named like the alias."""
         for action in sorted(self.library, key=lambda a: normalise(a.name) != normalise(alias)):
             if isinstance(action, Timed):
                 continue
@@ -412,14 +412,14 @@ class _Reader:
     def _joints(
         self, found: _Found, at: Location, joints: Joints, what: str, involved: Collection[str]
     ) -> dict[str, float]:
-        """Return positions [rad | m] by actuator, brought into the limits."""
+        """Return positions by actuator, clamped to the limits [rad | m]."""
         actuators = self.hand.actuator_names
         for name in joints:
             if name in involved and name not in actuators:
                 with located(found.document, (*at, name)):
                     hint = suggestion(name, actuators)
                     raise ActionError(f"the hand has no actuator '{name}'; {hint}")
-        # Joints that are not the hand's may have any values, even ones that are not numbers.
+        # Joints that the hand does not have may have any values, even other than numbers.
         own = {name: value for name, value in joints.items() if name in actuators}
         values: dict[str, float] = {}
         for name, value in _validated(_Positions, found.document, at, own).root.items():

@@ -1,4 +1,4 @@
-"""What a Trig does besides bending its finger."""
+"""Abduction in a Trig, besides the flexion of its finger."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from rtee.hand.model import Hand
 
 
 def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
-    """Return the actuators by which a Trig also swings its finger sideways; none of other actions.
+    """Return the abduction actuators of a Trig; none of other actions.
 
-    A Trig moves all that moves its finger only, so abduction, too.
+    A Trig moves all actuators that move only its finger, including abduction.
     """
     if not isinstance(action, Primitive) or action.kind is not PrimitiveKind.TRIG:
         return ()
@@ -19,12 +19,12 @@ def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
 
 
 def sideways_words(hand: Hand, action: Action, prefix: str = "") -> str:
-    """Return in words how a Trig swings its finger sideways; nothing where it does not.
+    """Return a sentence about the abduction in a Trig; ``""`` if there is none.
 
     Args:
         hand: The hand.
         action: Any action.
-        prefix: What to leave out where names of actuators begin with it.
+        prefix: Prefix to remove from the names of actuators.
     """
     names = [name.removeprefix(prefix) for name in sideways(hand, action)]
     return f"also swings sideways (abduction): {', '.join(names)}" if names else ""

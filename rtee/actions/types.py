@@ -1,4 +1,4 @@
-"""The grasping actions as data (section III of the paper): immutable, without I/O."""
+"""The grasping actions as immutable dataclasses (section III of the paper)."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class ActionKind(StrEnum):
 
 
 class PrimitiveKind(StrEnum):
-    """The seven kinds of primitives; all that distinguishes them, except how they are found.
+    """The seven kinds of primitives with their properties, except the search that finds them.
 
     Attributes:
-        label: What one does, in a few words.
-        noun: What an element is: a finger or an actuator.
-        elements: How many elements one is done with; ``None``: as many as it counts.
+        label: Description in a few words.
+        noun: Noun for an element: finger or actuator.
+        elements: Number of elements; ``None``: the count in the name.
         counted: Whether the number of tips is part of the name, as in ``MultiPinchTight_3``.
-        pinch: Whether two tips meet in it, or nearly do.
+        pinch: Whether two tips touch, or nearly do.
     """
 
     label: str
@@ -38,7 +38,7 @@ class PrimitiveKind(StrEnum):
     def __new__(
         cls,
         name: str,
-        label: str = "",  # a kind is also looked up by its name alone
+        label: str = "",  # optional, since a kind is also looked up by its name alone
         noun: Literal["finger", "actuator"] = "finger",
         elements: int | None = 1,
         counted: bool = False,
@@ -46,7 +46,7 @@ class PrimitiveKind(StrEnum):
     ) -> PrimitiveKind:
         """Make a kind; see the attributes."""
         kind = str.__new__(cls, name)
-        # Set here, since the enumeration would make the value of all the arguments.
+        # Or the enumeration would take the tuple of all arguments as the value.
         kind._value_ = name
         kind.label, kind.noun, kind.elements = label, noun, elements
         kind.counted, kind.pinch = counted, pinch
@@ -71,7 +71,7 @@ class PrimitiveKind(StrEnum):
 
     @property
     def of_actuators(self) -> bool:
-        """Whether the elements are actuators; the fingers that they move are then given as well."""
+        """Whether the elements are actuators instead of fingers."""
         return self.noun == "actuator"
 
 
@@ -89,17 +89,17 @@ class Posture:
     involved: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        # A copy behind a read-only view: whoever made the mapping may still change it.
+        # A read-only view of a copy, since the caller may still change the mapping.
         object.__setattr__(self, "position", MappingProxyType(dict(self.position)))
 
 
 @dataclass(frozen=True, slots=True)
 class Opposition:
-    """How well the contact forces of two tips oppose each other at a pinch.
+    """Opposition of the contact forces of two tips in a pinch.
 
     Attributes:
         angles: Angle between the contact normal and the line of closing, per tip [rad].
-        force_closure: A small ball at the contact is in force closure.
+        force_closure: Whether a small ball at the contact is in force closure.
         friction: Coefficient of friction assumed.
     """
 
@@ -109,26 +109,26 @@ class Opposition:
 
 
 FARTHEST_CLEARANCE: Final = 0.005
-"""Clearances are measured up to here; beyond, no hand is near anything of itself [m]."""
+"""Largest clearance measured [m]: at this distance, no link is in danger of a collision."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the extraction found at a posture; lengths in metres, frames: the hand's base.
+    """Results of the extraction at a posture, in the frame of the hand's base.
 
     Attributes:
-        depth: Penetration of the tips' convex parts, 0 when they do not touch [m].
-        distance: Distance of the tips' geometry, 0 when they touch [m].
+        depth: Penetration of the tips' convex parts; 0 without contact [m].
+        distance: Distance of the tips' geometry; 0 in contact [m].
         frame_distance: Distance of the origins of the tips' links [m].
         point: Contact point, or the middle of the closest points [m].
         normal: Unit contact normal, from the first element to the second.
-        clear: Nothing else collides in the posture.
-        path_clear: Nothing else collides on the straight way from rest.
-        clearance: Least distance from everything else in the posture and, where that is clear, on
-            the way [m], at most 5 mm; ``None`` where the posture is not clear.
-        colliding: Pairs of other links that do collide.
-        contact_at: Intensity at which the tips first touch on the way from rest.
-        opposition: How well the contact forces oppose each other.
+        clear: Whether the posture is free of other collisions.
+        path_clear: Whether the straight path from rest is free of other collisions.
+        clearance: Least distance of other links in the posture and, if that is clear, on the path,
+            at most 5 mm [m]; ``None`` if the posture is not clear.
+        colliding: Pairs of other links that collide.
+        contact_at: Intensity at which the tips first touch on the path from rest.
+        opposition: Opposition of the contact forces.
         pairs: For a multi-pinch, the touching pairs of elements and their depths [m].
     """
 
@@ -167,23 +167,23 @@ class _WithPosture(Protocol):
 
 
 class _Action:
-    """What all kinds of actions have in common: most are made of no other ones."""
+    """Base class of all kinds of actions, with the defaults for actions without parts."""
 
-    # A base without `__slots__` would give every action a dictionary all the same.
+    # A base class without `__slots__` would give every action a dictionary.
     __slots__ = ()
 
     @property
     def waypoints(self: _WithPosture) -> tuple[Posture, ...]:
-        """The postures that it goes through, in order; the last is where it leads."""
+        """The postures of the action, in order; the last one is its target."""
         return (self.posture,)
 
     @property
     def uses(self) -> tuple[ActionReference, ...]:
-        """The actions that it is made of."""
+        """The actions that this action consists of."""
         return ()
 
     def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
-        """Return the action with everything that it is made of changed."""
+        """Return a copy with a function applied to all uses of other actions."""
         return self
 
 
@@ -192,12 +192,12 @@ class Primitive(_Action):
     """A primitive grasping action, found by the extraction.
 
     Attributes:
-        kind: Which of the seven.
-        elements: Fingers, or the one actuator of a SingleJointMultipleTips.
-        postures: Ranked postures; the first is the one executed.
-        evidence: Evidence per posture, same length, or empty.
+        kind: Kind of the primitive.
+        elements: Fingers, or the actuator of a SingleJointMultipleTips.
+        postures: Ranked postures, of which the first is executed.
+        evidence: Evidence of each posture, or empty.
         tips: Number of ``fingers``; part of the name for the counted kinds.
-        fingers: The fingers involved (equal to ``elements`` but for SingleJointMultipleTips).
+        fingers: The fingers involved, which differ from ``elements`` in SingleJointMultipleTips.
     """
 
     action_kind: ClassVar = ActionKind.PRIMITIVE
@@ -227,7 +227,7 @@ class Primitive(_Action):
 
 
 class _Custom(_Action):
-    """What the actions that people define have in common: nothing of a primitive."""
+    """Base class of the actions that people define, without the properties of primitives."""
 
     __slots__ = ()
     elements: ClassVar[tuple[str, ...]] = ()
@@ -240,9 +240,9 @@ class Composed(_Custom):
     """A combination of actions, each with a scale.
 
     Attributes:
-        name: Its name.
-        parts: What it is made of.
-        posture: The combined set-points: the mean where parts share an actuator.
+        name: Name of the action.
+        parts: The parts.
+        posture: The combined set-points, with the mean for actuators of several parts.
         independent: Whether parts sharing an actuator are refused.
         description: One sentence for people.
     """
@@ -257,11 +257,11 @@ class Composed(_Custom):
 
     @property
     def uses(self) -> tuple[ActionReference, ...]:
-        """Its parts."""
+        """The parts."""
         return self.parts
 
     def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
-        """Return the action with all its parts changed."""
+        """Return a copy with a function applied to all parts."""
         return replace(self, parts=tuple(map(change, self.parts)))
 
 
@@ -271,10 +271,10 @@ class Step:
 
     Attributes:
         use: The inner action.
-        alias: Its name within the timed action, unique there.
-        before: Margin before it starts [s].
-        after: Margin after it is completed [s].
-        posture: Its scaled set-points.
+        alias: Name within the timed action, unique there.
+        before: Margin before its start [s].
+        after: Margin after its end [s].
+        posture: The scaled set-points.
     """
 
     use: ActionReference
@@ -289,7 +289,7 @@ class Timed(_Custom):
     """Actions in sequence.
 
     Attributes:
-        name: Its name.
+        name: Name of the action.
         steps: The inner actions, in order.
         description: One sentence for people.
     """
@@ -302,16 +302,16 @@ class Timed(_Custom):
 
     @property
     def uses(self) -> tuple[ActionReference, ...]:
-        """Its inner actions."""
+        """The inner actions."""
         return tuple(step.use for step in self.steps)
 
     @property
     def waypoints(self) -> tuple[Posture, ...]:
-        """The postures that it goes through, in order; the last is where it leads."""
+        """The postures of the action, in order; the last one is its target."""
         return tuple(step.posture for step in self.steps)
 
     def with_uses(self, change: Callable[[ActionReference], ActionReference]) -> Self:
-        """Return the action with all its inner actions changed."""
+        """Return a copy with a function applied to all inner actions."""
         return replace(self, steps=tuple(replace(s, use=change(s.use)) for s in self.steps))
 
 
@@ -320,7 +320,7 @@ class Generic(_Custom):
     """Set-points given directly.
 
     Attributes:
-        name: Its name.
+        name: Name of the action.
         posture: The set-points with the mask of involved actuators.
         description: One sentence for people.
     """
@@ -337,19 +337,19 @@ Action = Primitive | CustomAction
 
 
 def kind_of(action: Action) -> ActionKind:
-    """Return which of the four kinds an action is."""
+    """Return the kind of an action."""
     return action.action_kind
 
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveGroup:
-    """All primitives of one name, as a user interface shows them.
+    """All primitives of one name, for user interfaces.
 
     Attributes:
         name: ``Trig``, ``MultiPinchTight_3`` and so on.
-        selectable: The elements that occur.
-        count: How many elements are selected at once.
-        combinations: The combinations there are.
+        selectable: The elements that occur in them.
+        count: Number of elements of each primitive.
+        combinations: The existing combinations of elements.
     """
 
     name: str

@@ -1,11 +1,11 @@
-"""Options that several commands share, their shell completion, and how commands are made."""
+"""Options that several commands share, their shell completion, and the making of typer apps."""
 
 from __future__ import annotations
 
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
 
 HAND_VARIABLE = "RTEE_HAND"
+"""Environment variable that names the hand where no option does."""
 
 
 def complete_hand(incomplete: str) -> list[str]:
@@ -26,50 +27,54 @@ def complete_hand(incomplete: str) -> list[str]:
 
     try:
         return [name for name in hand_names() if name.startswith(incomplete)]
-    # Completions say nothing of errors: the text would get into the line that is being typed.
+    # Completion keeps silent about errors: a message would land in the line that is being typed.
     except (RteeError, OSError):
         return []
 
 
 def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the actions of the chosen hand that begin with the given text.
+    """Return the actions of the chosen hand that begin with the given text."""
+    try:
+        names = actions_of(_chosen_hand(ctx)).names
+    except (RteeError, OSError):
+        return []
+    return spelled_like(incomplete, ((name, "") for name in names))
 
-    Names are completed in the spelling that was begun: ``pinch_t`` becomes ``pinch_tight``, and
-    ``Pinch`` becomes ``PinchTight``.
+
+def spelled_like(incomplete: str, names: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the completions of a text in the spelling that the user began.
+
+    ``pinch_t`` becomes ``pinch_tight``, and ``Pinch`` becomes ``PinchTight``.
+
+    Args:
+        incomplete: The text typed so far.
+        names: Names of actions, each with the text that follows it.
     """
     from rtee.actions.naming import snake_case
 
-    try:
-        names = actions_of(_hand_asked(ctx)).names
-    except (RteeError, OSError):
-        return []
-    spellings = ((name, snake_case(name)) for name in names)
-    found = (next((s for s in both if s.startswith(incomplete)), None) for both in spellings)
-    return [name for name in found if name is not None]
+    both = ((name + suffix, snake_case(name) + suffix) for name, suffix in names)
+    matches = (next((s for s in pair if s.startswith(incomplete)), "") for pair in both)
+    return [match for match in matches if match]
 
 
 def complete_element(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the elements that fit the action and the elements typed so far."""
     typed = list(ctx.params.get("elements") or ())
     try:
-        library = actions_of(_hand_asked(ctx))
-        names = {primitive.name for primitive in library.all("primitive")}
-        action = str(ctx.params.get("action") or "")
-        found = library.all("primitive", action if action else None, typed)
-        if not names or not found:
-            return []
-        there = {e for primitive in found for e in getattr(primitive, "elements", ())}
+        library = actions_of(_chosen_hand(ctx))
+        primitives = library.all("primitive", str(ctx.params.get("action") or "") or None, typed)
     except (RteeError, OSError):
         return []
-    return sorted(e for e in there - set(typed) if e.startswith(incomplete))
+    elements = {e for primitive in primitives for e in getattr(primitive, "elements", ())}
+    return sorted(e for e in elements - set(typed) if e.startswith(incomplete))
 
 
-def _hand_asked(ctx: typer.Context) -> str | None:
-    asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
-    if asked:
-        return str(asked)
-    there = complete_running("")  # as the command itself: the only one that runs
-    return there[0] if len(there) == 1 else None
+def _chosen_hand(ctx: typer.Context) -> str | None:
+    chosen = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
+    if chosen:
+        return str(chosen)
+    names = complete_running("")  # like the command itself, take the only hand that runs
+    return names[0] if len(names) == 1 else None
 
 
 def complete_running(incomplete: str) -> list[str]:
@@ -131,6 +136,32 @@ OnContactOption = Annotated[
         help="What fingers do when they touch something: stop, hold or squeeze; may be repeated.",
     ),
 ]
+TimeoutOption = Annotated[
+    float | None, typer.Option("--timeout", metavar="S", help="Longest time it may take.")
+]
+EmulatedOption = Annotated[
+    bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
+]
+FrictionOption = Annotated[
+    float | None,
+    typer.Option(
+        "--friction",
+        min=0.0,
+        max=10.0,
+        metavar="MU",
+        help="Friction of hand and object in simulation; 1 at fingertips and 0.8 elsewhere unless "
+        "given.",
+    ),
+]
+HandsArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="HAND…", help="Names of hands, or their folders.", autocompletion=complete_hand
+    ),
+]
+VerboseOption = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Show every event, not only warnings.")
+]
 EffortOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -145,16 +176,16 @@ XacroArguments = Annotated[
         metavar="[NAME:=VALUE]...", help="Arguments of the xacro file that --urdf names."
     ),
 ]
-# The run that has started this command: it ends with it, also when that is killed.
+# Process of the `rtee run` that started this command, which ends with it, even if it is killed.
 BesideOption = Annotated[int | None, typer.Option(metavar="PID", hidden=True)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 class _Command(TyperCommand):
-    """A command whose numbers are finite, and whose option ``--wait`` needs no number."""
+    """A command that refuses NaN and infinity, and whose ``--wait`` may stand without a number."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, and refuse what no range of an option refuses: not a number."""
+        """Parse the arguments; refuse NaN and infinity, which the ranges of options let pass."""
         rest = super().parse_args(ctx, self._with_wait(args))
         for option in self.params:
             value = ctx.params.get(option.name)
@@ -164,17 +195,17 @@ class _Command(TyperCommand):
         return rest
 
     def _with_wait(self, args: list[str]) -> list[str]:
-        """Return the arguments with the number of seconds where it is missing."""
+        """Return the arguments with the usual time [s] after each ``--wait`` that lacks one."""
         if "--wait" not in args or all(option.name != "wait" for option in self.params):
             return args
         from rtee.remote.monitoring import READY_WITHIN
 
         # Words after -- are arguments, even if they look like the option.
         end = args.index("--") if "--" in args else len(args)
-        # From the end, so that an insertion does not shift what is still to be looked at.
-        for number in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
-            if number + 1 >= end or not _is_number(args[number + 1]):
-                args = [*args[: number + 1], f"{READY_WITHIN:g}", *args[number + 1 :]]
+        # From the end, so that an insertion does not shift the words not yet examined.
+        for index in [i for i, word in enumerate(args[:end]) if word == "--wait"][::-1]:
+            if index + 1 >= end or not _is_number(args[index + 1]):
+                args = [*args[: index + 1], f"{READY_WITHIN:g}", *args[index + 1 :]]
         return args
 
 
@@ -192,21 +223,31 @@ def app_of(command: Callable[..., None] | typer.Typer) -> typer.Typer:
     if not isinstance(app, typer.Typer):
         app = typer.Typer()
         app.command()(command)
-    for made in app.registered_commands:
-        # Here, since it has to hold for commands of groups, too.
-        made.cls = _Command
+    # Set here rather than in each decorator, so that commands of groups have it, too.
+    for registered in app.registered_commands:
+        registered.cls = _Command
     app._add_completion = False  # noqa: SLF001 - only `rtee` itself installs it
-    # With rich's own markup, units in brackets would be taken for tags and vanish.
+    # Rich's own markup would take units in brackets for tags and drop them.
     app.rich_markup_mode = "markdown"
     return app
 
 
+def log_to_stderr(verbose: bool) -> None:
+    """Log warnings to stderr with their time; if ``verbose``, every event."""
+    import logging
+
+    logging.basicConfig(
+        format="%(asctime)s %(levelname)s %(message)s",
+        level=logging.INFO if verbose else logging.WARNING,
+    )
+
+
 _FILES = 64
-"""Files that a program on the network may need at once; a hand has some 25."""
+"""Files that a program on the network may have open at once; a hand has about 25."""
 
 
 def check_files() -> None:
-    """Check that enough files may be open, as the network's library panics where they are not.
+    """Check that this process may open enough files; with too few, the Zenoh library panics.
 
     Raises:
         ConfigError: if the shell's limit is too low.
@@ -214,7 +255,7 @@ def check_files() -> None:
     import resource
 
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    # Without a limit it is -1, which would look like too few.
+    # RLIM_INFINITY is -1, which would look like too few.
     if limit != resource.RLIM_INFINITY and limit < _FILES:
         raise ConfigError(
             f"only {limit} files may be open at once; raise the limit with 'ulimit -n 1024'"
@@ -222,30 +263,30 @@ def check_files() -> None:
 
 
 def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]:
-    """Return the values given as NAME=VALUE, read as in YAML.
+    """Return the values given as NAME=VALUE, each parsed as YAML.
 
     Args:
-        words: The texts.
-        option: The option that they were given with.
-        what: What a value is, for error messages.
+        words: The arguments of the option.
+        option: Name of the option.
+        what: Noun for a value in error messages.
 
     Raises:
         ConfigError: if a text has no name, or its value is not YAML.
     """
     from rtee.hand.yamlfile import parse_yaml
 
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not (name and equals):
             raise ConfigError(f"{option} {word}: should be NAME=VALUE")
-        # Where messages name the file, they name the option.
-        found |= parse_yaml(f"{name}: {text}\n", Path(option), what).data
-    return found
+        # The option takes the place of the file in error messages.
+        values |= parse_yaml(f"{name}: {text}\n", Path(option), what).data
+    return values
 
 
 def hand_folder(name: str | None) -> Path:
-    """Return the folder of a hand given by name or path; without one, of the only hand.
+    """Return the folder of a hand given by name or path; ``None`` stands for the only hand.
 
     Raises:
         ConfigError: if there is no such hand, or there are several and none is given.
@@ -264,7 +305,7 @@ def hand_folder(name: str | None) -> Path:
 
 
 def actions_of(name: str | None) -> ActionLibrary:
-    """Return the stored actions of a hand; warnings about them go to stderr.
+    """Return the stored actions of a hand; print warnings about them on stderr.
 
     Raises:
         UserError: if the hand or one of its files cannot be used.
@@ -280,7 +321,7 @@ def actions_of(name: str | None) -> ActionLibrary:
 
 
 def report_copy(before: Path | None, after: Path | None) -> None:
-    """Print a line if a hand was copied in order to be changed.
+    """Print a notice if a command copied a shipped hand in order to change it.
 
     Args:
         before: Folder of the hand, or of its actions, before the change.
@@ -290,7 +331,7 @@ def report_copy(before: Path | None, after: Path | None) -> None:
         return
     from rtee.hand.own_copy import copy_notice
 
-    # A library knows the folder of its actions only; people know the hand's.
+    # A library knows only the folder of its actions; people know the hand's folder.
     if before.name == after.name == "actions":
         before, after = before.parent, after.parent
     print(copy_notice(before, after), file=sys.stderr)

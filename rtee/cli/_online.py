@@ -1,4 +1,4 @@
-"""What the commands for running hands share: connecting, and printing results."""
+"""Connecting to a running hand, and printing JSON, for all online commands."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def with_hand(
     *,
     wait: float | None = None,
 ) -> T:
-    """Connect to a running hand, call a function with it and return its result.
+    """Connect to a running hand, call a function with it and return the function's result.
 
     Args:
-        hand: Its name; not needed if only one hand runs.
-        endpoint: Its address; ``None`` for that in ``RTEE_CONNECT``, else this computer.
-        what: The command, as part of this client's name.
-        function: What to do with the hand.
-        wait: Time to wait until the hand runs and is ready [s]; ``None`` not to wait at all.
+        hand: Name of the hand; not needed if only one hand runs.
+        endpoint: Address of the hand; ``None``: that in ``RTEE_CONNECT``, else this computer.
+        what: Name of the command; the client is called ``rtee-`` and this name.
+        function: The function.
+        wait: Longest time to wait until the hand runs and is ready [s]; ``None``: do not wait.
     """
     import anyio
 
@@ -46,7 +46,7 @@ def with_hand(
             hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
         ) as remote:
             if wait is not None:
-                # Connecting has used up a part of the time.
+                # Connecting has used up part of the time.
                 await remote.ready(max(0.0, began + wait - time.monotonic()), _waiting)
             return await function(remote)
 
@@ -58,7 +58,7 @@ def _waiting(text: str) -> None:
 
 
 def to_json(values: Any, indent: int | None = None) -> str:
-    """Return plain data as JSON; numbers that are not finite become ``null``."""
+    """Return data as JSON; arrays become lists, and numbers that are not finite ``null``."""
     return json.dumps(_plain(values), indent=indent)
 
 
@@ -68,6 +68,8 @@ def result_json(result: Result) -> str:
 
 
 def _plain(values: Any) -> Any:
+    if hasattr(values, "tolist"):  # an array or a number of NumPy
+        values = values.tolist()
     if isinstance(values, float):
         # JSON has no NaN, but Python's module would write it.
         return values if math.isfinite(values) else None
@@ -79,11 +81,11 @@ def _plain(values: Any) -> Any:
 
 
 async def effort_limits(remote: RemoteHand, efforts: Efforts) -> dict[str, float]:
-    """Return the effort limits that a command line asks for, by actuator [N·m | N]."""
+    """Return the effort limits given on the command line, by actuator [N·m | N]."""
     limits = dict(efforts.limits)
     for name, share in efforts.shares.items():
         limits |= await remote.effort_limits(share, only=[name])
     if efforts.share is not None:
-        # What is said of one actuator counts before what is said of all.
+        # A limit given for one actuator takes precedence over the limit for all.
         limits = await remote.effort_limits(efforts.share, besides=list(limits)) | limits
     return limits

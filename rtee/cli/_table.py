@@ -1,4 +1,4 @@
-"""Tables: fitted to the width of a terminal; elsewhere one line per row, never cut."""
+"""Tables: fitted to the width of a terminal; in a pipe one line per row, never cut."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
 
 _GAP: Final = 2
-"""Blanks between columns [characters]: one could be part of a cell."""
+"""Blanks between columns [characters]: a single one could be part of a cell."""
 
 _INDENT: Final = 2
 """Indentation of rows below a heading [characters]."""
@@ -25,7 +25,7 @@ _NARROW: Final = 8
 """Least width of a column [characters]: the length of a word."""
 
 _PADDED: Final = 44
-"""Longest cell to which others are padded [characters]; longer ones are exceptions."""
+"""Longest cell to which others are padded [characters]; few cells are longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class Column:
     """A column of a table.
 
     Attributes:
-        name: Its heading.
-        right: Whether its cells are aligned to the right, as numbers are.
-        whole: Whether its lines are never wrapped.
+        name: Heading of the column.
+        right: Whether cells are aligned to the right, as for numbers.
+        whole: Whether lines are never wrapped.
     """
 
     name: str
@@ -48,9 +48,9 @@ class Row:
     """A row of a table.
 
     Attributes:
-        cells: One text per column; its lines are the items of a list.
-        heading: On a terminal, consecutive rows with the same heading are listed below it;
-            elsewhere it is the first cell.
+        cells: One text per column; each line of a text is an item of a list.
+        heading: On a terminal, consecutive rows with the same heading are listed below it; in a
+            pipe it is the first cell.
         faint: Whether the row is dimmed.
     """
 
@@ -66,8 +66,8 @@ class Table:
     Attributes:
         columns: The columns.
         rows: The rows.
-        title: The title; for terminals only.
-        heading: Name of the column of headings; empty if the rows have none.
+        title: Title, shown only on terminals.
+        heading: Name of the column of headings; empty if the rows have no heading.
     """
 
     columns: tuple[Column, ...]
@@ -87,7 +87,7 @@ class Table:
             print(line, flush=True)
 
     def drawn(self, width: int) -> Group:
-        """Return the table as a terminal of this width shows it."""
+        """Return the table laid out for a terminal of this width [characters]."""
         from rich.console import Group
         from rich.padding import Padding
         from rich.text import Text
@@ -110,7 +110,7 @@ class Table:
             cells = [(first, *rest) for first, rest in zip(firsts, cells, strict=True)]
         flat = [[", ".join(cell.split("\n")) or _NOTHING for cell in row] for row in cells]
         widths = [
-            # The heading always counts: all cells below it may be exceptions.
+            # The heading always counts, since all cells below it may be too long.
             max(len(cell) for cell in column if len(cell) <= _PADDED or cell is column[0])
             for column in zip(*flat, strict=True)
         ]
@@ -126,12 +126,9 @@ class Table:
         ]
 
     def widths(self, width: int) -> list[int]:
-        """Return the widths of the columns on a terminal.
+        """Return the widths of the columns on a terminal of this width [characters].
 
         Columns that may be wrapped share what the others leave; wide ones are narrowed first.
-
-        Args:
-            width: Width of the terminal in characters.
         """
         natural = [
             max(len(line) for cell in column for line in cell.split("\n"))
@@ -144,7 +141,7 @@ class Table:
         left = width - _GAP * (len(natural) - 1) - (_INDENT if self.heading else 0)
         left -= sum(n for n, column in zip(natural, self.columns, strict=True) if column.whole)
         flexible = [i for i, column in enumerate(self.columns) if not column.whole]
-        # Narrow ones first: what they do not need is left to the wide ones.
+        # Narrow columns first: the width that they do not need is left to the wide ones.
         for count, i in zip(
             range(len(flexible), 0, -1), sorted(flexible, key=lambda i: natural[i]), strict=True
         ):
@@ -163,22 +160,22 @@ class Table:
                 Text(column.name, style="dim"),
                 width=width,
                 justify="right" if column.right else "left",
-                # Folded, not cut with an ellipsis as usual.
+                # By default, rich would cut with an ellipsis.
                 overflow="fold",
             )
         for row in rows:
-            # As Text, since rich would take words in brackets for markup.
+            # Rich would take words in brackets for markup in a plain string.
             grid.add_row(*map(Text, row.cells), style="dim" if row.faint else "")
         return grid
 
 
 def on_terminal() -> bool:
-    """Return whether the output goes to a terminal, and so to people."""
+    """Return whether stdout is a terminal."""
     return sys.stdout.isatty()
 
 
 def prefix_to_drop(names: Collection[str]) -> str:
-    """Return the common prefix of names, which a terminal need not repeat; elsewhere nothing."""
+    """Return the prefix that names share, to leave out on a terminal; in a pipe return ``""``."""
     from rtee.hand.names import common_prefix
 
     return common_prefix(names) if on_terminal() else ""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rtee.hand.model import Hand as HandModel
 
 _SHOWN = 3
-"""Pairs of colliding links shown on a terminal; elsewhere all are named."""
+"""Pairs of colliding links shown on a terminal, to keep a cell short; a pipe gets all."""
 
 
 def actions(hand: Hand, as_json: JsonOption = False) -> None:
@@ -31,9 +31,8 @@ def actions(hand: Hand, as_json: JsonOption = False) -> None:
     _show(library.hand, list(library))
 
 
-def _show(hand: HandModel, found: list[Action]) -> None:
-
-    if not found:
+def _show(hand: HandModel, library: list[Action]) -> None:
+    if not library:
         name = hand.name
         print(f"{name} has no actions yet; 'rtee extract {name} --save' finds its primitives")
         return
@@ -42,7 +41,7 @@ def _show(hand: HandModel, found: list[Action]) -> None:
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
     columns = (Column("elements"), Column("involves", whole=True), Column("remarks"))
-    rows = [_row(hand, action, prefix) for action in found]
+    rows = [_row(hand, action, prefix) for action in library]
     Table(columns, tuple(rows), title, "action").show()
 
 
@@ -87,24 +86,24 @@ def remarks(evidence: Evidence, prefix: str = "") -> str:
     """
     from rtee.actions.describe import clearance_text
 
-    said = []
+    lines = []
     if evidence.depth > 0.0:
-        said.append(f"depth {evidence.depth * 1e3:.2f} mm")
+        lines.append(f"depth {evidence.depth * 1e3:.2f} mm")
     elif evidence.distance > 0.0:
-        said.append(f"distance {evidence.distance * 1e3:.2f} mm")
+        lines.append(f"distance {evidence.distance * 1e3:.2f} mm")
     if evidence.contact_at is not None:
-        said.append(f"contact at {evidence.contact_at:.0%}")
+        lines.append(f"contact at {evidence.contact_at:.0%}")
     if not evidence.clear:
         pairs = [
             f"{a.removeprefix(prefix)} and {b.removeprefix(prefix)}" for a, b in evidence.colliding
         ]
-        # Not for a single one: its name takes no more room than its number.
+        # "1 more" would take as much room as the pair itself.
         if on_terminal() and len(pairs) > _SHOWN + 1:
             pairs[_SHOWN:] = [f"{len(pairs) - _SHOWN} more"]
-        said.append("not clear: " + (", ".join(pairs) or "other links come too near"))
+        lines.append("not clear: " + (", ".join(pairs) or "other links come too near"))
     else:
         if evidence.clearance is not None:
-            said.append(f"clearance {clearance_text(evidence.clearance)}")
+            lines.append(f"clearance {clearance_text(evidence.clearance)}")
         if not evidence.path_clear:
-            said.append("the way there is not clear")
-    return "\n".join(said)
+            lines.append("the way there is not clear")
+    return "\n".join(lines)

@@ -1,8 +1,8 @@
 """`rtee calibrate HAND --opening`: the openings of a real hand, measured with gauge blocks.
 
-The running hand closes gently on a block whose width is known. Where it stops, the intensity and
-the width are a pair, which is written into hand.yaml at once: what was taken is kept whenever the
-command ends, and the next time goes on from there.
+The running hand closes gently on a block whose width is known. The intensity at which the hand
+stops and the width of the block are a pair. Each pair is written into hand.yaml at once, so that
+an interrupted command loses none, and the next one goes on from there.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ _SPEED: Final = 0.2
 """Share of the velocity limits: slow enough that a block is not pushed away."""
 
 _EFFORT: Final = 0.25
-"""Share of the effort limits: blocks are not to bend the fingers, but friction is overcome."""
+"""Share of the effort limits: enough to overcome friction, too little to bend the fingers."""
 
 _UNLIMITED: Final = "takes no effort limit"
-"""Words in the refusal of a goal whose efforts a device cannot limit."""
+"""Words by which a refusal says that a device cannot limit its effort."""
 
 _SAME: Final = 1e-4
-"""A block within this of one that was measured before replaces its pair [m]."""
+"""Two blocks whose widths differ by less than this are the same [m]: gauge blocks are ground."""
 
 _BEYOND: Final = 0.01
-"""A real hand may open wider than its model by this [m]."""
+"""Excess of a real hand's widest opening over its model's that is still believed [m]."""
 
 
 def calibrate_opening(name: str, words: Sequence[str]) -> None:
     """Measure the openings of actions, block by block.
 
     Args:
-        name: The hand, which runs.
-        words: The actions, as for `rtee compose`; empty: all that have an opening.
+        name: Name of the running hand.
+        words: The actions, as for `rtee compose`; empty: all actions with an opening.
 
     Raises:
         UserError: if an action has no opening, or hand.yaml cannot be changed.
@@ -53,7 +53,7 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
     from rtee.hand.own_copy import own, own_place
 
     folder = hand_folder(name)
-    own_place(folder)  # refused before the work
+    own_place(folder)  # a folder that cannot be written is refused before the work
     library = actions_of(name)
     chosen = _chosen(library, words)
     # Before the first block, since each pair is stored as soon as it is measured.
@@ -71,10 +71,10 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
 
 
 def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, Opening]]:
-    """Return the actions that are meant, with their openings by the model."""
+    """Return the actions given on the command line, with their openings by the model."""
     from rtee.actions.cli_syntax import read_use
 
-    openings, found = library.openings, []
+    openings, chosen = library.openings, []
     reason = f"there are none; 'rtee extract {library.hand.name} --save' finds them"
     if words:
         uses = [read_use(word) for word in words]
@@ -82,16 +82,16 @@ def _chosen(library: ActionLibrary, words: Sequence[str]) -> list[tuple[Action, 
         return [(action, openings.of(action)) for action in named]
     for action in library:
         try:
-            found.append((action, openings.of(action)))
+            chosen.append((action, openings.of(action)))
         except ActionError as error:
             reason = str(error)
-    if not found:
+    if not chosen:
         raise ConfigError(f"no action of '{library.hand.name}' has an opening: {reason}")
-    return found
+    return chosen
 
 
 class _Blocks:
-    """Measures one action with one block after the other."""
+    """Measurement of one action with one block after another."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class _Blocks:
         self._limited = True
 
     async def measure(self) -> None:
-        """Ask for blocks until an empty line."""
+        """Ask for blocks and measure them until the user enters an empty line."""
         label = self._opening.label
         words = " ".join((self._action.name, *self._action.elements))
         for at, known in self._pairs:
@@ -130,7 +130,7 @@ class _Blocks:
             print(f"{label}: {1e3 * width:g} mm at {intensity:.4f}; stored in {path}", flush=True)
 
     async def _width(self) -> float | None:
-        """Ask for a block until its width can be used; ``None``: there is none left."""
+        """Ask for the width of the next block [m] until it is valid; ``None``: no more blocks."""
         from rtee.units import LENGTH, quantity
 
         label, widest = self._opening.label, self._opening.widest
@@ -150,18 +150,18 @@ class _Blocks:
             print(f"{label} opens to {1e3 * widest:.1f} mm, not {1e3 * width:g} mm", flush=True)
 
     async def _contact(self) -> float | None:
-        """Close gently; return the intensity at which the fingertips met something, if any."""
+        """Close gently; return the intensity at which the fingertips stopped, if they did."""
         result = await self._go(1.0)
         if not result:
             return None
         measured, last = (await self._remote.state()).positions, self._action.waypoints[-1]
         moved = [(self._hand.actuator(name), measured[name]) for name in last.involved]
-        way = [(last.position[spec.name] - spec.rest, at - spec.rest) for spec, at in moved]
-        # The point of the way from rest that is nearest to where the actuators are.
-        return sum(whole * part for whole, part in way) / sum(whole * whole for whole, _ in way)
+        path = [(last.position[spec.name] - spec.rest, at - spec.rest) for spec, at in moved]
+        # Project the measured posture onto the straight path from rest to the last waypoint.
+        return sum(whole * part for whole, part in path) / sum(whole * whole for whole, _ in path)
 
     async def _go(self, intensity: float) -> bool:
-        """Go to an intensity of the action; return whether something was in the way."""
+        """Go to an intensity of the action; return whether the fingers met an obstacle."""
         name, elements = self._action.name, self._action.elements
         limits: Mapping[str, float] = {}
         if self._limited:
@@ -173,7 +173,7 @@ class _Blocks:
         except RequestRejected as error:
             if not limits or _UNLIMITED not in str(error):
                 raise
-            # From now on, so that the device is not asked in vain for each block.
+            # Remembered, so that the limit is not requested in vain for each block.
             self._limited = False
             print(f"{error}; it closes with its own force, at {_SPEED:.0%} speed", flush=True)
             return await self._go(intensity)
@@ -181,7 +181,7 @@ class _Blocks:
 
 
 async def _readable(descriptor: int) -> None:
-    """Wait until something can be read."""
+    """Wait until a file descriptor has bytes to read."""
     loop, ready = asyncio.get_running_loop(), asyncio.Event()
     try:
         loop.add_reader(descriptor, ready.set)
@@ -194,25 +194,26 @@ async def _readable(descriptor: int) -> None:
 
 
 _typed = bytearray()
-"""What was typed, and not asked for yet."""
+"""Bytes that were typed ahead of the question."""
 
 
 async def typed_line(text: str) -> str:
-    """Return a line that was typed; the end of the input is an empty line.
+    """Print a prompt and return the line typed; an empty line at the end of the input.
 
-    No thread waits for it: one that reads the terminal would keep Ctrl-C from ending the command.
+    Reads without a thread: a thread that reads the terminal would keep Ctrl-C from ending the
+    command.
     """
     print(text, end="", flush=True)
-    ours = sys.stdin.fileno()
+    stdin = sys.stdin.fileno()
     while b"\n" not in _typed:
-        await _readable(ours)
-        read = os.read(ours, 4096)
-        if not read:
+        await _readable(stdin)
+        chunk = os.read(stdin, 4096)  # a terminal's line has at most 4095 bytes
+        if not chunk:
             break
-        _typed.extend(read)
+        _typed.extend(chunk)
     line, _, rest = bytes(_typed).partition(b"\n")
     _typed[:] = rest
-    # A byte that is no text makes a width that is refused, and the question is repeated.
+    # A byte that is not UTF-8 makes an invalid width, and the question is repeated.
     return line.decode(errors="replace").strip()
 
 
@@ -235,10 +236,9 @@ def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) ->
     path = home / FILE_NAME
     text = read_text(path, FILE_NAME)
     data = dict(parse_yaml(text, path, FILE_NAME).data)
-    # The action may be there in another spelling of the order of its elements.
-    wanted = _key(words)
+    # The file may name the same elements in another order.
     before = dict(data.get("openings") or {})
-    key = next((each for each in before if _key(each) == wanted), words)
+    key = next((each for each in before if _key(each) == _key(words)), words)
     data["openings"] = {**before, key: [list(pair) for pair in pairs]}
     changed = rewritten(text, data)
     if changed is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import HAND_VARIABLE, HandOption, actions_of, report_copy
+from rtee.cli._common import HAND_VARIABLE, HandOption, actions_of, report_copy, spelled_like
 from rtee.errors import RteeError, UnknownAction
 
 if TYPE_CHECKING:
@@ -27,17 +27,14 @@ Replace = Annotated[
 
 def complete_part(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the uses of actions, such as ``trig:index``, that begin with the given text."""
-    from rtee.actions.naming import snake_case
     from rtee.actions.types import Timed
 
-    found = []
-    for action in _library(ctx) or ():
-        if isinstance(action, Timed):  # it cannot be a part of another action
-            continue
-        words = f":{','.join(action.elements)}" if action.elements else ""
-        spellings = (action.name + words, snake_case(action.name) + words)
-        found += [next((s for s in spellings if s.startswith(incomplete)), "")]
-    return [word for word in found if word]
+    parts = (
+        (action.name, f":{','.join(action.elements)}" if action.elements else "")
+        for action in _library(ctx) or ()
+        if not isinstance(action, Timed)  # it cannot be a part of another action
+    )
+    return spelled_like(incomplete, parts)
 
 
 def complete_set_point(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -48,9 +45,9 @@ def complete_set_point(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def _library(ctx: typer.Context) -> ActionLibrary | None:
-    asked = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
+    name = ctx.params.get("hand") or os.environ.get(HAND_VARIABLE)
     try:
-        return actions_of(str(asked) if asked else None)
+        return actions_of(str(name) if name else None)
     except (RteeError, OSError):
         return None
 
@@ -136,9 +133,9 @@ def generic(
 
 
 def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
-    """Store a new action, and print what was done and any warnings about it.
+    """Store a new action, confirm it on stdout and print warnings about it.
 
-    An action without a description takes over that of the action it replaces.
+    An action without a description inherits that of the action it replaces.
 
     Raises:
         UserError: if the name is taken or the file cannot be written.
@@ -147,19 +144,19 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
 
     if replace and not action.description:
         action = dataclasses.replace(action, description=_description(library, action.name))
-    # Adding may copy a shipped hand, and the library then follows to the copy.
+    # Adding may copy a shipped hand; the library then points to the copy.
     before = library.folder
     library.add(action, store=True, replace_same=replace)
     report_copy(before, library.folder)
     for warning in warnings_of(action):
         print(f"rtee: warning: {warning}", file=sys.stderr)
     print(f"'{action.name}' is now an action of {library.hand.name}")
-    _say_without_opening(library, action)
+    _note_missing_opening(library, action)
     _reload_running(library.hand.name, action.name)
 
 
-def _say_without_opening(library: ActionLibrary, action: CustomAction) -> None:
-    """Say that a hand's openings lack a new action, where its others have tables."""
+def _note_missing_opening(library: ActionLibrary, action: CustomAction) -> None:
+    """Print a note if the hand has tables of openings, but none for the new action."""
     from rtee.actions.types import Timed
     from rtee.errors import ActionError
 
@@ -182,7 +179,7 @@ def _description(library: ActionLibrary, name: str) -> str:
 
 
 def _reload_running(hand: str, action: str) -> None:
-    """Have a running hand read its actions again, as it does when it is asked for them."""
+    """Have a running hand read its actions again, which it does at each request for them."""
     from rtee.remote.directory import running
 
     try:
@@ -190,7 +187,7 @@ def _reload_running(hand: str, action: str) -> None:
             return
         from rtee.cli._online import with_hand
 
-        # By its own list, since a hand of this name may run from another folder.
+        # Its own list decides, since a hand of this name may run from another folder.
         known = with_hand(hand, None, "define", lambda remote: remote.actions())
         if action not in {each.name for each in known}:
             raise RteeError(f"it was started from other files; end it, then 'rtee run {hand}' here")

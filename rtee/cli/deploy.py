@@ -1,4 +1,4 @@
-"""`rtee deploy`: a hand as a service of this computer, or of an image."""
+"""`rtee deploy`: install a hand as a service of this computer, or of a system image."""
 
 from __future__ import annotations
 
@@ -81,16 +81,16 @@ def install(
 
 @app.command()
 def uninstall(hand: Hand, root: Root = THIS_SYSTEM) -> None:
-    """Take away what `install` has written for a hand; its recordings stay."""
+    """Remove the files that `install` wrote for a hand; its recordings stay."""
     from rtee.deploy.install import Installation
     from rtee.hand.names import check_name
 
     installation = Installation(root)
     _check_rights(installation, f"uninstall {hand}")
     check_name(hand, "hand")
-    # A service that `uninstall` is going to refuse must go on.
+    # Only a hand that was installed is stopped: `uninstall` refuses any other below.
     known = {each for hands in installation.manifest.hands.values() for each in hands}
-    # The files go even so: who asks for that must know that the hand runs on.
+    # If it cannot be stopped, its files still go, and the user learns that it runs on.
     if hand in known and (problem := installation.stop(hand)):
         print(f"! {problem}")
     _print_states(installation, installation.uninstall(hand))
@@ -102,7 +102,10 @@ def uninstall(hand: Hand, root: Root = THIS_SYSTEM) -> None:
 def _wanted(
     hand: str, root: Path, serial: list[str] | None, program: str | None, realtime: bool
 ) -> tuple[Installation, Needs, dict[str, bytes], dict[str, bytes]]:
-    """Return the system, what the hand needs, system files, and copies of the hand's own."""
+    """Return the system, the hand's needs, the files to write, and copies of the hand's files.
+
+    Files are contents by absolute path within the system.
+    """
     from rtee.deploy.files import hand_files, own_program, system_files
     from rtee.deploy.install import Installation
     from rtee.deploy.needs import Needs
@@ -123,7 +126,7 @@ def _wanted(
 def _check_rights(installation: Installation, command: str) -> None:
     from rtee.errors import ConfigError
 
-    # The folder of an image may be anybody's.
+    # An image's folder may belong to any user.
     if installation.live and os.geteuid() != 0:
         raise ConfigError(f"the system's files are root's; type: sudo rtee deploy {command}")
 

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption, complete_hand, hand_folder, report_copy
+from rtee.cli._common import (
+    EmulatedOption,
+    Hand,
+    JsonOption,
+    complete_hand,
+    hand_folder,
+    report_copy,
+)
 
 if TYPE_CHECKING:
     from rtee.deploy.needs import Needs
@@ -27,7 +34,7 @@ _MODEL = "the hand"
 
 
 def _devices_of(name: str, only: str | None, emulated: bool) -> list[DeviceSpec]:
-    """Return the devices of a hand, or one of them; raises `UserError` if there is none."""
+    """Return the devices of a hand, or only the one named; raise `UserError` if there is none."""
     from rtee.errors import ConfigError, suggestion
     from rtee.run import RunOptions, prepare
 
@@ -58,9 +65,7 @@ def doctor(
         ),
     ] = None,
     device: DeviceOption = None,
-    emulated: Annotated[
-        bool, typer.Option("--emulated", help="Check emulators instead of the real devices.")
-    ] = False,
+    emulated: EmulatedOption = False,
     files: Annotated[
         Path | None,
         typer.Option(
@@ -91,7 +96,7 @@ def doctor(
         found = {"computer": check_machine()}
         if hand:
             found[_MODEL] = check_model(hand)
-        # Only Linux has systemd, whose services these are.
+        # Services are those of systemd, which only Linux has.
         if hand and sys.platform.startswith("linux"):
             checks, service = _service(hand)
             found["computer"] += checks
@@ -99,7 +104,7 @@ def doctor(
                 found["network"] = certificates
         if ros2:
             found["ROS 2"] = await _graph(hand)
-        # A device that is asked for has to be there; a hand without devices is no mistake.
+        # A hand without devices is no mistake, unless the user names one of them.
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):
@@ -117,9 +122,9 @@ def doctor(
 
 
 def _service(hand: str) -> tuple[list[Check], Needs | None]:
-    """Return what was found about the hand's service, and what that needs if there is one.
+    """Return the checks of the hand's service, and the needs of the service if it is installed.
 
-    Nothing if the hand can't be read.
+    Both are empty if the hand's files cannot be read.
     """
     from rtee.deploy.check import check_service, is_installed
     from rtee.deploy.needs import Needs
@@ -134,7 +139,7 @@ def _service(hand: str) -> tuple[list[Check], Needs | None]:
 
 
 async def _graph(hand: str | None) -> list[Check]:
-    """Return what was found in the ROS graph, looked at with a hand's settings."""
+    """Return the checks of the ROS graph that a hand's settings lead to."""
     from rtee.errors import RteeError
     from rtee.hand.config_schema import Ros2Settings
     from rtee.ros2.diagnosis import check_graph
@@ -168,9 +173,7 @@ def locate(
     home: Annotated[
         bool, typer.Option("--home", help="Home a device that needs it, which moves it fully.")
     ] = False,
-    emulated: Annotated[
-        bool, typer.Option("--emulated", help="Move emulators instead of the real devices.")
-    ] = False,
+    emulated: EmulatedOption = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't ask for confirmation.")] = False,
 ) -> None:
     """Move a hand's actuators a little and back, one device after the other."""
@@ -187,7 +190,7 @@ def locate(
             for spec in specs:
                 made = _with_options(spec, home="on_connect") if home else spec
                 driver = find_driver(spec.driver, source=spec.source)(made, pool)
-                # Said before it moves, so that people look in time.
+                # Printed before it moves, so that people look in time.
                 print(f"{spec.name}: twitching", flush=True)
                 await twitch(driver, times=times, share=share)
                 identity = driver.capabilities.identity
@@ -218,9 +221,7 @@ def calibrate(
             metavar="FILE", help="File to write; by default that in hand.yaml, or one beside it."
         ),
     ] = None,
-    emulated: Annotated[
-        bool, typer.Option("--emulated", help="Calibrate emulators instead of the real devices.")
-    ] = False,
+    emulated: EmulatedOption = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't wait for Enter.")] = False,
 ) -> None:
     """Find a device's offsets or end stops and store them; it may move fully.
@@ -252,7 +253,7 @@ def calibrate(
             await typed_line("Press Enter when it is so, Ctrl-C to end. ")
 
     def file_of(spec: DeviceSpec) -> Path:
-        """Return the file for a device's values; a hand that must not be changed is copied."""
+        """Return the file for a device's values; copy a shipped hand first if it is inside."""
         stored, folder = spec.options.get("calibration"), hand_folder(hand)
         path = Path(str(stored)) if stored else folder / "calibration" / f"{spec.name}.json"
         if out is not None or not path.resolve().is_relative_to(folder.resolve()):
@@ -265,7 +266,7 @@ def calibrate(
         async with BusPool() as pool:
             for spec in specs:
                 path = file_of(spec)
-                # The stored values would be applied to what is measured, and may be wrong.
+                # The driver would apply the stored values to the measurement; they may be wrong.
                 made = _with_options(spec, calibration=None)
                 driver = find_driver(spec.driver, source=spec.source)(made, pool)
                 found: object = await calibration.calibrate(driver, path, ready)

@@ -7,7 +7,7 @@ import signal
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Annotated
 
-# Imported before a goal begins: a signal that comes during an import would not cancel it.
+# Imported before a goal begins: a signal that arrives during an import would not cancel it.
 import anyio
 import typer
 from rich.console import Console
@@ -19,6 +19,7 @@ from rtee.cli._common import (
     JsonOption,
     OnContactOption,
     RunningOption,
+    TimeoutOption,
     WaitOption,
     complete_action,
     complete_element,
@@ -59,9 +60,7 @@ def do(
     effort: EffortOption = None,
     speed: Annotated[float, typer.Option(help="Scale of the velocity limits, up to 1.")] = 1.0,
     tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
-    timeout: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest time it may take.")
-    ] = None,
+    timeout: TimeoutOption = None,
     stage: Annotated[Stage, typer.Option(help="How far a pinch goes.")] = Stage.BOTH,
     kind: Annotated[
         str | None, typer.Option(help="Kind of the action, where its name is ambiguous.")
@@ -115,7 +114,7 @@ def do(
 
     result = with_hand(hand, connect, "do", execute, wait=wait)
     print(result_json(result) if as_json else sentence(result, chosen))
-    # Fingers that are to stop on contact have done so.
+    # Fingers that were to stop on contact have succeeded by touching.
     touched = bool(result.touched) and "squeeze" not in words.values()
     raise typer.Exit(0 if result.succeeded or touched else 1)
 
@@ -155,26 +154,26 @@ async def _interruptible(start: Awaitable[RunningGoal], show: Callable[[Feedback
     started = anyio.Event()
 
     async def cancel_on_signal(*, task_status: TaskStatus[None]) -> None:
-        # The second signal has its usual effect again.
+        # Leaving the context restores the usual effect of a signal: the second one ends this.
         with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
             task_status.started()
             async for _ in signals:
                 break
-        # The signal may come before the hand has answered, and so before there is a goal to cancel.
+        # The signal may arrive before the hand has accepted the goal that it cancels.
         await started.wait()
-        # What is wrong then shows in the result, which is awaited all the same.
+        # If cancelling fails, the result, which is awaited in any case, says why.
         with contextlib.suppress(RteeError):
             await goals[0].cancel()
 
     errors: list[RteeError] = []
     async with anyio.create_task_group() as group:
-        # Before the goal is sent: a signal after that must cancel it, not leave it running.
+        # Started before the goal is sent, so that a signal never leaves the goal running.
         await group.start(cancel_on_signal)
         try:
             goals.append(await start)
             started.set()
             return await goals[0].result(show)
-        except RteeError as error:  # raised below, where the task group does not wrap it
+        except RteeError as error:  # raised below, since the task group would wrap it
             errors.append(error)
         finally:
             group.cancel_scope.cancel()

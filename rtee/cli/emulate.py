@@ -94,7 +94,7 @@ def _converse(player: Player) -> None:
     import signal
     import sys
 
-    # As a service it is ended by SIGTERM; the link to the port is removed then, too.
+    # systemd ends a service by SIGTERM; exiting by exception removes the link to the port.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     for line in sys.stdin:
         if line.strip() in ("quit", "exit"):
@@ -102,5 +102,5 @@ def _converse(player: Player) -> None:
         answer = player.command(line)
         if answer:
             print(answer, flush=True)
-    # A service has no input, and its device has to stay.
+    # A service has no input, but its device has to stay.
     signal.pause()

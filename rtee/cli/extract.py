@@ -1,4 +1,4 @@
-"""`rtee extract`: the primitive grasping actions of a hand."""
+"""`rtee extract`: find the primitive grasping actions of a hand."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rtee.hand.model import Hand as HandModel
 
 _BAR_AFTER = 1.0
-"""Time after which a progress bar appears [s]: shorter work needs none."""
+"""Time after which a progress bar appears [s]; for shorter work it would only flicker."""
 
 
 class Rank(StrEnum):
@@ -97,7 +97,7 @@ def extract(
     # The matrices are small; threads for their products would only slow down the searches.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words = arguments or []
-    # With a file there is no hand to name, so the first argument stands in its place.
+    # With a file there is no hand to name: the first argument is already a NAME:=VALUE.
     if hand is not None and ":=" in hand:
         words = [hand, *words]
         hand = None
@@ -106,7 +106,7 @@ def extract(
     if hand is not None and (srdf or package_dir or words):
         raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
     folder = hand_folder(hand) if hand is not None else None
-    # Everything that can be refused is refused before the search, which may take minutes.
+    # Refuse all mistakes before the search, which may take minutes.
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with a file give --out")
     from rtee.hand.own_copy import own, own_place
@@ -115,11 +115,11 @@ def extract(
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]
     for target in targets:
         check_writable(target, folder=True)
-    # A target may not exist yet; it is checked already, and made before the report.
+    # A target was checked above and will exist before the report is written.
     if report is not None and report.parent not in targets:
         check_writable(report)
-    # A URDF made of a xacro file or an MJCF is there within this block only.
-    with ExitStack() as made:
+    # A URDF made from a xacro file or an MJCF exists only within this block.
+    with ExitStack() as stack:
         with _uncollected():
             with needing_extra("the extraction", "extract"):
                 from rtee.extract.extraction import extract as run
@@ -127,7 +127,7 @@ def extract(
                 model = load_hand(folder)
             else:
                 given = as_urdf(urdf, mjcf, words, package_dir or [])
-                model = _hand_in(made.enter_context(given), srdf)
+                model = _hand_in(stack.enter_context(given), srdf)
             with progress_bar() as progress:
                 found = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, found, folder, jobs)}
@@ -137,8 +137,8 @@ def extract(
     _write(targets, page, model, found)
     stored = []
     if home is not None:
-        # From the stored files: openings belong to the hand's other actions, too.
-        openings = made_of(home)
+        # Read from the stored files, since the hand's other actions have openings, too.
+        openings = measured_openings(home)
         stored.append(write_openings(home, openings.hand, openings.tables))
     if as_json:
         from rtee.actions.describe import describe
@@ -155,7 +155,7 @@ def extract(
 
 
 def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: Extraction) -> None:
-    """Write the primitives to some folders, and other files: everything or nothing."""
+    """Write the primitives to each folder, and other files by path: everything or nothing."""
     if not (targets or files):
         return
     from rtee.actions.action_files import primitive_changes
@@ -209,7 +209,7 @@ def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tri
 
 
 def _hand_in(model: ReadableModel, srdf: Path | None) -> HandModel:
-    """Load a hand from its model, with what that says besides the URDF."""
+    """Load a hand from its model, with the notes and exclusions that are not in the URDF."""
     from rtee.hand.load import load_model
 
     hand = load_model(
@@ -224,7 +224,7 @@ def _hand_in(model: ReadableModel, srdf: Path | None) -> HandModel:
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Suspend garbage collection, since imports and searches leave hardly any cycles."""
+    """Suspend garbage collection: imports and searches create hardly any cycles to collect."""
     gc.disable()
     try:
         yield
@@ -234,7 +234,7 @@ def _uncollected() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int], None] | None]:
-    """Provide a function that shows progress on a terminal if the work takes over a second."""
+    """Yield a function ``show(done, total)`` for progress; ``None`` if stderr is no terminal."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -261,8 +261,8 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
             bar.stop()
 
 
-def made_of(folder: Path) -> Openings:
-    """Make the openings of the actions in a hand's folder.
+def measured_openings(folder: Path) -> Openings:
+    """Return the openings of the actions in a hand's folder, computed from its model.
 
     Raises:
         MissingExtra: The extra ``extract`` is not installed.
@@ -274,29 +274,24 @@ def made_of(folder: Path) -> Openings:
         from rtee.extract.openings import make_openings
     from rtee.actions.openings import Openings
 
-    # By its path: the name may find another folder first.
+    # By its path, since the name may find another folder first.
     library = actions_of(str(folder))
     with progress_bar("measuring openings") as progress:
         return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
 
 
 def _show(hand: HandModel, found: Extraction) -> None:
-
     prefix = prefix_to_drop(hand.actuator_names)
     title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
     width = max(len(name.removeprefix(prefix)) for name in hand.actuator_names)
     columns = (Column("elements"), Column("posture", whole=True), Column("evidence"))
-    rows = [
-        Row(_cells(hand, primitive, prefix, width), primitive.name, faint=not _usable(primitive))
-        for primitive in found.primitives
-    ]
+    rows = []
+    for primitive in found.primitives:
+        colliding = bool(primitive.evidence) and not primitive.evidence[0].clear
+        rows.append(Row(_cells(hand, primitive, prefix, width), primitive.name, faint=colliding))
     Table(columns, tuple(rows), title, "primitive").show()
-
-
-def _usable(primitive: Primitive) -> bool:
-    return not primitive.evidence or primitive.evidence[0].clear
 
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
@@ -312,7 +307,7 @@ def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tu
         ]
     else:
         lines = [f"{name}={posture.position[name]:.6g}" for name in posture.involved]
-    said = sideways_words(hand, primitive, prefix)
+    evidence = sideways_words(hand, primitive, prefix)
     if primitive.evidence:
-        said = remarks(primitive.evidence[0], prefix)
-    return elements, "\n".join(lines), said
+        evidence = remarks(primitive.evidence[0], prefix)
+    return elements, "\n".join(lines), evidence

@@ -1,4 +1,4 @@
-"""`rtee gains`: the gains of the devices, shown and set while the hand runs."""
+"""`rtee gains`: show and set the gains of the devices while the hand runs."""
 
 from __future__ import annotations
 
@@ -59,8 +59,7 @@ def gains(
         if (known := _shown(device.gains, device.gain_values, actuator))
     }
     if as_json:
-        plain = {device: {n: _plain(v) for n, v in all_.items()} for device, all_ in found.items()}
-        print(to_json({"hand": status.hand, "devices": plain}))
+        print(to_json({"hand": status.hand, "devices": found}))
     elif not found:
         print(f"{status.hand}: no device has gains that can be set while it runs")
     else:
@@ -70,10 +69,15 @@ def gains(
 def _changes(
     status: HandStatus, actuator: str | None, values: Mapping[str, float]
 ) -> dict[str, dict[str, float]]:
-    """Return what to set: by device, values by gain.
+    """Return the gains to set, by device and by name of the gain.
+
+    Args:
+        status: The hand's status, which lists the gains of its devices.
+        actuator: Actuator whose gains to set; ``None``: all.
+        values: Value of each kind of gain: ``kp``, ``ki``, ``kd``.
 
     Raises:
-        ConfigError: if there is no such gain, or no such actuator has any.
+        ConfigError: if no device has such a gain, or none for this actuator.
     """
     gains = [(device.name, gain) for device in status.devices for gain in device.gains]
     if actuator is not None and not any(_of(gain, actuator) for _, gain in gains):
@@ -100,16 +104,12 @@ def _of(gain: str, actuator: str) -> bool:
 
 
 def _shown(names: Sequence[str], values: Sequence[float], actuator: str | None) -> dict[str, float]:
-    """Return a device's gains with their values; NaN where it does not tell."""
-    # A device that does not tell its gains has names of them, but no values.
+    """Return a device's gains by name; NaN where the device does not report them."""
+    # A device that does not report its gains lists their names, but no values.
     known = dict(zip(names, values, strict=False))
     return {
         name: known.get(name, math.nan) for name in names if actuator is None or _of(name, actuator)
     }
-
-
-def _plain(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def _show(found: Mapping[str, Mapping[str, float]]) -> None:

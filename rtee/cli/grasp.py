@@ -11,6 +11,7 @@ from rtee.cli._common import (
     JsonOption,
     OnContactOption,
     RunningOption,
+    TimeoutOption,
     WaitOption,
 )
 from rtee.cli._online import result_json, with_hand
@@ -48,9 +49,7 @@ def grasp(
     action: Annotated[
         str, typer.Option(help="The action to close with, instead of the best one.")
     ] = "",
-    timeout: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest time it may take.")
-    ] = None,
+    timeout: TimeoutOption = None,
     on_contact: OnContactOption = None,
     max_force: Annotated[
         str | None,
@@ -111,9 +110,7 @@ def touch(
     speed: Annotated[
         str | None, typer.Option(metavar="SPEED", help="Speed of closing; 10mm/s by default.")
     ] = None,
-    timeout: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest time it may take.")
-    ] = None,
+    timeout: TimeoutOption = None,
     hand: RunningOption = None,
     connect: ConnectOption = None,
     wait: WaitOption = None,

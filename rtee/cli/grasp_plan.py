@@ -1,4 +1,4 @@
-"""`rtee grasp-plan`: which action for an object, how far, and where the object has to be."""
+"""`rtee grasp-plan`: rank the actions for an object, with intensity and pose of the object."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rtee.planning.result import GraspPlan, Ranking
 
 _CHECKED = 3
-"""How many of the best grasps are tried in dynamics: each takes seconds."""
+"""Number of the best grasps that --check tries in dynamics: each takes seconds."""
 
 
 def grasp_plan(
@@ -70,16 +70,16 @@ def grasp_plan(
     if save is not None:
         check_custom_name(save)
     library = actions_of(hand)
-    thing = read_object(object_, mass, scale)
-    ranking = plan_grasps(library.hand, library, thing, friction=friction, weight_axis=axis)
+    target = read_object(object_, mass, scale)
+    ranking = plan_grasps(library.hand, library, target, friction=friction, weight_axis=axis)
     if check:
-        ranking = _checked(hand, library, thing, ranking)
+        ranking = _checked(hand, library, target, ranking)
     if json_:
         document = to_document(ranking)
         print(json.dumps({**document, "plans": document["plans"][:top]}, indent=2))
     else:
         _show(ranking, top)
-    # What dynamics lost is not stored either.
+    # A grasp that lost the object in dynamics is not stored.
     if not ranking.plans or (ranking.plans[0].check and not ranking.plans[0].check.held):
         raise typer.Exit(1)
     if save is not None:
@@ -98,8 +98,8 @@ def _axis(text: str) -> tuple[float, ...]:
     return values
 
 
-def _checked(name: str, library: ActionLibrary, thing: GraspObject, ranking: Ranking) -> Ranking:
-    """Return the ranking with what dynamics says of the best grasps."""
+def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ranking) -> Ranking:
+    """Return the ranking with the best grasps tried in dynamics."""
     from rtee.errors import needing_extra
     from rtee.hand.load import hand_folder, load_configured
 
@@ -107,7 +107,7 @@ def _checked(name: str, library: ActionLibrary, thing: GraspObject, ranking: Ran
         from rtee.trials.planned import checked
         from rtee.trials.sweep import settings_of
     settings = settings_of(load_configured(hand_folder(name)[0])[1])
-    return checked(library.hand, library, settings, thing, ranking, _CHECKED)
+    return checked(library.hand, library, settings, target, ranking, _CHECKED)
 
 
 def _show(ranking: Ranking, top: int) -> None:
@@ -155,7 +155,7 @@ def _show(ranking: Ranking, top: int) -> None:
 
 
 def _pose(plan: GraspPlan) -> tuple[float, float, float, float, float, float]:
-    """Return position [m] and roll, pitch, yaw [degrees] of the object."""
+    """Return position [m] and roll, pitch and yaw [°] of the object in the hand's base frame."""
     (a, _, _, x), (b, _, _, y), (c, d, e, z), _ = plan.pose
     # Rotations about x, then y, then z of the base; rounding may bring the sine beyond 1.
     roll, pitch, yaw = math.atan2(d, e), math.asin(max(-1.0, min(1.0, -c))), math.atan2(b, a)
@@ -171,6 +171,6 @@ def _save(library: ActionLibrary, name: str, ranking: Ranking, replace: bool, qu
 
     plan = ranking.plans[0]
     action = action_of(library, name, plan, f"Planned for {ranking.object}: {plan.label}.")
-    # With --json, the output is one object and nothing else.
+    # With --json, stdout holds one object and nothing else.
     with contextlib.redirect_stdout(sys.stderr) if quiet else contextlib.nullcontext():
         store(library, action, replace)

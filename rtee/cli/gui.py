@@ -1,4 +1,4 @@
-"""`rtee gui`: the hand in the browser."""
+"""`rtee gui`: show a running hand in the browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import typer
 from rtee.cli._common import BesideOption, check_files
 
 _NICE = 10
-"""How far the GUI's priority is below that of an ordinary program, see nice(2)."""
+"""The GUI's nice value: a tenth of an ordinary program's share of a busy processor."""
 
 
 def gui(
@@ -49,7 +49,7 @@ def gui(
     from rtee.errors import ConfigError, needing_extra
 
     check_files()
-    # Mistakes first: the page's other libraries take seconds to load.
+    # Report mistakes before loading the page's other libraries, which takes seconds.
     with needing_extra("the GUI", "gui"):
         from rtee.gui.access import Access, tls_context
     if (tls_cert is None) != (tls_key is None):
@@ -72,20 +72,20 @@ def gui(
 
 
 def _lower_priority() -> None:
-    """Lower the priority of the calling thread and of all that it starts.
+    """Lower the priority of the calling thread and of all threads that it starts.
 
-    On a robot PC the loop has precedence: the GUI never interrupts another program when it wakes
-    (SCHED_BATCH), and where processors are short it gets a tenth of an ordinary program's share.
+    On a robot PC the control loop has precedence. Under SCHED_BATCH, the GUI does not preempt
+    another program when it wakes.
     """
     with contextlib.suppress(OSError):  # some containers permit neither
         os.nice(max(0, _NICE - os.nice(0)))
-        # Any other policy is somebody's choice and stays.
+        # Any other policy was chosen by the user and stays.
         if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_OTHER:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 async def _check_running(hand: str | None, endpoint: str | None) -> None:
-    """Check that the hand runs, before a page waits for it; raises `ConfigError` if it does not."""
+    """Raise `ConfigError` if the hand does not run, rather than let a page wait for it."""
     import anyio.to_thread
 
     from rtee.errors import ConfigError, NoHand

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 from rtee.cli._common import JsonOption
@@ -14,28 +15,26 @@ def hands(as_json: JsonOption = False) -> None:
     """List the configured hands with their fingers, actuators and devices."""
     from rtee.hand.catalog import hands as all_hands
 
-    rows = [_row(name, str(folder)) for name, folder in all_hands().items()]
+    rows = [_row(name, folder) for name, folder in all_hands().items()]
     if as_json:
         print(json.dumps({"hands": rows}, indent=2))
         return
     _print(rows)
 
 
-def _row(name: str, folder: str) -> dict[str, Any]:
-    from pathlib import Path
-
+def _row(name: str, folder: Path) -> dict[str, Any]:
     from rtee.errors import RteeError
     from rtee.hand.load import load_configured
 
     try:
-        hand, config = load_configured(Path(folder))
+        hand, config = load_configured(folder)
     # A mistake in one hand must not keep the others from being listed.
     except RteeError as error:
-        return {"name": name, "folder": folder, "error": str(error)}
+        return {"name": name, "folder": str(folder), "error": str(error)}
     return {
         "name": name,
         "title": config.title,
-        "folder": folder,
+        "folder": str(folder),
         "fingers": list(hand.finger_names),
         "actuators": list(hand.actuator_names),
         "joints": len(hand.joints),
@@ -46,7 +45,6 @@ def _row(name: str, folder: str) -> dict[str, Any]:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-
     if not rows:
         print("There are no hands yet; 'rtee new NAME --urdf FILE' makes one.")
         return

@@ -38,7 +38,7 @@ def import_(
     if out is not None:
         library = ActionLibrary.load(library.hand, out)
     kept = _add(library, imported.actions, replace)
-    # Storing may copy a shipped hand, which people have to know.
+    # Storing may copy a shipped hand, which the user has to know.
     before = library.folder
     library.save(out)
     if out is None:
@@ -52,6 +52,7 @@ def import_(
 
 
 def _add(library: ActionLibrary, actions: list[Action], replace: bool) -> list[str]:
+    """Add actions to a library; return the names of stored ones that stay as they are."""
     from rtee.actions.naming import label
 
     kept = []

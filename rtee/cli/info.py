@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,8 +14,6 @@ from rtee.cli._table import Column, Row, Table
 
 if TYPE_CHECKING:
     from rtee.remote.planner import HandInfo
-
-_UNKNOWN = "unknown"
 
 
 def info(
@@ -37,7 +35,7 @@ def info(
     posture = dict(map(_position, at or ()))
     found = with_hand(hand, connect, "info", lambda remote: remote.info(posture))
     if as_json:
-        print(to_json(_plain(found)))
+        print(to_json(dataclasses.asdict(found)))
     else:
         _show(found)
 
@@ -51,22 +49,6 @@ def _position(text: str) -> tuple[str, float]:
     if not equals or not name or not math.isfinite(position):
         raise typer.BadParameter(f"write ACTUATOR=POSITION, such as joint_1=0.5, not '{text}'")
     return name, position
-
-
-def _plain(found: HandInfo) -> dict[str, Any]:
-    """Return the description as plain data; what is not known is ``null``."""
-
-    def known(value: Any) -> Any:
-        if hasattr(value, "tolist"):
-            value = value.tolist()
-        if isinstance(value, dict):
-            return {name: known(each) for name, each in value.items()}
-        if isinstance(value, list | tuple):
-            return [known(each) for each in value]
-        return None if isinstance(value, float) and math.isnan(value) else value
-
-    document: dict[str, Any] = known(dataclasses.asdict(found))
-    return document
 
 
 def _show(found: HandInfo) -> None:
@@ -108,4 +90,4 @@ def _show(found: HandInfo) -> None:
 
 
 def _number(value: float) -> str:
-    return _UNKNOWN if math.isnan(value) else f"{value:.4g}"
+    return "unknown" if math.isnan(value) else f"{value:.4g}"

@@ -49,15 +49,15 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 def _show(found: Info) -> None:
     from rtee.log.info import iso
 
-    def said(line: str) -> None:
-        # A recording may come from anywhere: its texts must not command the terminal.
+    def show(line: str) -> None:
+        # A recording may come from anywhere: escape control characters for the terminal.
         print(printable(line))
 
     recording = found.recording
     for path, size in found.files:
         print(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    said(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
+    show(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
     print(
         f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
         f"{found.size_per_minute / 1e6:.1f} MB a minute"
@@ -75,7 +75,7 @@ def _show(found: Info) -> None:
     Table(columns, tuple(topics)).show()
     if found.attachments:
         names = ", ".join(name for name, _ in found.attachments)
-        said(f"attachments: {names}")
+        show(f"attachments: {names}")
     if found.statistics is not None:
         last = found.statistics
         print(
@@ -97,11 +97,11 @@ def _show(found: Info) -> None:
         Table(columns, tuple(spans)).show()
     for entry in recording.events:
         event = entry.value
-        # Traces are the bytes of the buses: several in each tick.
+        # Traces hold the bytes on the buses, with several in each tick.
         if event.kind != "trace":
-            said(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
+            show(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
     for note in recording.notes:
-        said(f"note: {note}")
+        show(f"note: {note}")
 
 
 @app.command()
@@ -143,7 +143,7 @@ def plot(
     if html:
         from rtee.log.plot_html import write_html
 
-        # Not with_suffix, which would cut off what follows a dot in the name.
+        # `with_suffix` would cut off a part of a name with a dot.
         path = base.with_name(base.name + ".html")
         write_html(drawing, path)
         print(path)
@@ -158,12 +158,12 @@ def plot(
 
 
 def _write_pictures(recording: Recording, path: Path) -> None:
-    """Write what was grasped in simulation, where this computer can draw it."""
+    """Write pictures of the simulated object in the hand, or note that the extra is missing."""
     try:
         with needing_extra("a picture of the object", "extract"):
             from rtee.trials.recorded_pictures import write_pictures
         write_pictures(recording, path)
-    # The plots are written by then; a picture less is no failure.
+    # The plots are already written, so that a missing picture is no failure.
     except MissingExtra as error:
         print(f"note: {error}")
     else:
@@ -241,16 +241,16 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
 
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
-    from rtee.log.recover import recover as make_whole
+    from rtee.log.recover import recover as repair
     from rtee.loop.shutdown_signals import beside_this_run
     from rtee.messages.topics import ROBOT_DESCRIPTION
     from rtee.run import RunOptions, run_hands
 
-    # Only what is needed to find the hand; the driver reads the rest.
+    # Read only enough to find the hand; the driver reads the rest.
     recording = read(path, only=[ROBOT_DESCRIPTION])
     with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
         if not recording.finished:
-            path = make_whole(path, Path(folder) / path.name).path
+            path = repair(path, Path(folder) / path.name).path
         hand = recording.hand
         if not _configured(hand, recording.metadata.get("actuators", "").split()):
             hand = str(write_hand(recording, Path(folder)))
@@ -258,7 +258,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
             driver="replay",
             driver_options={"file": str(path.absolute()), "speed": speed, "repeat": repeat},
             rate=recording.rate or None,
-            record=False,  # it is recorded already
+            record=False,  # it would be a recording of a recording
             companions=(beside_this_run("gui"),) if gui else (),
         )
 
@@ -275,7 +275,7 @@ def _configured(name: str, actuators: list[str]) -> bool:
     from rtee.hand.load import load_hand
 
     try:
-        # By its name alone: a recording must not lead to a folder somewhere.
+        # By name alone, so that a recording cannot point to some folder on this computer.
         find_hand(name)
         return sorted(load_hand(name).actuator_names) == sorted(actuators)
     except UserError:
@@ -293,8 +293,8 @@ def _show_check(found: Check, as_json: bool) -> None:
             f"{found.values} numbers"
         )
     else:
-        for what in found.damage:
-            print(f"the recording is not as it was written: {what}")
+        for sentence in found.damage:
+            print(f"the recording is not as it was written: {sentence}")
         print(f"{found.different} of {found.values} numbers differ, by at most {found.largest:g}")
         if found.first is not None:
             first = found.first
@@ -341,13 +341,13 @@ def recover(
     ] = None,
 ) -> None:
     """Repair recordings whose program was killed."""
-    from rtee.log.recover import recover as make_whole
+    from rtee.log.recover import recover as repair
 
     paths = [path for file in files for path in _paths(file, False)]
     if output is not None and len(paths) > 1:
         raise LogError("--out goes with one file only")
     for file in paths:
-        done = make_whole(file, output)
+        done = repair(file, output)
         verb = "recovered" if not done.untouched else "holds" if done.damage else "is whole,"
         text = f"{done.path}: {verb} {done.messages} messages, {done.seconds:.1f} s"
         if done.damaged:

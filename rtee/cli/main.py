@@ -62,19 +62,19 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(TyperGroup):
-    """Lists the commands without importing them."""
+    """A group that lists its commands without importing them."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the commands in the order of `COMMANDS`."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Import a command; for lists and completions of commands, return only its help."""
+        """Import a command; for a list of all commands, return only its help."""
         entry = COMMANDS.get(cmd_name)
         if entry is None:
             return None
-        # A list shows all commands; importing them would take seconds.
-        # A shell that completes has the words in the environment, so that argv does not tell.
+        # A list shows all commands; importing them would take seconds. When a shell completes,
+        # the words are in an environment variable instead of argv.
         if cmd_name not in sys.argv and "_RTEE_COMPLETE" not in os.environ:
             return TyperCommand(cmd_name, callback=None, help=entry[1], short_help=entry[1])
         module, _, name = entry[0].partition(":")
@@ -116,7 +116,7 @@ def root(
 
 
 _Usage: Final[Any] = typer.BadParameter.__mro__[2]
-"""The base class of typer's errors, which it does not export."""
+"""The base class of typer's usage errors, which typer does not export."""
 
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a full disk."""
@@ -127,25 +127,25 @@ _EXHAUSTED: Final = {
     errno.ENFILE: "too many files are open on this computer",
     errno.ENOMEM: "there is not enough memory; 'ulimit -v' shows this shell's limit",
 }
-"""What is said where the computer, or a limit of the shell, gives no more, by error numbers."""
+"""Messages for an exhausted computer, or a limit of the shell, by error number."""
 
 
 def main() -> None:
     """Run the command line; a user's mistake is one sentence on stderr and exit status 2."""
-    # As Python does on stderr: a sign that the terminal lacks, or a file's name that is no text,
-    # is no reason to say nothing of what was done.
+    # As Python does on stderr: escape characters that the terminal's encoding lacks and file names
+    # that are not text, instead of failing after the work is done.
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        # Not standalone: typer would print errors in its own form and exit by itself.
+        # In standalone mode, typer would print errors in its own form and exit.
         status = cli(prog_name="rtee", standalone_mode=False)
-        # Here, where a failure to write is still put into words; at exit it no longer is.
+        # Flush here, where a failure to write becomes a sentence below; at exit it would not.
         sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
-    except SystemExit as ended:
-        # The reader of the output has left (`rtee … | head`), which typer counts as a failure.
-        if isinstance(ended.__context__, BrokenPipeError):
-            _leave_unread(0)
+    except SystemExit as exit_:
+        # The reader has closed the pipe (`rtee … | head`), which typer counts as a failure.
+        if isinstance(exit_.__context__, BrokenPipeError):
+            _exit_unflushed(0)
         raise
     except RteeError as error:
         print(f"rtee: {error}", file=sys.stderr)
@@ -154,43 +154,41 @@ def main() -> None:
         _explain(error)
         sys.exit(error.exit_code)
     except BrokenPipeError:
-        _leave_unread(0)
-    except ImportError as error:
-        if "failed to map segment" not in str(error):  # which is how a library finds no memory
+        _exit_unflushed(0)
+    except (ImportError, MemoryError, OSError) as error:
+        shortage = _shortage(error)
+        if not shortage:
             raise
-        print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
-        _leave_unread(2)
-    except MemoryError:
-        print(f"rtee: {_EXHAUSTED[errno.ENOMEM]}", file=sys.stderr)
-        _leave_unread(2)
-    except OSError as error:
-        if error.errno in _EXHAUSTED:
-            print(f"rtee: {_EXHAUSTED[error.errno]}", file=sys.stderr)
-            _leave_unread(2)
-        # Functions that write files report errors themselves; this one is about the output.
-        if error.errno not in _FULL:
-            raise
-        print(
-            f"rtee: the output cannot be written: {os.strerror(error.errno).lower()}",
-            file=sys.stderr,
-        )
-        _leave_unread(2)
+        print(f"rtee: {shortage}", file=sys.stderr)
+        _exit_unflushed(2)
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)  # 128 + SIGINT, as shells have it
+        sys.exit(130)  # 128 + SIGINT, the shells' convention
 
 
-def _leave_unread(status: int) -> NoReturn:
-    """Exit without printing what is still buffered."""
-    # Python flushes the output once more as it exits, which would fail again.
+def _shortage(error: ImportError | MemoryError | OSError) -> str:
+    """Return a sentence about the resource that is used up; ``""`` for any other error."""
+    # The dynamic linker reports a lack of memory as "failed to map segment".
+    if isinstance(error, MemoryError) or "failed to map segment" in str(error):
+        return _EXHAUSTED[errno.ENOMEM]
+    number = error.errno if isinstance(error, OSError) else None
+    # Functions that write files report a full disk themselves; this one is about stdout.
+    if number is not None and number in _FULL:
+        return f"the output cannot be written: {os.strerror(number).lower()}"
+    return _EXHAUSTED.get(number or 0, "")
+
+
+def _exit_unflushed(status: int) -> NoReturn:
+    """Exit without flushing stdout."""
+    # Python flushes stdout once more at exit, which would fail again.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     sys.exit(status)
 
 
 def _explain(error: Any) -> None:
-    """Print in a sentence what is wrong with the command line."""
-    if type(error).__name__ == "NoArgsIsHelpError":  # the help has been printed already
+    """Print a sentence about a mistake on the command line."""
+    if type(error).__name__ == "NoArgsIsHelpError":  # typer has printed the help already
         return
-    said = " ".join(error.format_message().split()).rstrip(".")
+    message = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)
     remedy = f"; see '{context.command_path} --help'" if context is not None else ""
-    print(f"rtee: {said[:1].lower()}{said[1:]}{remedy}", file=sys.stderr)
+    print(f"rtee: {message[:1].lower()}{message[1:]}{remedy}", file=sys.stderr)

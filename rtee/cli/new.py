@@ -1,4 +1,7 @@
-"""`rtee new` and `rtee new-driver`: make a hand's folder, or the package of a driver."""
+"""`rtee new` and `rtee new-driver`: make a hand's folder, or the package of a driver.
+
+Both write new files only and never change an existing hand.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`rtee openings`: how far the fingertips of a hand's actions open, and what force they give."""
+"""`rtee openings`: how far the fingertips open in each action of a hand."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ def openings(
 def make(hand: str) -> None:
     """Make the tables of a hand's actions and store them in its folder."""
     from rtee.actions.openings import write_openings
-    from rtee.cli.extract import made_of
+    from rtee.cli.extract import measured_openings
     from rtee.hand.own_copy import own, own_place
 
     folder = hand_folder(hand)
-    own_place(folder)  # refused before the work
-    made = made_of(folder)
-    # After the work: if that fails, no copy is left behind.
+    own_place(folder)  # a folder that cannot be written is refused before the work
+    made = measured_openings(folder)
+    # Copied after the work, which leaves no copy behind if it fails.
     home = own(folder)
     report_copy(folder, home)
     print(f"written to {write_openings(home, made.hand, made.tables)}", file=sys.stderr)
 
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
-    """Return the openings that are up to date, and what is wrong with the others, in sentences."""
+    """Return the openings that are up to date, and a sentence about each of the others."""
     from rtee.errors import ActionError
 
     tables = library.openings
@@ -71,7 +71,7 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
         try:
             found.append(tables.of(action))
         except ActionError as error:
-            # That timed actions have no opening is as it should be.
+            # Timed actions never have an opening, so that nothing is wrong with those.
             if action.action_kind != "timed":
                 notes[str(error)] = None
     return found, list(notes)

@@ -1,4 +1,4 @@
-"""`rtee ros2`: hands in a ROS 2 graph, and a look at that graph from a computer without ROS."""
+"""`rtee ros2`: serve hands in a ROS 2 graph, and inspect the graph without ROS installed."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ app = typer.Typer(no_args_is_help=True)
 app.command()(serve)
 
 NODE = "rtee_cli"
-"""Name of the node that these commands are, as ROS 2's own command line has one."""
+"""Prefix of the name of these commands' node, followed by the process id."""
 
 PLACE = "tcp/localhost:7447"
-"""Where the router of ROS 2 is expected."""
+"""Default endpoint of the router, where rmw_zenohd listens."""
 
 _NEW = 1.0
-"""Time within which what has just begun is told in the graph [s]."""
+"""Longest time until a node that has just started appears in the graph [s]."""
 
 _FOUND = 10.0
-"""Time within which all parts of an action that is in the graph are seen [s]."""
+"""Longest time until all topics and services of an action appear in the graph [s]."""
 
 DomainOption = Annotated[
     int | None, typer.Option(min=0, max=232, help="The domain; that of ROS_DOMAIN_ID, or 0.")
@@ -61,7 +61,7 @@ def _in_graph(
     distro: str,
     work: Callable[[Context], Coroutine[Any, Any, T]],
 ) -> T:
-    """Open a context, wait until the graph is known, and return what a function makes of it."""
+    """Open a context, wait for the graph, call a function with it and return its result."""
     from rtee.hand.config_schema import Distro, Ros2Settings
     from rtee.ros2 import Context
 
@@ -72,10 +72,10 @@ def _in_graph(
         raise ConfigError(f"--distro {distro}: there are {known}") from None
     environment = dict(os.environ)
     if domain is not None:
-        environment.pop("ROS_DOMAIN_ID", None)  # what is typed counts before what is set
+        environment.pop("ROS_DOMAIN_ID", None)  # the option takes precedence
 
     async def main() -> T:
-        # These commands send nothing by themselves, so that any router will do.
+        # These commands reveal nothing of a hand, so that an unsecured router will do.
         opened = Context.open(settings, environment, insecure=True, router_needed=True)
         async with opened as context:
             await context.graph.ready()
@@ -85,10 +85,10 @@ def _in_graph(
 
 
 async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
-    """Return the type of a topic, service or action as given, else as the graph tells it.
+    """Return the type given for a topic, service or action, else its type in the graph.
 
     Raises:
-        ConfigError: if the graph does not tell it.
+        ConfigError: if no type is given and the graph has none, or several.
     """
     from rtee.ros2.listing import listed
 
@@ -115,10 +115,10 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
 
 
 def _message(kind: type[Message], text: str | None, what: str) -> Any:
-    """Return the message of fields given as YAML.
+    """Return a message with the fields given as YAML.
 
     Raises:
-        ConfigError: if the text is not YAML, or has a field that the message has not.
+        ConfigError: if the text is not YAML, or has a field that the message lacks.
     """
     from rtee.hand.yamlfile import parse_yaml
 
@@ -233,13 +233,13 @@ def echo(
     async def work(context: Context) -> None:
         kind = await _the_type(context, Sort.TOPIC, full, type_)
         there = context.graph.of(Kind.PUBLISHER, full)
-        # What was sent before comes only to a subscription that is latched, too.
+        # Earlier messages are resent only to a subscription that is latched, too.
         latched = any(one.qos.transient_local for one in there)
         left, last, ended = count, anyio.current_time(), anyio.Event()
 
         def show(message: Message) -> None:
             nonlocal left, last
-            # Messages may arrive between the last one that is wanted and the end of the node.
+            # Messages may still arrive until the node is closed.
             if ended.is_set():
                 return
             _print(message, as_json)
@@ -249,11 +249,11 @@ def echo(
                 if not left:
                     ended.set()
 
-        # Several of these commands may run at once, and names of nodes should be unique.
+        # Several of these commands may run at once; ROS wants unique names of nodes.
         node = context.node(f"{NODE}_{os.getpid()}")
         node.subscription(full, kind, show, LATCHED if latched else DEFAULT)
         while not ended.is_set():
-            # Each message moves the time on, so that the wait begins anew.
+            # Each message restarts the wait.
             until = math.inf if timeout is None else last + timeout
             if anyio.current_time() > until:
                 raise RemoteError(f"nothing came on {full} for {timeout:g} s")
@@ -334,7 +334,7 @@ def send_goal(
             sent = await client.send_goal(asked, show)
             try:
                 outcome = await sent.result(timeout)
-            # On Ctrl-C, too, which cancels this task: unshielded, the request would not go out.
+            # Ctrl-C cancels this task: without the shield, the request would not be sent.
             except BaseException:
                 with anyio.CancelScope(shield=True), suppress(TimeoutError):
                     await sent.cancel()
@@ -351,7 +351,7 @@ def send_goal(
 
 
 def _swapped(kind: str | None, fields: str | None) -> tuple[str | None, str | None]:
-    """Return type and fields where the type may be left out."""
+    """Return type and fields of a call whose type may have been omitted."""
     if kind is not None and fields is None and not _is_type(kind):
         return None, kind
     return kind, fields

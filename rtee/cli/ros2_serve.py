@@ -1,4 +1,4 @@
-"""`rtee ros2 serve`: running hands as nodes of ROS 2."""
+"""`rtee ros2 serve`: show running hands as nodes of ROS 2."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import BesideOption, ConnectOption, check_files, complete_hand
+from rtee.cli._common import (
+    BesideOption,
+    ConnectOption,
+    HandsArgument,
+    VerboseOption,
+    check_files,
+    log_to_stderr,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,16 +25,11 @@ if TYPE_CHECKING:
     from rtee.ros2.serving import Shown
 
 _NICE = 5
-"""Priority (nice) beside a run: where processors are short, its loop gets three times as much."""
+"""Nice value beside a run: on a busy processor its loop gets three times this process's share."""
 
 
 def serve(
-    hands: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="HAND…", help="Names of hands, or their folders.", autocompletion=complete_hand
-        ),
-    ],
+    hands: HandsArgument,
     domain: Annotated[
         int | None, typer.Option(min=0, max=232, help="The domain, before ROS_DOMAIN_ID.")
     ] = None,
@@ -43,17 +45,13 @@ def serve(
     ] = None,
     endpoint: ConnectOption = None,
     beside: BesideOption = None,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Show what happens, not only warnings.")
-    ] = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Show running hands as nodes of ROS 2, until Ctrl-C; each whenever it runs.
 
     Options count before the section ros2 of each hand.yaml. 'rtee run HAND --ros2' does the same
     beside a run.
     """
-    import logging
-
     import anyio
 
     from rtee.errors import needing_extra
@@ -63,28 +61,25 @@ def serve(
 
     check_files()
     with needing_extra("ROS 2", "ros2"):
-        import xxhash  # noqa: F401 - before anything is opened
-    logging.basicConfig(
-        format="%(asctime)s %(levelname)s %(message)s",
-        level=logging.INFO if verbose else logging.WARNING,
-    )
+        import xxhash  # noqa: F401 - report a missing extra before opening anything
+    log_to_stderr(verbose)
     given = {"domain": domain, "namespace": namespace, "router": router, "distro": distro}
     shown = [_shown(hand, given, endpoint) for hand in hands]
     environment = dict(os.environ)
     if domain is not None:
-        environment.pop("ROS_DOMAIN_ID", None)  # what is typed counts before what is set
+        environment.pop("ROS_DOMAIN_ID", None)  # the option takes precedence
     for warning in warnings(shown):
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
 
     if beside is not None:
-        # The value of nice is relative, and what was inherited from the run counts.
+        # os.nice() takes an increment, and the run may have started this with one already.
         os.nice(max(0, _NICE - os.nice(0)))
 
     anyio.run(work_beside, beside, partial(serve_hands, shown, environment))
 
 
 def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Shown:
-    """Return a hand with its settings, those of the command line before those in its hand.yaml."""
+    """Return a hand with its settings; options take precedence over those in hand.yaml."""
     from rtee.errors import ConfigError
     from rtee.hand.catalog import hand_names
     from rtee.hand.config_schema import Ros2Settings
@@ -92,7 +87,7 @@ def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Show
     from rtee.hand.names import check_name
     from rtee.ros2.serving import Shown, overridden
 
-    # A hand that runs elsewhere may be unknown here; the network tells what it is.
+    # A hand that runs elsewhere may be unknown here; its description comes over the network.
     if not Path(hand).exists() and hand not in hand_names():
         if endpoint is None and hand not in _running():
             raise ConfigError(f"there is no hand '{hand}': neither configured nor running here")

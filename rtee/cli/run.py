@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import check_files, complete_hand, named_values
+from rtee.cli._common import (
+    EmulatedOption,
+    FrictionOption,
+    HandsArgument,
+    VerboseOption,
+    check_files,
+    log_to_stderr,
+    named_values,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +36,7 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 
     with needing_extra("the GUI", "gui"):
         if importlib.util.find_spec("viser") is None:  # importing it would take a second
-            # As the import would: `needing_extra` makes a sentence of it.
+            # As the import would; `needing_extra` turns it into a sentence.
             raise ImportError
     # The name of a hand given by its folder is not known yet; the GUI shows the first that runs.
     shown = [] if Path(hands[0]).exists() else [hands[0]]
@@ -38,26 +46,20 @@ def _companions(gui: bool, hands: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 def _scene(
     driver: str | None, shape: str | None, gravity: float | None, friction: float | None
 ) -> dict[str, object]:
-    """Return the surroundings of the hand as options of the simulation."""
+    """Return object, gravity [m/s²] and friction as options of the driver ``mujoco``."""
     from rtee.errors import ConfigError
 
     given = {"object": shape, "gravity": gravity, "friction": friction}
-    found: dict[str, object] = {k: value for k, value in given.items() if value is not None}
     if driver == "mujoco":
-        return found
+        return {name: value for name, value in given.items() if value is not None}
     for name in ("gravity", "friction"):
-        if name in found:
+        if given[name] is not None:
             raise ConfigError(f"--{name} needs --driver mujoco")
     return {}
 
 
 def run(
-    hands: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="HAND…", help="Names of hands, or their folders.", autocompletion=complete_hand
-        ),
-    ],
+    hands: HandsArgument,
     driver: Annotated[
         str | None,
         typer.Option(
@@ -82,19 +84,8 @@ def run(
         float | None,
         typer.Option(metavar="A", help="With --driver mujoco: along z [m/s²], -9.81 unless given."),
     ] = None,
-    friction: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=10.0,
-            metavar="MU",
-            help="With --driver mujoco: between hand and object; 1 at fingertips, 0.8 elsewhere "
-            "unless given.",
-        ),
-    ] = None,
-    emulated: Annotated[
-        bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
-    ] = False,
+    friction: FrictionOption = None,
+    emulated: EmulatedOption = False,
     home: Annotated[
         bool,
         typer.Option("--home", help="Home devices that need it, which moves them all the way."),
@@ -120,13 +111,9 @@ def run(
         float | None, typer.Option(min=0.0, metavar="S", help="End after this many seconds.")
     ] = None,
     trace: Annotated[bool, typer.Option("--trace", help="Record the bytes on all buses.")] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Show every event, not only warnings.")
-    ] = False,
+    verbose: VerboseOption = False,
 ) -> None:
     """Run one hand or several until Ctrl-C: take goals, drive the devices, record everything."""
-    import logging
-
     import anyio
 
     from rtee.errors import ConfigError
@@ -136,10 +123,7 @@ def run(
     check_files()
     if driver is not None and not driver.strip():
         raise ConfigError("--driver is empty; give kinematic, devices or a driver's name")
-    logging.basicConfig(
-        format="%(asctime)s %(levelname)s %(message)s",
-        level=logging.INFO if verbose else logging.WARNING,
-    )
+    log_to_stderr(verbose)
     driver_options = named_values(option or [], "--option", "the option")
     driver_options |= _scene(driver, object_, gravity, friction)
     options = RunOptions(

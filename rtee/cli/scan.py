@@ -55,7 +55,7 @@ def scan(
 
     plans = _plans(port, host, can, interface, bitrate, unit)
     results = asyncio.run(execute())
-    # Else the last line of progress would stay before the results.
+    # Erase the last line of progress.
     report("")
     if as_json:
         print(json.dumps({"addresses": [asdict(one) for one in results]}, indent=2))

@@ -1,4 +1,4 @@
-"""`rtee secure`: certificates for a hand on a network, and who may do what with it."""
+"""`rtee secure`: make certificates for a hand on a network and for its clients, by role."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DAY = 86400.0
 """Seconds in a day."""
 
 _SOON = 30.0
-"""Certificates that hold for less than this are told [days]: time to bring new ones to clients."""
+"""Warn about certificates that expire within this time [days]: new ones must reach all clients."""
 
 HandArgument = Annotated[str, typer.Argument(metavar="HAND", help="Name of the hand.")]
 PersonArgument = Annotated[
@@ -81,7 +81,7 @@ def add_client(
 ) -> None:
     """Make a certificate for a client: watch (observer), move (operator), change (maintainer)."""
     path = out or Path(f"{name}@{hand}.pem")
-    # Before the certificate is made: one that cannot be stored would be admitted all the same.
+    # Checked first: the hand would admit a certificate that could not be stored.
     if path.exists():
         raise ConfigError("is there already", path=path)
     authority, folder = _authority(), _folder(hand)
@@ -89,7 +89,7 @@ def add_client(
     try:
         authority.write_private(path, text)
     except ConfigError:
-        authority.revoke(folder, made.name)  # nobody has it
+        authority.revoke(folder, made.name)  # nobody holds it, and nobody shall
         raise
     print(f"{made.name}: {role}, until {_date(made.until)}, in {path}")
     print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
@@ -112,7 +112,7 @@ def revoke(hand: HandArgument, name: PersonArgument) -> None:
 
 @app.command(name="list")
 def list_(hand: HandArgument) -> None:
-    """List for whom certificates were made."""
+    """List the clients for whom certificates were made."""
     from rtee.remote.credentials import Credentials
 
     known = Credentials(_folder(hand))
@@ -127,12 +127,12 @@ def list_(hand: HandArgument) -> None:
 
 
 def checks(name: str, service: Needs | None = None) -> list[Check]:
-    """Return what `rtee doctor` says about the certificates of a hand; nothing if it needs none.
+    """Return the checks of a hand's certificates for `rtee doctor`; none if it needs none.
 
     Args:
         name: The hand's name, or its folder.
-        service: What its service on this computer needs, if there is one: that one's certificates
-            are looked at.
+        service: Needs of the hand's service on this computer, whose certificates are checked
+            instead of the user's.
     """
     from rtee.deploy.files import secure_command
     from rtee.drivers.diagnosis.checks import ok, warning, wrong
@@ -149,7 +149,7 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
             return []
         if service is not None and service.certificates is not None:
             known = Credentials(service.certificates)
-        # Asked first: files that cannot be read would count as missing.
+        # Checked first, since files that cannot be read would count as missing.
         if known.hidden:
             text = f"in {known.folder}, which is not yours to read"
             return [warning("certificate", text, f"sudo rtee doctor {name}")]

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from rtee.drivers.diagnosis.probes import Probe
 
 _LARGEST = 253
-"""Largest id of a Feetech servo, and so of any; 254 are all of them."""
+"""Largest id of any servo, that of Feetech; 254 is the broadcast address."""
 
 
 class FamilyName(StrEnum):
-    """Servos that get ids."""
+    """Families of servos whose id can be set."""
 
     FEETECH = "feetech"
     DYNAMIXEL = "dynamixel"
@@ -29,13 +29,14 @@ class _Family:
     """Servos that share a protocol.
 
     Attributes:
-        name: Who they are.
-        factory_rate: Rate with which they come [baud].
-        rates: All their rates [baud].
-        largest_id: Their largest id.
-        probe: Makes what finds them all, at a rate.
-        there: Whether one answers, at a rate, to an id.
-        set_id: Stores an id and, where it is given, a rate; returns the model's name.
+        name: Name of the family.
+        factory_rate: Rate of a new servo [baud].
+        rates: Rates that a servo can be set to [baud].
+        largest_id: Largest id of a servo.
+        probe: Function that returns the probe which finds all servos, at a rate [baud].
+        there: Function that returns whether a servo answers, by pool, port, rate [baud] and id.
+        set_id: Function that stores a new id and optionally a new rate [baud], by pool, port,
+            rate, old id, new id and new rate; returns the model's name.
     """
 
     name: FamilyName
@@ -130,14 +131,14 @@ def set_id(
 
     async def execute() -> str:
         async with BusPool() as pool:
-            meant, rate, number = await _find(pool, port, families, old)
-            if new > meant.largest_id:
+            servo, rate, number = await _find(pool, port, families, old)
+            if new > servo.largest_id:
                 raise ConfigError(
-                    f"the largest id of a {meant.name} servo is {meant.largest_id}, not {new}"
+                    f"the largest id of a {servo.name} servo is {servo.largest_id}, not {new}"
                 )
             if number == new and new_baudrate is None:
                 raise ConfigError(f"the servo at {port} has the id {new} already")
-            model = await meant.set_id(pool, port, rate, number, new, new_baudrate)
+            model = await servo.set_id(pool, port, rate, number, new, new_baudrate)
             faster = f", at {new_baudrate} baud" if new_baudrate is not None else ""
             return f"{model}: {number} is now {new}{faster}"
 
@@ -148,7 +149,11 @@ def set_id(
 def _chosen(
     family: FamilyName | None, baudrate: int | None, new_baudrate: int | None
 ) -> list[tuple[_Family, int]]:
-    """Return whom to ask, each with the rate of the line [baud]; raises `ConfigError`."""
+    """Return the families to query, each with the rate of the line [baud].
+
+    Raises:
+        ConfigError: if no family has a rate that was given.
+    """
     from rtee.errors import ConfigError
 
     families = [one for one in _families() if family in (None, one.name)]
@@ -166,11 +171,11 @@ def _chosen(
 async def _find(
     pool: BusPool, port: str, families: Sequence[tuple[_Family, int]], old: int | None
 ) -> tuple[_Family, int, int]:
-    """Return the family, rate [baud] and id of the servo that is meant.
+    """Return the family, rate [baud] and id of the servo at a port.
 
     Raises:
         BusError: if the line fails.
-        ConfigError: if there is none, or nobody knows which one is meant.
+        ConfigError: if no id is given and there is no servo, or more than one.
         NotConnected: if none has the id that was given.
     """
     from rtee.errors import ConfigError, NotConnected

@@ -1,4 +1,4 @@
-"""`rtee state`: the hand's state, live."""
+"""`rtee state`: show the hand's state, once or live."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _DIGITS = 2
 """Decimals of touch: sensors measure no better than 0.01 N."""
 
 _TOUCH_EVERY = 0.02
-"""Least time between two requests for touch [s]: the hand takes a hundred in a second."""
+"""Least time between two requests for touch [s]: half of the 100 per second that a hand answers."""
 
 _COLUMNS = {name: COLUMNS[name] for name in (*MEASURED, "reference_position")}
-"""The quantities shown."""
+"""The quantities shown, by attribute of a state."""
 
 
 def state(
@@ -59,7 +59,7 @@ def state(
         if once or not (follow or on_terminal()):
             _print(remote.name, await remote.state(), await _touch(remote), as_json)
         elif as_json or not on_terminal():
-            touch = _Felt(remote)
+            touch = _TouchPoll(remote)
             async for found in remote.states(rate):
                 _print(remote.name, found, await touch.newest(), as_json)
         else:
@@ -69,22 +69,22 @@ def state(
 
 
 async def _touch(remote: RemoteHand) -> Touch:
-    """Return what touch sensors measure; nothing from a hand that is too old to tell."""
+    """Return the newest values of the touch sensors; none from a hand of an earlier version."""
     try:
         return await remote.touch_state()
     except RequestRejected:
         return {}
 
 
-class _Felt:
-    """What touch sensors measure, asked for no more often than the hand takes requests."""
+class _TouchPoll:
+    """Requests the values of the touch sensors no more often than the hand answers requests."""
 
     def __init__(self, remote: RemoteHand) -> None:
         self._remote, self._due = remote, -math.inf
         self._known: Touch = {}
 
     async def newest(self) -> Touch:
-        """Return what they measured a moment ago."""
+        """Return values that are at most `_TOUCH_EVERY` old."""
         if time.monotonic() >= self._due:
             self._known = await _touch(self._remote)
             self._due = time.monotonic() + _TOUCH_EVERY
@@ -95,12 +95,12 @@ async def _live(remote: RemoteHand, rate: float) -> None:
     from rich.console import Console, Group
     from rich.live import Live
 
-    # Drawn with each state alone: between two there is nothing new.
-    felt = _Felt(remote)
+    # Drawn only at a new state, instead of by a timer.
+    poll = _TouchPoll(remote)
     with Live(console=Console(), auto_refresh=False) as live:
         async for found in remote.states(rate):
             tables = [_table(remote.name, found)]
-            if touch := await felt.newest():
+            if touch := await poll.newest():
                 tables.append(_touch_table(touch, found.stamp))
             live.update(Group(*(t.drawn(live.console.width) for t in tables)), refresh=True)
 
@@ -115,7 +115,7 @@ def _print(name: str, found: State, touch: Touch, as_json: bool) -> None:
 
 
 def _touch_table(touch: Touch, now: float) -> Table:
-    """Return a table of touch sensors: their sums and largest taxels, and how old they are."""
+    """Return a table of the touch sensors: sum, largest taxel and age of the values."""
     columns = tuple(
         Column(name, right=right, whole=True)
         for name, right in (
@@ -146,7 +146,7 @@ def _plain_touch(touch: Touch) -> dict[str, Any]:
             "finger": sensor.finger,
             "unit": sensor.unit,
             "total": total,
-            "values": state.of(sensor.name).tolist(),
+            "values": state.of(sensor.name),
             "time": state.stamp,
             "stale": state.stale,
         }
@@ -162,8 +162,7 @@ def _plain(name: str, found: State, touch: Touch) -> dict[str, Any]:
         "tick": found.tick,
         "time": found.stamp,
         "actuators": {
-            # JSON does not know the numbers of NumPy.
-            actuator: {column: getattr(found, column)[i].item() for column in columns}
+            actuator: {column: getattr(found, column)[i] for column in columns}
             for i, actuator in enumerate(found.names)
         },
         "opening": found.opening,
@@ -172,12 +171,11 @@ def _plain(name: str, found: State, touch: Touch) -> dict[str, Any]:
         "force_source": found.force_source,
         "joints": found.joints,
         "touch": _plain_touch(touch),
-        "channels": {channel: values.tolist() for channel, values in found.channels.items()},
+        "channels": found.channels,
     }
 
 
 def _table(name: str, found: State) -> Table:
-
     prefix = prefix_to_drop(found.names)
     title = f"{name}, tick {found.tick}"
     if prefix:
@@ -199,5 +197,5 @@ def _table(name: str, found: State) -> Table:
 
 
 def _number(value: float, digits: int) -> str:
-    # Adding 0.0 makes 0 of -0, which rounding leaves of small negative numbers.
+    # Adding 0.0 turns -0, to which small negative numbers are rounded, into 0.
     return "–" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"

@@ -27,9 +27,9 @@ def status(
 
 
 def _show(found: HandStatus) -> None:
-
     clock = found.statistics
-    measured = f"{clock.measured_rate:.1f} Hz of " if clock.measured_rate else ""  # in 1 s
+    # The rate is measured over 1 s, so that a hand that has just started has none.
+    measured = f"{clock.measured_rate:.1f} Hz of " if clock.measured_rate else ""
     print(f"{found.hand}: {measured}{clock.rate:g} Hz, ", end="")
     print(f"{clock.ticks} ticks, {clock.missed} missed, {clock.dropped} log records dropped")
     print(f"lateness: {_times(clock.lateness_p50, clock.lateness_p99, clock.lateness_max)}")
@@ -41,11 +41,10 @@ def _show(found: HandStatus) -> None:
     recording = (found.recording, found.recording_trouble)
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
     print(f"profile:  {found.profile}")
-    rows, said = [], []
+    rows = []
     for one in found.devices:
-        what = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else one.message
-        remarks = "; ".join(text for text in (what, one.hint) if text)
-        said.append((one.name, remarks))
+        fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else one.message
+        remarks = "; ".join(text for text in (fault, one.hint) if text)
         rows.append(
             (
                 one.name,
@@ -69,11 +68,11 @@ def _show(found: HandStatus) -> None:
     if not on_terminal():
         Table(columns, tuple(Row(cells) for cells in rows)).show()
         return
-    # Remarks are sentences, which would be wrapped at every word beside seven columns.
+    # Remarks are sentences; beside seven columns, they would be wrapped at every word.
     Table(columns[:-1], tuple(Row(cells[:-1]) for cells in rows)).show()
-    for name, remark in said:
-        if remark:
-            print(f"{name}: {remark}")
+    for name, *_, remarks in rows:
+        if remarks:
+            print(f"{name}: {remarks}")
 
 
 def _stream(found: StreamStatus) -> str:

@@ -27,7 +27,7 @@ def stop(
 
     names: list[str | None] = [hand]
     if hand is None and connect is None:
-        # Without any, connecting says so in its own words.
+        # If none runs, connecting raises the error that says so.
         names = list(hands_running()) or [None]
     confirmed: dict[str, dict[str, bool]] = {}
     errors: list[RteeError] = []
@@ -48,7 +48,7 @@ def stop(
     async def everyone() -> None:
         async with anyio.create_task_group() as group:
             for name in names:
-                # All at once: no hand moves on while another one takes its time to answer.
+                # All at once, so that no hand moves on while another is slow to answer.
                 group.start_soon(one, name)
 
     anyio.run(everyone)

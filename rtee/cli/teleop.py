@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rtee.teleop.inputs import Input
 
 _PASS = 0.05
-"""Until the last sample has had its turn [s]."""
+"""Wait after the last sample, so that the status counts it, too [s]: several ticks of any hand."""
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -59,14 +59,14 @@ def teleop(
 
     efforts = read_efforts(effort or [])
     with contextlib.ExitStack() as stack:
-        # The keyboard is a context: the terminal shows what is typed again, however this ends.
+        # The context of the keyboard turns the terminal's echo on again, however this ends.
         source: Input = (
             open_gamepad(device) if gamepad else stack.enter_context(Keyboard(len(actions)))
         )
         by_axis = assigned(actions, source.axes)
         for axis, action in by_axis.items():
             print(f"{axis}: {action}", file=sys.stderr)
-        # Ctrl-C and Escape are how a person ends it, which is no failure.
+        # Ctrl-C and Escape are the usual end, not a failure.
         with contextlib.suppress(KeyboardInterrupt):
             with_hand(
                 hand,
@@ -118,7 +118,7 @@ def play(
     async def run(remote: RemoteHand) -> None:
         rate = rate_of(samples) * speed
         limits = await effort_limits(remote, efforts)
-        # A sample or two that come late must not make the hand brake.
+        # Three periods, so that one or two late samples do not make the hand brake.
         async with remote.stream(rate, deadline=max(0.1, 3.0 / rate), effort=limits) as stream:
             await play_samples(samples, stream, speed)
             await anyio.sleep(_PASS)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import complete_hand, report_copy
+from rtee.cli._common import FrictionOption, complete_hand, report_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from rtee.trials.trial import Trial, TrialResult
 
 _VARIATIONS = 20
-"""How often a trial of a sweep is varied: 18 of 20 is at least 70 %, with 95 % confidence."""
+"""Variations of each trial with --all: 18 held of 20 means at least 70 %, at 95 % confidence."""
 
 _WRITING = 0.1
-"""Largest share of the time spent writing results, since each time the whole file is written."""
+"""Largest share of the time spent on writing results, as each write rewrites the whole file."""
 
 
 def try_(
@@ -50,15 +50,7 @@ def try_(
     mass: Annotated[
         float | None, typer.Option(min=0.001, max=100.0, help="Mass of the object [kg].")
     ] = None,
-    friction: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=10.0,
-            metavar="MU",
-            help="Friction of hand and object; 1 at fingertips and 0.8 elsewhere unless given.",
-        ),
-    ] = None,
+    friction: FrictionOption = None,
     variations: Annotated[
         int | None,
         typer.Option(
@@ -148,7 +140,7 @@ def try_(
     from rtee.errors import ConfigError, needing_extra
 
     if task:
-        from rtee.cli.try_task import Asked, try_tasks
+        from rtee.cli.try_task import TaskOptions, try_tasks
 
         if all_ or again or cluster or out or pictures or log or friction is not None:
             raise ConfigError(
@@ -159,8 +151,8 @@ def try_(
             raise ConfigError("which action? give its name, such as Grasp")
         if intensity != 1.0:
             raise ConfigError("--task closes until contact; leave --intensity out")
-        asked = Asked(task, reflexes, force, max_force, width, mass, variations, seed)
-        try_tasks(_resolved(hand), action, elements or [], object_ or [], asked, json_)
+        options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
+        try_tasks(_resolved(hand), action, elements or [], object_ or [], options, json_)
         return
     if reflexes is not None or force or max_force or width:
         raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
@@ -231,7 +223,7 @@ def _one(name: str, trial: Trial, pictures: Path | None, log: Path | None) -> Tr
             result = run_trial(
                 ready.hand, ready.library, ready.settings, trial, observers=[recorder], watch=stills
             )
-    # Nothing is taken of an object that fits nowhere.
+    # There are no pictures of an object that fits nowhere.
     if pictures is not None and stills is not None and stills.taken:
         from rtee.trials.pictures import write_strip
 
@@ -250,7 +242,7 @@ def _all(
     cluster: str | None,
     out: Path | None,
 ) -> list[TrialResult]:
-    """Run the trials whose results are not known yet; each result is stored as it comes."""
+    """Run the trials that have no stored result yet; store each result as it arrives."""
     from rtee.actions.fingerprints import Fingerprints
     from rtee.drivers.mujoco.objects import parse_object
     from rtee.errors import ConfigError
@@ -258,7 +250,7 @@ def _all(
     from rtee.trials.store import FILE_NAME, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 
-    # A mistyped object is refused once, and before any process starts.
+    # Refuse a mistyped object once, before any process starts.
     for shape in {trial.object: None for trial in trials}:
         parse_object(shape)
     ready = bench(name)
@@ -281,27 +273,27 @@ def _all(
     todo = [trial for trial in trials if again or not _done(trial, known.get(trial.key))]
     if todo:
         if out is None:
-            # Only when there is something to write: else no copy of a shipped hand is made.
+            # Copy a shipped hand only when there is something to write.
             folder = own(ready.folder)
             report_copy(ready.folder, folder)
             path = folder / FILE_NAME
         keep = _Kept(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
-        # Not the number of processors: a container or taskset may leave fewer.
+        # A container or taskset may leave fewer processors than the computer has.
         processes = jobs or len(os.sched_getaffinity(0))
         coming = sweep_on_cluster(name, todo, cluster) if cluster else sweep(name, todo, processes)
-        # Closed at once when interrupted, which ends the processes.
+        # Closing ends the processes at once when this is interrupted.
         with keep.until_done(len(todo), again), closing(coming):
             for result in _with_progress(coming, len(todo)):
                 keep.add(result)
     if old:
-        # All are there, so that the outdated ones can go.
+        # All new results are there, so that the outdated ones can go.
         _unfinished(path).replace(path)
     return [known[trial.key] for trial in trials]
 
 
 def _done(trial: Trial, known: TrialResult | None) -> bool:
-    """Return whether a trial's result is known, with the variations that are asked for."""
+    """Return whether the stored result of a trial was made with the same variations."""
     if known is None:
         return False
     before, wanted = ((each.variations, each.seed, each.choosing) for each in (known.trial, trial))
@@ -309,12 +301,12 @@ def _done(trial: Trial, known: TrialResult | None) -> bool:
 
 
 def _unfinished(path: Path) -> Path:
-    """Return the file of results that are to replace outdated ones once all are there."""
+    """Return the file of the new results until all are there to replace the outdated ones."""
     return path.with_name(f"{path.stem}.new{path.suffix}")
 
 
 class _Kept:
-    """Results in a file, written as they come."""
+    """Results of a sweep, written to a file as they arrive."""
 
     def __init__(self, path: Path, made_with: Fingerprints, known: dict[str, TrialResult]) -> None:
         self._path, self._made_with, self._known = path, made_with, known
@@ -322,7 +314,7 @@ class _Kept:
         self._taken = 0
 
     def add(self, result: TrialResult) -> None:
-        """Add a result; it is written at once unless writing takes too much of the time."""
+        """Add a result; write the file unless writing has taken too large a share of the time."""
         self._known[result.trial.key] = result
         self._taken += 1
         if time.monotonic() >= self._write_at:
@@ -339,11 +331,11 @@ class _Kept:
 
     @contextmanager
     def until_done(self, total: int, again: bool) -> Iterator[None]:
-        """Write the results when the context ends; when interrupted, say how many there are."""
+        """Write the results when the context ends; on an interruption, print how many exist."""
         from rtee.errors import WorkerLost
 
         def once(*_: object) -> None:
-            # Some programs send it to the process and to its group; the second must be ignored.
+            # Some programs signal the process and then its group; ignore the second signal.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise KeyboardInterrupt
 
@@ -351,8 +343,7 @@ class _Kept:
         try:
             yield
         except KeyboardInterrupt:
-            # First, since the sentence says that they are kept.
-            self.write()
+            self.write()  # first, since the sentence says that they are kept
             print(f"rtee: interrupted; {self._words(total, again)}", file=sys.stderr)
             raise
         except WorkerLost as error:
@@ -393,17 +384,17 @@ def _show(results: Sequence[TrialResult], as_json: bool) -> None:
         return
     for result in results:
         trial = result.trial
-        what = f"{trial.what} on {trial.object}"
+        title = f"{trial.what} on {trial.object}"
         if not result.held:
-            print(f"{what}: {'lost' if result.fits else 'does not fit'}; {result.reason}")
+            print(f"{title}: {'lost' if result.fits else 'does not fit'}; {result.reason}")
             continue
         forces = ", ".join(f"{name} {force:.1f} N" for name, force in result.forces if force > 0)
         slip = f"slip {result.slip * 1e3:.1f} mm"
-        print(f"{what}: held; {slip}; {forces or 'no finger touches'}{_rate(result)}")
+        print(f"{title}: held; {slip}; {forces or 'no finger touches'}{_rate(result)}")
 
 
 def _rate(result: TrialResult) -> str:
-    """Return in how many variations an object was held, in words; empty without variations."""
+    """Return in words in how many variations an object was held; ``""`` without variations."""
     from rtee.trials.variation import interval
 
     tries = result.trial.variations
@@ -437,5 +428,5 @@ def _table(results: Sequence[TrialResult]) -> None:
         table.add_column(shape.replace(":", "\n"), justify="right")
     for name, row in rows.items():
         table.add_row(name, *(row.get(shape, "") for shape in shapes))
-    # In a pipe, rich would take 80 columns and cut the table.
+    # In a pipe, rich would assume 80 columns and cut the table.
     Console(width=None if sys.stdout.isatty() else 200).print(table)

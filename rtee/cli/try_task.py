@@ -1,4 +1,4 @@
-"""`rtee try --task`: how often eggs, cups and tugs succeed, with reflexes and without."""
+"""`rtee try --task`: success rates of the tasks egg, cup and tug, with and without reflexes."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
     from rtee.trials.tasks import TaskResult, TaskTrial
 
 _VARIATIONS: Final = 6
-"""How often each is tried unless said otherwise: a first look, at some seconds each."""
+"""Default number of variations: enough for a first look, as each takes some seconds."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What the command line says of tasks.
+class TaskOptions:
+    """Options of `rtee try --task`; quantities are texts with a unit, such as ``3N``.
 
     Attributes:
-        tasks: Their names.
+        tasks: Names of the tasks.
         reflexes: With reflexes, without, or ``None``: both.
-        force: Force to hold with, as people write it.
-        max_force: Force up to which a slip raises it.
+        force: Force to hold with.
+        max_force: Force up to which a slip raises the force.
         width: Width of the object.
         mass: Mass of the object [kg].
-        variations: How often each is tried.
+        variations: Number of variations of each task.
         seed: Seed of the variations.
     """
 
@@ -46,7 +46,7 @@ def try_tasks(
     action: str,
     elements: Sequence[str],
     objects: Sequence[str],
-    asked: Asked,
+    options: TaskOptions,
     as_json: bool,
 ) -> None:
     """Try tasks with an action, and print how often each succeeded.
@@ -56,7 +56,7 @@ def try_tasks(
         action: Name of the action.
         elements: Its elements.
         objects: The objects; empty: a sphere.
-        asked: What else the command line says.
+        options: The other options.
         as_json: Print JSON.
 
     Raises:
@@ -68,12 +68,12 @@ def try_tasks(
         from rtee.trials.sweep import bench
         from rtee.trials.tasks import RATE, run_task
 
-    trials = _trials(action, tuple(elements), objects, asked)
+    trials = _trials(action, tuple(elements), objects, options)
     ready = bench(hand, RATE)
     # An unknown action is refused before the first trial.
     ready.library.find(action, elements)
-    # Tasks have no trial without variation, so that there is at least one with it.
-    count = _VARIATIONS if asked.variations is None else max(asked.variations, 1)
+    # Tasks have no trial without variation, so that --variations 0 still tries one.
+    count = _VARIATIONS if options.variations is None else max(options.variations, 1)
     documents = []
     for trial in trials:
         results = [run_task(ready, trial, number) for number in range(count)]
@@ -86,30 +86,32 @@ def try_tasks(
 
 
 def _trials(
-    action: str, elements: tuple[str, ...], objects: Sequence[str], asked: Asked
+    action: str, elements: tuple[str, ...], objects: Sequence[str], options: TaskOptions
 ) -> list[TaskTrial]:
     from rtee.errors import ConfigError, suggestion
     from rtee.trials.tasks import FORCE, MOST, Task, TaskTrial, Way
     from rtee.units import FORCE as NEWTONS
     from rtee.units import LENGTH, quantity
 
-    for name in asked.tasks:
+    for name in options.tasks:
         if name not in list(Task):
             raise ConfigError(f"unknown task '{name[:80]}'; {suggestion(name, list(Task))}")
-    force = FORCE if asked.force is None else quantity(asked.force, NEWTONS, "force")
-    most = MOST if asked.max_force is None else quantity(asked.max_force, NEWTONS, "largest force")
-    # A force above the usual largest one alone is no mistake.
-    most = max(most, force) if asked.max_force is None else most
+    force = FORCE if options.force is None else quantity(options.force, NEWTONS, "force")
+    most = (
+        MOST if options.max_force is None else quantity(options.max_force, NEWTONS, "largest force")
+    )
+    # A --force above the default of --max-force raises that, too.
+    most = max(most, force) if options.max_force is None else most
     if most < force:
         raise ConfigError(f"--max-force must be at least --force, {force:g} N, not {most:g} N")
-    width = None if asked.width is None else quantity(asked.width, LENGTH, "width")
-    ways = [way for way in Way if asked.reflexes in (None, way is Way.REFLEXES)]
+    width = None if options.width is None else quantity(options.width, LENGTH, "width")
+    ways = [way for way in Way if options.reflexes in (None, way is Way.REFLEXES)]
     return [
         TaskTrial(
-            Task(name), action, elements, shape, way, width, asked.mass, force, most, asked.seed
+            Task(name), action, elements, shape, way, width, options.mass, force, most, options.seed
         )
         for shape in objects or ("sphere:0.03",)
-        for name in dict.fromkeys(asked.tasks)
+        for name in dict.fromkeys(options.tasks)
         for way in ways
     ]
 
@@ -122,18 +124,18 @@ def _sentence(trial: TaskTrial, results: Sequence[TaskResult]) -> str:
     low, high = interval(held, len(results))
     ends = Counter(result.end for result in results if result.end is not End.HELD)
     others = "".join(f"; {count} {end}" for end, count in ends.items())
-    how = {
+    conditions = {
         Way.EFFORT: "the hand's effort, no reflexes",
         Way.FORCE: f"{trial.force:g} N, no reflexes",
         Way.REFLEXES: f"{trial.force:g} to {trial.most:g} N, reflexes",
     }[trial.way]
     peak = max(result.peak for result in results)
-    what = f"{trial.task}, {' '.join((trial.action, *trial.elements))} on {trial.object}, {how}"
+    grasp = " ".join((trial.action, *trial.elements))
     if ends[End.STALLED] and trial.way is not Way.EFFORT:
         others += " (the effort for this force hardly moves the hand; try a larger --force)"
     return (
-        f"{what}: {held} of {len(results)} succeed (95 % confidence: {low * 100:.0f} to "
-        f"{high * 100:.0f} %){others}; at most {peak:.1f} N"
+        f"{trial.task}, {grasp} on {trial.object}, {conditions}: {held} of {len(results)} succeed "
+        f"(95 % confidence: {low * 100:.0f} to {high * 100:.0f} %){others}; at most {peak:.1f} N"
     )
 
 

@@ -1,1 +1,1 @@
-"""A computer made a robot PC: what a hand's service needs there, written and taken away again."""
+"""Installation of a hand as a service of a robot PC, and its removal."""

@@ -1,4 +1,4 @@
-"""Whether a hand's service is still as it was installed, for the doctor."""
+"""Checks of an installed hand's service, for `rtee doctor`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.remote.credentials import HAND_KEY
 
 
 def is_installed(hand: str, root: Path = Path("/")) -> bool:
-    """Return whether a hand is a service of this computer; no if that can't be read."""
+    """Return whether a hand is a service of this computer; false if that cannot be read."""
     try:
         return bool(Installation(root).manifest.of(hand))
     except ConfigError:
@@ -24,11 +24,11 @@ def is_installed(hand: str, root: Path = Path("/")) -> bool:
 
 
 def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
-    """Return what was found about a hand's service; one line if it was never installed.
+    """Return the checks of a hand's service; a single one if it was never installed.
 
     Args:
-        needs: What the hand needs now.
-        root: Where the system's files are.
+        needs: The present needs of the hand.
+        root: Root folder of the system.
     """
     again = f"sudo rtee deploy install {needs.hand}"
     try:
@@ -54,7 +54,7 @@ def _files(needs: Needs, installation: Installation, again: str) -> Check:
         return wrong("service", f"missing: {', '.join(lost)}", again)
     changed = [path for path, state in states.items() if state is State.KEPT]
     if changed:
-        # Installing again would keep such a file, so that it has to be removed first.
+        # Installing again would keep such a file, so that the user has to remove it first.
         text = f"changed by hand: {', '.join(changed)}"
         return warning("service", text, f"if that was not meant, remove it and type: {again}")
     wanted = drop_in(needs) | hand_files(needs, installation.root)
@@ -72,7 +72,7 @@ def _user(installation: Installation, again: str) -> Check:
 
 
 def _certificates(needs: Needs, installation: Installation) -> list[Check]:
-    """Say whether the service can use the certificates for its network."""
+    """Check that the service can use the certificates for its network."""
     if needs.certificates is None:
         return []
     what = "service's certificates"
@@ -80,7 +80,7 @@ def _certificates(needs: Needs, installation: Installation) -> list[Check]:
     remedy = "; ".join(certificates_made(needs))
     try:
         owner = key.stat().st_uid
-    # Whether there is a key cannot be seen from outside the folder.
+    # Other users cannot see whether the folder has a key.
     except PermissionError:
         return [
             warning(what, f"{key.parent} is not yours to read", "sudo rtee doctor " + needs.hand)
@@ -95,7 +95,7 @@ def _certificates(needs: Needs, installation: Installation) -> list[Check]:
 
 
 def _ports(needs: Needs) -> list[Check]:
-    """Say which serial ports have names that may be another adapter's at the next start."""
+    """Check for serial ports whose names may belong to another adapter at the next start."""
     return [
         warning(
             f"name of {port.path}",
@@ -112,15 +112,15 @@ def _ports(needs: Needs) -> list[Check]:
 def _recordings(needs: Needs, root: Path) -> Check:
     folder = root / str(STATE / needs.log).lstrip("/")
     try:
-        # The first run makes it; until then, the nearest folder above is on the same disk.
+        # The first run makes the folder; until then, its nearest parent is on the same disk.
         while not folder.exists() and folder != root:
             folder = folder.parent
         space = shutil.disk_usage(folder)
-        # Those that are there already have their place. Not by glob, which passes over a folder
-        # that is not to be read.
+        # Present recordings already have their space. Not by glob, which is silent about a folder
+        # that cannot be read.
         files = [file for file in folder.iterdir() if file.suffix == ".mcap"]
         there = sum(file.stat().st_size for file in files)
-    except OSError as error:  # the service's folders are not for everybody's eyes
+    except OSError as error:  # other users may not read the service's folders
         text = f"{folder} cannot be looked at: {reason(error)}"
         return warning("recordings", text, f"sudo rtee doctor {needs.hand}")
     wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
@@ -134,7 +134,7 @@ def _recordings(needs: Needs, root: Path) -> Check:
 
 
 def _kernel(needs: Needs, root: Path) -> list[Check]:
-    """Say whether the CPUs of the loop are its alone."""
+    """Check that the CPUs of the loop are isolated from other programs."""
     if not needs.cpus:
         return []
     try:

@@ -1,4 +1,4 @@
-"""The system files of a robot PC: as they come with rtee, and as a hand needs them."""
+"""The system files of a robot PC: those shipped with rtee, and those for a hand."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from rtee.errors import ConfigError
 from rtee.hand.files import make_folder, write_atomically
 
 PROGRAM = "/opt/rtee/bin/rtee"
-"""The program in the unit as it comes with rtee."""
+"""Path of the program in the shipped unit."""
 
 HANDS = "/etc/rtee/hands"
-"""Where the service looks hands up."""
+"""Folder of the service's hands."""
 
 UNIT = "/etc/systemd/system/rtee@.service"
 RULES = "/etc/udev/rules.d/99-rtee.rules"
@@ -33,7 +33,7 @@ STATE = Path("/var/lib/rtee")
 """Working directory of the service."""
 
 _ALLOWED_PORTS = ("ttyUSB", "ttyACM", "ttyS", "ttyAMA")
-"""Serial ports that the unit permits for every hand."""
+"""Kinds of serial ports that the unit permits for every hand."""
 
 _USER = """\
 # The user that runs hands. Written by rtee deploy.
@@ -48,13 +48,13 @@ w- /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance
 
 
 def shipped() -> Path:
-    """Return the folder of the files that come with rtee.
+    """Return the folder of the files shipped with rtee.
 
     Raises:
         ConfigError: if this installation has none.
     """
     package = Path(__file__).resolve().parents[1]
-    # In a wheel they stand beside the code, in a checkout beside the package.
+    # Inside the package in a wheel, beside it in a checkout.
     for place in (package / "_deploy", package.parent / "deploy"):
         if (place / _SHIPPED[UNIT]).is_file():
             return place
@@ -62,21 +62,18 @@ def shipped() -> Path:
 
 
 def own_program() -> str:
-    """Return the ``rtee`` of this environment."""
+    """Return the path of the ``rtee`` of this environment."""
     return str(Path(sys.executable).parent / "rtee")
 
 
 def write_files(folder: Path) -> list[Path]:
-    """Write the files that come with rtee; the service starts the `rtee` of this environment.
+    """Write the shipped files, with the `rtee` of this environment in the unit; return their paths.
 
     Args:
-        folder: Where to; made if it is not there.
-
-    Returns:
-        The files written.
+        folder: Folder to write to; made if it does not exist.
 
     Raises:
-        ConfigError: if this installation has none, or they cannot be written.
+        ConfigError: if this installation has no such files, or they cannot be written.
     """
     source = shipped()
     make_folder(folder)
@@ -89,10 +86,10 @@ def write_files(folder: Path) -> list[Path]:
 
 
 def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, bytes]:
-    """Return what is to be written for a hand, by path.
+    """Return the contents of the system files for a hand, by path.
 
     Args:
-        needs: What the hand needs.
+        needs: The needs of the hand.
         program: The ``rtee`` that the service starts.
         realtime: Also set the CPUs' governor, and isolate those of the loop.
     """
@@ -103,7 +100,7 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
         for path, name in _SHIPPED.items()
     } | {
         ACCOUNTS: _USER,
-        # Above 60: udev's own 60-serial.rules find the serial number that these compare.
+        # Above 60, since udev's own 60-serial.rules read the serial number that this one compares.
         f"/etc/udev/rules.d/90-rtee-{needs.hand}.rules": _rules(needs),
     }
     if realtime:
@@ -118,10 +115,10 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
 
 
 def drop_in(needs: Needs) -> dict[str, bytes]:
-    """Return what is added to the unit for a hand, by path; nothing where it needs nothing more.
+    """Return the additions to the unit for a hand, by path; empty if it needs none.
 
     Raises:
-        ConfigError: if the folder of the recordings can't stand in a unit.
+        ConfigError: if the path of the recordings is not valid in a unit.
     """
     lines = [f"# What {needs.hand} needs besides. Written by rtee deploy.", "[Service]"]
     kinds = sorted({port.kind for port in needs.ports} - {"", *_ALLOWED_PORTS})
@@ -136,7 +133,7 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
             "AmbientCapabilities=CAP_NET_RAW",
         ]
     if needs.log.is_absolute() and not needs.log.is_relative_to(STATE):
-        # With the minus, a folder that is missing does not keep the service from starting.
+        # The minus lets the service start even if the folder is missing.
         lines.append(f"ReadWritePaths=-{checked_path(needs.log, 'log: directory')}")
     if not lines[2:]:
         return {}
@@ -145,11 +142,11 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
 
 
 def kernel_words(cpus: Sequence[int], of: int | None = None) -> str:
-    """Return what keeps everything else off some CPUs, for the kernel's command line.
+    """Return the parameters of the kernel's command line that isolate CPUs from other programs.
 
     Args:
         cpus: The CPUs.
-        of: Number of CPUs there are; with it, interrupts are kept off, too.
+        of: Number of all CPUs; if given, interrupts are kept off the CPUs, too.
     """
     these = ",".join(map(str, cpus))
     words = f"isolcpus={these} nohz_full={these} rcu_nocbs={these}"
@@ -158,17 +155,17 @@ def kernel_words(cpus: Sequence[int], of: int | None = None) -> str:
 
 
 def link_of(port: Port, hand: str) -> str:
-    """Return the name that a rule gives to a port whose serial number is known."""
+    """Return the name that a udev rule gives to a port with a known serial number."""
     return port.path if port.has_own_name else f"/dev/rtee/{hand}-{port.device}"
 
 
 def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
-    """Return the files of a hand that the service could not read where they are, by path.
+    """Return the files of a hand that have to be copied for the service, by path.
 
-    Nothing for hands that come with the rtee of the service or are in `HANDS` already.
+    Empty for hands shipped with the rtee of the service or already in `HANDS`.
 
     Raises:
-        ConfigError: if one can't be read.
+        ConfigError: if a file cannot be read.
     """
     folder = needs.folder.resolve()
     inside = Path(__file__).resolve().parents[1] / "_config"
@@ -178,7 +175,7 @@ def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
     for path in sorted(needs.folder.rglob("*")):
         name = path.relative_to(needs.folder)
         hidden = any(part.startswith((".", "__")) for part in name.parts)
-        # A link may lead to what is not for everybody's eyes.
+        # A link may lead to a file that other users must not read.
         if hidden or path.is_symlink() or not path.is_file():
             continue
         try:
@@ -198,7 +195,7 @@ def _rules(needs: Needs) -> str:
                 ' GROUP="dialout", MODE="0660"'
             )
     for name, bitrate in needs.can.items():
-        # restart-ms: the controller comes back after bus-off.
+        # restart-ms lets the controller recover from bus-off.
         lines.append(
             f'ACTION=="add", SUBSYSTEM=="net", KERNEL=="{name}", RUN+="/usr/bin/env ip link set'
             f' {name} up type can bitrate {bitrate} restart-ms 100"'
@@ -207,13 +204,13 @@ def _rules(needs: Needs) -> str:
 
 
 def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> list[str]:
-    """Return in sentences what a person has to do, or may do, beside what is written.
+    """Return sentences about what the user has to do, or may do, after the installation.
 
     Args:
-        needs: What the hand needs.
-        program: The ``rtee`` that was asked for; ``None``: that of this environment.
-        realtime: Whether real-time hints are written, too.
-        live: Whether it is the system that runs.
+        needs: The needs of the hand.
+        program: The ``rtee`` given by the user; ``None``: that of this environment.
+        realtime: Whether the real-time settings are written.
+        live: Whether the system is the running one.
     """
     found: list[str] = []
     if (program or own_program()).startswith(("/home/", "/root/", "/run/user/")):
@@ -253,7 +250,7 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
 
 
 def certificates_made(needs: Needs, program: str | None = None) -> list[str]:
-    """Return what makes a hand's certificates where its service finds them: commands."""
+    """Return the commands that make a hand's certificates in the folder of its service."""
     if needs.certificates is None:
         return []
     if needs.certificates.is_relative_to(SECURE):
@@ -263,14 +260,14 @@ def certificates_made(needs: Needs, program: str | None = None) -> list[str]:
 
 
 def secure_command(needs: Needs, program: str | None = None) -> str:
-    """Return how `rtee secure` is called for the certificates that a hand's service uses."""
+    """Return the `rtee secure` command for the certificates of a hand's service."""
     folder = needs.certificates
     where = f"env RTEE_SECURE_DIR={SECURE} " if folder and folder.is_relative_to(SECURE) else ""
     return f"sudo -u {USER} {where}{program or own_program()} secure"
 
 
 def words_of(files: Mapping[str, bytes]) -> list[str]:
-    """Return the text of system files for a reader, a heading before each."""
+    """Return the lines of system files, each with a heading."""
     lines: list[str] = []
     for path, content in files.items():
         lines += [f"# {path}", *content.decode("utf-8", "replace").splitlines(), ""]

@@ -1,4 +1,4 @@
-"""Writing a hand's service into a system, and taking exactly that away again."""
+"""Installation of a hand's service in a system, and removal of exactly the written files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rtee.hand.files import write_atomically
 from rtee.hand.names import check_name
 
 MANIFEST = "/etc/rtee/deploy.json"
-"""What was written, for which hands; only root may change it."""
+"""List of the written files and their hands; only root may change it."""
 
 WANTS = "/etc/systemd/system/multi-user.target.wants"
 
-# Files elsewhere are not touched, whatever the manifest says.
+# No other files are ever changed, whatever the manifest contains.
 _PLACES = (
     "/etc/systemd/system/",
     "/etc/udev/rules.d/",
@@ -33,11 +33,11 @@ _PLACES = (
     "/etc/default/grub.d/",
     f"{HANDS}/",
 )
-_LIMIT = 1_000_000  # largest manifest that is read [byte]: some thousand files
+_LIMIT = 1_000_000  # size of the largest manifest read, for some thousand files [bytes]
 
 
 class State(StrEnum):
-    """What becomes, or became, of a file."""
+    """State of a file before or after an operation."""
 
     NEW = "new"
     SAME = "unchanged"
@@ -48,12 +48,12 @@ class State(StrEnum):
 
 @dataclass(slots=True)
 class Manifest:
-    """What was written into a system.
+    """List of the files written into a system.
 
     Attributes:
-        files: SHA-256 of each file as it was written, by path.
+        files: SHA-256 of each written file, by path.
         hands: The hands that need each file, by path.
-        folders: Folders that were made, each after those it lies in.
+        folders: Folders that were made, parents first.
         user: Whether the user was made.
     """
 
@@ -64,10 +64,10 @@ class Manifest:
 
     @classmethod
     def read(cls, root: Path) -> Manifest:
-        """Return the manifest of a system; an empty one if nothing was written there.
+        """Return the manifest of a system; an empty one if it has none.
 
         Raises:
-            ConfigError: if it can't be read or is none.
+            ConfigError: if the manifest cannot be read or is invalid.
         """
         path = root / MANIFEST[1:]
         try:
@@ -79,7 +79,7 @@ class Manifest:
                 for k, v in document["files"].items()
             }
             folders = [str(each) for each in document["folders"]]
-            # Whoever could write this file must not be able to have root remove any other.
+            # A forged manifest must not make root remove other files.
             if any(not _is_ours(each) for each in files):
                 raise ValueError("a path is none of rtee's")
             return cls(files, hands, folders, bool(document["user"]))
@@ -93,7 +93,7 @@ class Manifest:
         return [path for path, hands in self.hands.items() if hand in hands]
 
     def document(self) -> str:
-        """Return it as JSON."""
+        """Return the manifest as JSON."""
         files = {
             path: {"sha256": digest, "hands": self.hands[path]}
             for path, digest in self.files.items()
@@ -106,10 +106,10 @@ class Installation:
     """The services of hands in a system.
 
     Args:
-        root: Where its files are: ``/``, or the folder of an image.
+        root: Root folder of the system: ``/``, or the folder of an image.
 
     Raises:
-        ConfigError: if it is not a folder, or its manifest can't be used.
+        ConfigError: if it is not a folder, or its manifest is invalid.
     """
 
     def __init__(self, root: Path = Path("/")) -> None:
@@ -120,15 +120,15 @@ class Installation:
 
     @property
     def live(self) -> bool:
-        """Whether it is the system that runs."""
+        """Whether this is the running system."""
         return self.root == Path("/")
 
     def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
-        """Return what `install` would do to each file; nothing is changed.
+        """Return what `install` would do to each file, without changing anything.
 
         Raises:
-            ConfigError: if a file is there already that rtee did not write, or a folder of the
-                system leads out of it.
+            ConfigError: if a file exists that rtee did not write, or a folder of the system leads
+                out of it.
         """
         states: dict[str, State] = {}
         link = self._link(hand)
@@ -147,7 +147,7 @@ class Installation:
         return states
 
     def written(self, path: str) -> State:
-        """Return whether a file is as it was written: new means that it is gone."""
+        """Return the state of a written file; `State.NEW` if it is gone."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
             return State.NEW
@@ -158,50 +158,47 @@ class Installation:
         return State.SAME if same else State.KEPT
 
     def content(self, path: str) -> bytes:
-        """Return what a file holds; nothing if it can't be read."""
+        """Return the content of a file; empty if it cannot be read."""
         with contextlib.suppress(OSError):
             return self._place(path).read_bytes()
         return b""
 
     def has_user(self) -> bool:
-        """Return whether there is the user that runs hands."""
+        """Return whether the user that runs hands exists."""
         return self._listed("passwd")
 
     def user_id(self) -> int | None:
-        """Return the number of the user that runs hands, if there is one."""
+        """Return the number of the user that runs hands, or ``None``."""
         with contextlib.suppress(OSError, ValueError, IndexError):
-            # Not by the module pwd, which knows the accounts of the running system only.
+            # The module pwd knows only the accounts of the running system.
             for line in self._place("/etc/passwd").read_text("utf-8", "replace").splitlines():
                 if line.startswith(f"{USER}:"):
                     return int(line.split(":")[2])
         return None
 
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
-        """Write the files of a hand and enable its service; what is there already stays.
+        """Write the files of a hand, enable its service, and return the state of each file.
 
         Args:
-            hand: The hand's name.
+            hand: Name of the hand.
             files: Contents by path.
 
-        Returns:
-            What became of each.
-
         Raises:
-            ConfigError: if something can't be written; what was is in the manifest.
+            ConfigError: if a file cannot be written; the manifest lists those that were.
         """
         states = self.compare(hand, files)
-        # The hand may need fewer files by now than when it was installed.
+        # The hand may need fewer files than when it was installed before.
         stale = [path for path in self.manifest.of(hand) if path not in states]
         manifest = self.manifest
         wanted = [Path(path).parent for path in (*states, MANIFEST)]
         with _usual_permissions():
             self._make_folders(wanted)
-            # Known before it is written: an installation that was interrupted can be undone, too.
+            # Listed before it is written, so that an interrupted installation can be undone.
             for path, state in states.items():
                 if path in files and state is not State.KEPT:
                     manifest.files[path] = hashlib.sha256(files[path]).hexdigest()
                 hands = manifest.hands.setdefault(path, [])
-                # A link has no digest, but belongs to the files that a hand needs.
+                # A link has no digest, but is one of the hand's files.
                 manifest.files.setdefault(path, "")
                 if hand not in hands:
                     hands.append(hand)
@@ -216,10 +213,10 @@ class Installation:
         return states
 
     def uninstall(self, hand: str) -> dict[str, State]:
-        """Remove what was written for a hand and no other needs; what was changed since stays.
+        """Remove the files that only this hand needs, except those changed since.
 
         Raises:
-            ConfigError: if the hand was not installed, or something can't be removed.
+            ConfigError: if the hand was not installed, or a file cannot be removed.
         """
         paths = self.manifest.of(hand)
         if not paths:
@@ -231,10 +228,10 @@ class Installation:
         return self._drop(hand, paths)
 
     def make_user(self) -> str:
-        """Make the user that runs hands, unless there is one.
+        """Make the user that runs hands, unless it exists.
 
         Returns:
-            In a sentence what must be done by hand; empty: nothing.
+            A sentence about a problem that the user has to solve; empty if there is none.
         """
         if self.has_user():
             return ""
@@ -247,11 +244,11 @@ class Installation:
         return ""
 
     def remove_user(self) -> str:
-        """Remove the user if `make_user` made it and no hand is left. Returns as `make_user`."""
+        """Remove the user if `make_user` made it and no hand is left; returns like `make_user`."""
         if not self.manifest.user or self.manifest.files:
             return ""
         problem = self._call("userdel", *self._in_root("--prefix", "{}"), USER)
-        # Its group stays where userdel is configured so, or others are in it.
+        # userdel may keep the group, by its configuration or for other members.
         if not problem and self._listed("group"):
             problem = self._call("groupdel", *self._in_root("--prefix", "{}"), USER)
         if problem:
@@ -261,20 +258,20 @@ class Installation:
         return ""
 
     def reload(self) -> list[str]:
-        """Have the running system read what was written. Returns sentences about what failed."""
+        """Have the running system read the files; return sentences about failures."""
         if not self.live:
             return []
         commands = (
             ("systemctl", "daemon-reload"),
             ("udevadm", "control", "--reload"),
-            # Rules count when a device appears; those that are plugged in are announced again.
+            # Rules apply when a device appears, so that present devices are announced again.
             ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=usb-serial"),
         )
         failed = [(words, self._call(*words)) for words in commands]
         return [f"{' '.join(words)}: {problem}" for words, problem in failed if problem]
 
     def stop(self, hand: str) -> str:
-        """End the service of a hand; it brings the hand to rest. Returns as `make_user`."""
+        """Stop the service of a hand, which brings it to rest; returns like `make_user`."""
         if not self.live:
             return ""
         return self._call("systemctl", "stop", f"rtee@{hand}.service")
@@ -282,10 +279,10 @@ class Installation:
     # --- within the system -------------------------------------------------------------------
 
     def _place(self, path: str) -> Path:
-        """Return where a file of the system is.
+        """Return the path of a file of the system below its root folder.
 
         Raises:
-            ConfigError: if links lead out of it.
+            ConfigError: if links lead out of the system.
         """
         return self._folder(str(Path(path).parent)) / Path(path).name
 
@@ -299,14 +296,14 @@ class Installation:
         return self._place(f"{WANTS}/rtee@{hand}.service")
 
     def _state(self, path: str, content: bytes) -> State | None:
-        """Return what is to be done to a file; ``None``: it is somebody else's."""
+        """Return what to do with a file; ``None`` if rtee did not write it."""
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
             return State.NEW
         there = _digest(place)
         if there == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
             return State.SAME
-        # Even with the same content it is another's: uninstalling must not take it away.
+        # Even with the same content, since uninstalling must not remove somebody else's file.
         if path not in self.manifest.files:
             return None
         return State.CHANGED if there == self.manifest.files[path] else State.KEPT
@@ -325,7 +322,7 @@ class Installation:
                     self.manifest.folders.append(str(each))
 
     def _drop(self, hand: str, paths: Sequence[str]) -> dict[str, State]:
-        """Take a hand from what needs some files, and remove those that nothing needs any more."""
+        """Remove a hand from those that need some files, and remove files that none needs."""
         states: dict[str, State] = {}
         manifest = self.manifest
         for path in paths:
@@ -337,25 +334,25 @@ class Installation:
                 try:
                     place.unlink()
                 except OSError as error:
-                    # What is removed so far is out of the manifest; the rest can be tried again.
+                    # Removed files have left the manifest; the rest can be tried again.
                     manifest.hands[path].append(hand)
                     self._save()
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
                 states[path] = State.REMOVED
             elif there is State.KEPT:
-                # It leaves the manifest all the same: from now on it is its author's.
+                # A changed file leaves the manifest, too, and from now on belongs to its author.
                 states[path] = there
             del manifest.hands[path], manifest.files[path]
         self._tidy()
         return states
 
     def _tidy(self) -> None:
-        """Remove folders that were made and are empty, and a manifest that says nothing."""
+        """Remove an empty manifest, and the empty folders that were made."""
         needed = bool(self.manifest.files or self.manifest.user)
         if not needed:
-            # Before the folders, since the one that it is in can only go when it is empty.
+            # Before the folders, since its own folder must be empty.
             self._place(MANIFEST).unlink(missing_ok=True)
-        # The longest path first: a folder is removed before the one that it lies in.
+        # The longest path first, so that a folder is removed before its parent.
         for folder in sorted(self.manifest.folders, key=len, reverse=True):
             with contextlib.suppress(OSError):  # others have put something there
                 self._folder(folder).rmdir()
@@ -377,14 +374,16 @@ class Installation:
         return [] if self.live else [word.replace("{}", str(self.root)) for word in words]
 
     def _call(self, *words: str) -> str:
-        """Run a program; return why that failed, empty if it did not."""
-        # The PATH of people often lacks sbin, where userdel and groupdel are.
+        """Run a program; return the reason of a failure, or ``""``."""
+        # A user's PATH often lacks sbin, the folder of userdel and groupdel.
         program = shutil.which(words[0], path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
         if program is None:
             return f"there is no {words[0]} here"
         done = subprocess.run([program, *words[1:]], capture_output=True, text=True)
-        said = (done.stderr or done.stdout).strip().splitlines()
-        return "" if done.returncode == 0 else (said[-1] if said else f"status {done.returncode}")
+        output = (done.stderr or done.stdout).strip().splitlines()
+        return (
+            "" if done.returncode == 0 else (output[-1] if output else f"status {done.returncode}")
+        )
 
 
 def _is_ours(path: str) -> bool:
@@ -404,7 +403,7 @@ def _digest(place: Path) -> str:
 
 @contextlib.contextmanager
 def _usual_permissions() -> Iterator[None]:
-    """Make files that everybody may read and their owner may change, whatever the shell says."""
+    """Set the umask so that everybody may read new files and only their owner may change them."""
     before = os.umask(0o022)
     try:
         yield

@@ -1,4 +1,4 @@
-"""What a hand needs from the computer that it runs on, read from its hand.yaml."""
+"""The needs of a hand from its computer, by its hand.yaml."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from rtee.remote.protection import credentials_of, exposed
 from rtee.types import DeviceSpec
 
 CAN_BITRATE = 1_000_000
-"""Bits per second of a CAN bus whose driver has no setting for it."""
+"""Bit rate of a CAN bus whose driver has no setting for it [bit/s]."""
 
 SECURE = Path("/var/lib/rtee/secure")
-"""Where the service looks for the certificates of hands, unless hand.yaml says otherwise."""
+"""Default folder of the certificates of the service's hands."""
 
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108
-"""Folders of which the service sees nothing: ``ProtectHome`` and ``PrivateTmp``."""
+"""Folders hidden from the service by ``ProtectHome`` and ``PrivateTmp``."""
 
-# What may stand in a rule or a unit: nothing there ends a line, a value or a word.
+# Valid in a rule or a unit: no characters that end a line, a value or a word.
 _WORD = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+@-]*\Z")
 _PATH = re.compile(r"(/[A-Za-z0-9_.][A-Za-z0-9_.:+@-]*)+\Z")
 _KERNEL_NAME = re.compile(r"/dev/(tty[A-Za-z]*?)\d+\Z")
@@ -34,10 +34,10 @@ _OWN_NAME = re.compile(r"/dev/(?!serial/|tty)[A-Za-z0-9_][A-Za-z0-9_./-]*\Z")
 
 
 def checked_word(value: str, what: str) -> str:
-    """Return a word that may go into a system file.
+    """Return a word unchanged if it is valid in a system file.
 
     Raises:
-        ConfigError: if it holds anything but letters, digits and ``_ . : + @ -``.
+        ConfigError: if it contains anything but letters, digits and ``_ . : + @ -``.
     """
     if not _WORD.match(value):
         raise ConfigError(f"{what} must be of letters, digits and _ . : + @ -, not '{value}'")
@@ -45,10 +45,10 @@ def checked_word(value: str, what: str) -> str:
 
 
 def checked_path(value: Path | str, what: str) -> str:
-    """Return an absolute path that may go into a system file.
+    """Return an absolute path unchanged if it is valid in a system file.
 
     Raises:
-        ConfigError: if it is relative, or holds characters that mean something there.
+        ConfigError: if it is relative, or contains characters with a meaning there.
     """
     text = str(value)
     if not _PATH.match(text) or ".." in Path(text).parts:
@@ -63,9 +63,9 @@ class Port:
     """A serial port of a device.
 
     Attributes:
-        device: The device's name.
-        path: As hand.yaml has it.
-        serial: Serial number of its adapter; empty: not given.
+        device: Name of the device.
+        path: Path in hand.yaml.
+        serial: Serial number of its adapter; empty if not given.
     """
 
     device: str
@@ -74,32 +74,32 @@ class Port:
 
     @property
     def kind(self) -> str:
-        """The kernel's name of such ports without the number, ``ttyUSB``; empty for others."""
+        """The kernel's name of the port without the number, such as ``ttyUSB``; else empty."""
         found = _KERNEL_NAME.match(self.path)
         return found[1] if found else ""
 
     @property
     def has_own_name(self) -> bool:
-        """Whether a rule must make its name: it is neither the kernel's nor udev's."""
+        """Whether a rule must make the name, which is neither the kernel's nor udev's."""
         return bool(_OWN_NAME.match(self.path))
 
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a hand needs from its computer.
+    """The needs of a hand from its computer.
 
     Attributes:
-        hand: The hand's name.
-        folder: Where its files are.
+        hand: Name of the hand.
+        folder: Folder of its files.
         ports: Serial ports.
-        can: Bit rates of CAN interfaces by name.
+        can: Bit rates of CAN interfaces by name [bit/s].
         ethercat: Whether a device is on an EtherCAT bus, which needs raw frames.
-        unknown: Devices whose drivers are not rtee's: what these need by themselves is not known.
+        unknown: Devices with drivers of other packages, whose needs are unknown.
         certificates: Folder of the certificates for its network; ``None``: it needs none.
-        addresses: Networks beyond this computer that it talks to; ``any``: all of them.
-        cpus: CPUs that its loop runs on; empty: all.
+        addresses: Other computers or networks that it talks to; ``any``: all of them.
+        cpus: CPUs of its loop; empty: all.
         log: Folder of the recordings.
-        log_size: The most that they take of the disk [byte].
+        log_size: Largest disk space of the recordings [bytes].
     """
 
     hand: str
@@ -120,11 +120,11 @@ class Needs:
 
         Args:
             prepared: The hand, prepared with the driver ``devices``.
-            serials: Serial numbers of the adapters of devices, by the device's name.
+            serials: Serial numbers of the adapters of devices, by name of the device.
 
         Raises:
-            ConfigError: if a serial number is of no port, a value can't stand in a system file, or
-                the service could not run with it.
+            ConfigError: if a device with a serial number has no port, a value is not valid in a
+                system file, or the service could not run with it.
         """
         ports: list[Port] = []
         can: dict[str, int] = {}
@@ -148,7 +148,7 @@ class Needs:
             if channel and interface == "socketcan":
                 name = checked_word(str(channel), f"the CAN channel of '{spec.name}'")
                 can[name] = int(options.get("bitrate") or CAN_BITRATE)
-            # Devices on a CAN bus name a channel, too; those on EtherCAT an interface alone.
+            # Devices on a CAN bus have a channel, too; those on EtherCAT only an interface.
             ethercat |= bool(interface) and channel is None
         wrong = set(serials) - {port.device for port in ports}
         if wrong:
@@ -176,7 +176,7 @@ class Needs:
 
 
 def _certificates(prepared: PreparedHand) -> Path | None:
-    """Return where the service finds the hand's certificates; ``None``: it needs none."""
+    """Return the folder of the hand's certificates for the service; ``None``: it needs none."""
     remote = prepared.config.remote
     if credentials_of(prepared.hand.name, remote) is None:
         return None
@@ -192,9 +192,9 @@ def _certificates(prepared: PreparedHand) -> Path | None:
 
 
 def _options(spec: DeviceSpec) -> dict[str, Any]:
-    """Return a device's options, with the defaults of its driver if that is one of rtee's.
+    """Return a device's options, with the defaults of its driver if it is part of rtee.
 
-    Code of others is not imported: it would run as root.
+    Drivers of other packages are not imported, since their code would run as root.
     """
     if spec.driver not in DRIVERS:
         return dict(spec.options)
@@ -203,23 +203,23 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
 
 
 def _beyond(address: str, *, listens: bool = False) -> set[str]:
-    """Return the address if it is not of this computer; ``any`` unless it is one by number.
+    """Return the address of another computer, ``any`` for a host name; empty for this computer.
 
     Raises:
-        ConfigError: if it is none.
+        ConfigError: if the text is not an address.
     """
     try:
         host = urlsplit(address if "://" in address else f"//{address}").hostname or ""
-    except ValueError as error:  # brackets that do not close, as around numbers of IPv6
+    except ValueError as error:  # brackets of an IPv6 address that do not close
         raise ConfigError(f"'{address}' is not an address: {error}") from None
     if host == "localhost":
         return set()
     try:
         found = ipaddress.ip_address(host)
     except ValueError:
-        # systemd opens the network by number alone, and what a name stands for may change.
+        # systemd permits networks only by number, and the number of a name may change.
         return {"any"}
     if found.is_loopback:
         return set()
-    # From which addresses clients will come is not known.
+    # The addresses of clients are unknown.
     return {"any" if listens else str(found)}

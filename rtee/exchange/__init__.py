@@ -1,1 +1,1 @@
-"""Models of other tools: a hand is written as URDF, SRDF and MJCF, and read from other forms."""
+"""Export of hands as URDF, SRDF and MJCF, and import of MJCF and xacro files."""

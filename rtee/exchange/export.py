@@ -1,4 +1,4 @@
-"""`rtee export`: the files of a hand for the programs of others."""
+"""Export of a hand's model for other programs; see `rtee export`."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ _READ_BY_MUJOCO: Final = (".stl", ".obj")
 """Formats of meshes that MuJoCo reads."""
 
 _COMPILER: Final = {
-    # Without these MuJoCo drops links that are fixed, what is visible, and the folders of meshes.
+    # By default, MuJoCo drops fixed links, visual shapes, and the folders of meshes.
     "fusestatic": "false",
     "discardvisual": "false",
     "strippath": "false",
-    # It refuses moving links lighter than that, which a kinematic model may have [kg, kg·m²].
+    # MuJoCo refuses lighter moving links, which a kinematic model may have [kg, kg·m²].
     "boundmass": "1e-3",
     "boundinertia": "1e-9",
-    # Rounded moments of inertia that no body can have are mended, not refused.
+    # Correct rounded moments of inertia that no body can have, instead of refusing them.
     "balanceinertia": "true",
 }
-"""What MuJoCo is told about the URDF; other programs pass over its element."""
+"""MuJoCo's compiler settings in the URDF, which other programs ignore."""
 
 
 class Kind(StrEnum):
-    """A kind of file that a hand is exported as."""
+    """A format of export."""
 
     URDF = "urdf"
     MJCF = "mjcf"
@@ -48,11 +48,11 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was exported.
+    """Result of an export.
 
     Attributes:
-        files: The files written, meshes included.
-        notes: What the files do not say as the hand has it, one sentence each.
+        files: The files written, including meshes.
+        notes: Sentences about properties of the hand that the files represent differently.
     """
 
     files: tuple[Path, ...]
@@ -64,8 +64,8 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
 
     Args:
         folder: The hand's folder.
-        target: Where to; it is made if needed, and files of these names are replaced.
-        kinds: Which files.
+        target: Folder to write to; made if needed. Existing files of these names are replaced.
+        kinds: Formats to write.
 
     Raises:
         ConfigError: The files cannot be written, or would replace the hand's own.
@@ -78,16 +78,16 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
     files: dict[Path, str | bytes] = {}
     notes: list[str] = []
     if Kind.URDF in kinds:
-        text, meshes, said = _urdf(hand)
+        text, meshes, remarks = _urdf(hand)
         files |= {target / place: read_bytes(path, "mesh", ModelError) for place, path in meshes}
         files[target / f"{hand.name}.urdf"] = text
-        notes += said
+        notes += remarks
     if Kind.MJCF in kinds:
         with needing_extra("exporting MJCF", "sim"):
             from rtee.exchange.mjcf_export import mjcf_of
-        text, said = mjcf_of(hand)
+        text, remarks = mjcf_of(hand)
         files[target / f"{hand.name}.xml"] = text
-        notes += said
+        notes += remarks
     if Kind.SRDF in kinds:
         files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
     write_all(files, folders=[target])
@@ -95,7 +95,7 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
 
 
 def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
-    """Return a hand's URDF, its meshes by their places beside it, and notes."""
+    """Return a hand's URDF, its meshes with their paths relative to it, and notes."""
     local = with_local_meshes(hand)
     notes = list(local.notes)
     root = _parsed(local.text)
@@ -117,8 +117,8 @@ def _urdf(hand: Hand) -> tuple[str, list[tuple[str, Path]], list[str]]:
 
 
 def _parsed(text: str) -> ElementTree.Element:
-    """Return the root of a URDF's text, which was read before, with comments and prefixes."""
-    # ElementTree's own parser refuses prefixes that are not declared, as in Gazebo's older plugins.
+    """Return the root of a valid URDF's text, with comments and prefixes."""
+    # ElementTree's own parser refuses undeclared prefixes, as in older plugins of Gazebo.
     parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder(insert_comments=True)
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.CharacterDataHandler, parser.CommentHandler = builder.data, builder.comment
@@ -127,17 +127,17 @@ def _parsed(text: str) -> ElementTree.Element:
 
 
 def _drop_repeated(joint: ElementTree.Element) -> None:
-    """Leave the first of each element, which rtee takes; MuJoCo refuses repeated ones."""
+    """Keep only the first of repeated elements, as rtee reads them; MuJoCo refuses repetitions."""
     there: set[str] = set()
     for child in list(joint):
         if isinstance(child.tag, str) and child.tag in there:
             joint.remove(child)
-        elif isinstance(child.tag, str):  # comments have a function for a tag
+        elif isinstance(child.tag, str):  # the tag of a comment is a function
             there.add(child.tag)
 
 
 def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]:
-    """Give a joint that follows by an expression the nearest line, which others read."""
+    """Replace a follower's expression by its best linear fit, for other programs."""
     couplings = hand.transmission.couplings
     coupling = couplings[hand.joint_index(joint)]
     master = couplings[hand.joint_index(mimic.get("joint", "").strip())]
@@ -147,7 +147,7 @@ def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]
     at = sample(actuator.lower, actuator.upper)
     x = np.array([master.value(u) for u in at])
     y = np.array([coupling.value(u) for u in at])
-    # About its mean, so that a master that stands still gives a constant and no division by zero.
+    # About its mean, so that a fixed master gives a constant instead of a division by zero.
     spread = float(np.sum((x - x.mean()) ** 2))
     slope = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0.0 else 0.0
     offset = float(y.mean() - slope * x.mean())
@@ -161,13 +161,13 @@ def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]
 
 
 def _limit(hand: Hand, name: str, element: ElementTree.Element) -> list[str]:
-    """Give an actuator the limits that hold, those of hand.yaml included; returns notes."""
+    """Give an actuator its limits, including those of hand.yaml; return notes."""
     limit, spec, before = element.find("limit"), hand.actuator(name), hand.urdf.joints[name]
     notes = []
     if before.kind == "continuous":
         ends = math.isfinite(spec.lower) + math.isfinite(spec.upper)
         if ends == 2:
-            # Readers pass over the limits of a continuous joint.
+            # Readers ignore the limits of a continuous joint.
             element.set("type", "revolute")
         elif ends == 1:
             notes.append(
@@ -196,5 +196,5 @@ def _tell_mujoco(root: ElementTree.Element) -> None:
     if compiler is None:
         compiler = ElementTree.SubElement(extension, "compiler")
     for attribute, value in _COMPILER.items():
-        # These are defaults only: they must not replace what the URDF tells MuJoCo itself.
+        # Defaults only, which must not replace settings in the URDF.
         compiler.set(attribute, compiler.get(attribute, value))

@@ -1,4 +1,4 @@
-"""From a model's constraints to a transmission: every joint follows one actuator, or none."""
+"""Transmission from a model's constraints, in which every joint follows one actuator or none."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ from rtee.exchange.mjcf_motion import (
 from rtee.sample import FloatArray
 
 _SLACK = 1e-6
-"""Excess of a tendon's length that is rounding of its limits [rad | m]."""
+"""Largest excess of a tendon's length over its limits that counts as rounding [rad | m]."""
 
 
 @dataclass(slots=True)
 class _Group:
-    """Joints that depend on one another, and on nothing else.
+    """Joints that depend on one another and on no other joints.
 
     Attributes:
         joints: The joints, in the model's order.
-        motors: What moves them.
-        lines: Rigid sums of them.
-        springs: Sums that springs pull to a value.
-        curves: Polynomials between them.
-        loops: What is solved numerically.
+        motors: The motors that move them.
+        lines: Rigid linear couplings.
+        springs: Linear couplings by springs.
+        curves: Polynomial couplings.
+        loops: Constraints that are solved numerically.
     """
 
     joints: list[int]
@@ -60,14 +60,14 @@ class _Group:
 
 
 def motion_of(model: mujoco.MjModel, path: object) -> Motion:
-    """Find out how the joints of a model move.
+    """Return how the joints of a model move.
 
     Args:
-        model: The model; its joints are hinges and slides.
+        model: The model, whose joints are hinges and slides.
         path: Its file, for messages.
 
     Raises:
-        ModelError: Motors and couplings leave another number of degrees of freedom than there are
+        ModelError: The couplings leave a number of degrees of freedom other than that of the
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     found = constraints_of(model, path)
@@ -94,7 +94,7 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
             )
     for group in _groups(model, found, motion):
         if not group.motors:
-            # What is coupled to itself only stands where it is drawn.
+            # Joints coupled only to each other stay in the position of the model.
             motion.passive += group.joints
         elif group.loops or group.curves:
             _solve_numerically(model, group, motion, path)
@@ -106,7 +106,7 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
 
 
 def _hold(found: Constraints) -> None:
-    """Hold the joints that only follow held ones, and those that held ones follow along a line."""
+    """Hold the joints that follow only held ones, and the masters of held linear followers."""
     left: list[Curve] = []
     while len(left) != len(found.curves):
         left, found.curves = found.curves, []
@@ -123,8 +123,8 @@ def _hold(found: Constraints) -> None:
 
 
 def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:
-    """Take the joints out that only follow another one, those at the ends of chains first."""
-    # A tendon with a spring may hold such a joint, too, but a rigid coupling leaves it no choice.
+    """Remove the joints that only follow another one, from the ends of chains on."""
+    # A tendon with a spring may pull such a joint, too, but the rigid coupling decides.
     while True:
         used = [curve.joint for curve in found.curves] + [curve.of for curve in found.curves]
         used += [joint for line in (*found.lines, *_sums(found.springs)) for joint in line.factors]
@@ -147,7 +147,7 @@ def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:
 
 
 def _sums(springs: Sequence[Line]) -> list[Line]:
-    """Return the springs that join several joints; one on a single joint couples nothing."""
+    """Return the springs that couple several joints, leaving out those on a single joint."""
     return [spring for spring in springs if len(spring.factors) > 1]
 
 
@@ -158,7 +158,7 @@ def _supposed_motors(model: mujoco.MjModel, found: Constraints, motion: Motion) 
     for group in _groups(model, found, motion):
         free = len(group.joints)
         if group.loops or group.curves:
-            # One that moves the linkage; whether it is enough shows when it is solved.
+            # One that moves the linkage; solving it shows whether one is enough.
             free = 1
         elif group.lines:
             free -= int(np.linalg.matrix_rank(_matrix(group.lines, group.joints)))
@@ -173,7 +173,7 @@ def _supposed_motors(model: mujoco.MjModel, found: Constraints, motion: Motion) 
 
 
 def _groups(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[_Group]:
-    """Return the joints that are left in groups that do not depend on each other."""
+    """Return the remaining joints in independent groups."""
     left = [j for j in range(model.njnt) if j not in motion.fixed and j not in motion.follows]
     group = {joint: {joint} for joint in left}
 
@@ -189,7 +189,7 @@ def _groups(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[_
         tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
         ways[i] = [motor.joint] if motor.joint is not None else list(tendon or {})
         if motor.tendon is not None and tendon is None:
-            # With its quotes: the name of one motor may begin with that of another.
+            # With quotes, since the name of one motor may be a prefix of another's.
             ways[i] = [
                 j for loop in found.loops if f"'{motor.name}'" in loop.what for j in loop.joints
             ]
@@ -233,8 +233,8 @@ def _matrix(lines: Sequence[Line], joints: Sequence[int]) -> FloatArray:
 def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:
     """Solve a group of linear couplings.
 
-    What they leave open springs decide, as at rest without load, and where there are none the
-    joints of a motor's tendon share its way in proportion to their factors.
+    Springs decide the degrees of freedom that the couplings leave open, as at rest without load.
+    Without springs, the joints of a motor's tendon share its travel in proportion to their factors.
     """
     pulls = [_pull(model, motor) for motor in group.motors]
     rigid = _matrix(group.lines, group.joints)
@@ -253,7 +253,7 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
     right = np.zeros((len(given), 1 + motors))
     right[:held, 0] = [line.value for line in group.lines]
     right[held:, 1:] = np.eye(motors)
-    # The smallest solution: in it the joints of a tendon share its way by their factors.
+    # In the minimum-norm solution, the joints of a tendon share its travel by their factors.
     q = np.linalg.pinv(given) @ right
     free = null_space(given)
     free_by_springs = _springs_decide(group, q, free)
@@ -285,7 +285,7 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
 
 
 def _pull(model: mujoco.MjModel, motor: Motor) -> Line:
-    """Return the sum of joint positions that a motor moves."""
+    """Return the linear combination of joint positions that a motor moves."""
     if motor.joint is not None:
         return Line({motor.joint: 1.0}, 0.0)
     assert motor.tendon is not None  # noqa: S101 - a motor moves one of both
@@ -293,15 +293,15 @@ def _pull(model: mujoco.MjModel, motor: Motor) -> Line:
 
 
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
-    """Move what is left open to where the springs are at rest.
+    """Move the joints along open directions to the equilibrium of the springs.
 
     Args:
         group: The joints.
-        q: Where they are ``(n, 1 + motors)``; changed in place.
-        free: A basis of what is left open ``(n, k)``.
+        q: Positions of the joints ``(n, 1 + motors)``; changed in place.
+        free: A basis of the open directions ``(n, k)``.
 
     Returns:
-        A basis of what the springs leave open, too.
+        A basis of the directions that the springs leave open.
     """
     if not (group.springs and free.shape[1]):
         return free
@@ -321,7 +321,7 @@ def _take(
     motion: Motion,
     path: object,
 ) -> None:
-    """Write a solved group down: one joint of each motor is the actuator, the others follow it."""
+    """Store a solved group: one joint of each motor is the actuator, and the others follow it."""
     rows = dict(zip(group.joints, q, strict=True))
     chosen: list[int] = []
     for k, motor in enumerate(group.motors, start=1):
@@ -360,10 +360,10 @@ def _take(
 def _actuator(
     model: mujoco.MjModel, rows: dict[int, FloatArray], k: int, motor: Motor
 ) -> int | None:
-    """Return the joint that stands for a motor.
+    """Return the joint that represents a motor.
 
-    It is the motor's own, unless that carries nothing and a joint that follows it has the
-    actuator's name: then the joint is the hand's, and the motor a means to put springs between.
+    This is the motor's own joint, unless that carries no link and a follower has the actuator's
+    name: the follower then belongs to the hand, and the motor pulls it through springs.
     """
     alone = [j for j, row in rows.items() if abs(row[k]) > TINY and _only(row, k)]
     named = [j for j in alone if joint_name(model, j) == motor.name]
@@ -443,7 +443,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
 def _within_targets(
     model: mujoco.MjModel, motor: Motor, joint: int, others: Sequence[int], solved: Solved
 ) -> tuple[float, float]:
-    """Return the range of a joint in which its motor's tendon is as long as its targets may be."""
+    """Return the range of a joint in which its motor's tendon stays within the motor's targets."""
     factors = tendon_factors(model, motor.tendon or 0) or {}
     length = resting_length(model, factors) + factors.get(joint, 0.0) * solved.places
     length = length + solved.ways @ np.array([factors.get(other, 0.0) for other in others])

@@ -27,23 +27,23 @@ from rtee.sample import FloatArray
 def differential_motion(
     model: mujoco.MjModel, motors: Sequence[Motor], rows: Mapping[int, FloatArray]
 ) -> Motion | None:
-    """Solve joints some of which follow several motors at once, as in a differential.
+    """Return the motion of joints of which some follow several motors, as in a differential.
 
-    As many joints as there are motors stand for them, if all others follow one of these each. A
-    driver then mixes the joints' positions into those of its motors.
+    As many joints as there are motors represent the motors, if each other joint follows one of
+    them. A driver then mixes the positions of these joints into those of its motors.
 
     Args:
         model: The model.
-        motors: The motors that move them together.
-        rows: Where each joint is ``(1 + motors,)``: a constant, then slopes by the motors'
+        motors: The motors that move the joints together.
+        rows: Position of each joint ``(1 + motors,)``: a constant, then slopes by the motors'
             positions.
 
     Returns:
-        Their motion; ``None`` if no joint follows several motors, or none can stand for them.
+        The motion; ``None`` if no joint follows several motors, or no joints can represent them.
     """
     mixing = [j for j, row in rows.items() if np.sum(np.abs(row[1:]) > TINY) > 1]
     own = {motor.joint for motor in motors}
-    # The joint of a motor that carries nothing is part of the motor.
+    # The joint of a motor that carries no link is part of the motor.
     idle = {joint for joint in rows if joint in own and bare(model, joint)}
     left = [joint for joint in rows if joint not in idle]
     if not mixing:
@@ -92,9 +92,10 @@ def _driven_by_several(
         model: The model.
         joint: The joint.
         motors: The motors.
-        row: Where the joint is ``(1 + motors,)``: a constant, then slopes by the motors' positions.
-        levers: The slopes of the motors' positions by the joint's ``(motors,)``: the torque of the
-            motors at the joint, by virtual work.
+        row: Position of the joint ``(1 + motors,)``: a constant, then slopes by the motors'
+            positions.
+        levers: Slopes of the motors' positions by the joint's ``(motors,)``, which by virtual work
+            are also the torques at the joint per torque of each motor.
     """
     lower, upper = joint_range(model, joint)
     low = high = float(row[0])

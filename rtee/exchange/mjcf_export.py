@@ -1,6 +1,6 @@
-"""A hand as MJCF: the model that rtee simulates, under the names of the hand's own files.
+"""Export of a hand as MJCF: the model that rtee simulates, with the names of the hand's files.
 
-Added for others' programs are what is visible, ranges of the actuators' targets, touch sensors on
+For other programs, it also has visual shapes, ranges of the actuators' targets, touch sensors on
 the fingertips, and the rest posture as a keyframe.
 """
 
@@ -24,7 +24,7 @@ from rtee.hand.model import Hand
 from rtee.types import JointKind
 
 CLOSE: Final = 1e-4
-"""Deviation of a polynomial from a coupling that need not be told [rad | m]: less than encoders of
+"""Largest deviation of a polynomial from a coupling without a note [rad | m]: less than encoders of
 hands resolve."""
 
 TOUCH: Final = "touch/"
@@ -34,11 +34,11 @@ REST: Final = "rest"
 """Name of the keyframe with the rest posture."""
 
 _VISIBLE, _COLLISION = 2, 3
-"""Groups of shapes that MuJoCo's viewers show, and hide, unless told otherwise."""
+"""Groups of shapes that MuJoCo's viewers show and hide by default."""
 
 _SKIN = 1e-3
-"""How far a touch sensor's zone reaches beyond the fingertip [m]; contacts lie within the margin
-and the penetration of MuJoCo's soft contacts around the surface."""
+"""Margin of a touch sensor's zone around the fingertip [m], for the margin and the penetration of
+MuJoCo's soft contacts."""
 
 _EXACT: Final = {
     "body": ("pos", "quat"),
@@ -46,7 +46,7 @@ _EXACT: Final = {
     "geom": ("pos", "quat", "size"),
     "site": ("pos", "quat", "size"),
 }
-"""Numbers that are written in full; MuJoCo writes six digits, which are 1 µm in 1 m."""
+"""Attributes written with all digits; MuJoCo writes six digits, which are 1 µm in 1 m."""
 _DEFAULTS: Final = {
     "pos": (0.0, 0.0, 0.0),
     "quat": (1.0, 0.0, 0.0, 0.0),
@@ -56,7 +56,7 @@ _DEFAULTS: Final = {
 
 
 def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
-    """Return a hand as MJCF, and what others should know about it, one sentence each.
+    """Return a hand as MJCF, and notes about differences from the hand's model.
 
     Raises:
         ModelError: The hand cannot be simulated; the message says why.
@@ -68,7 +68,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     _limit_targets(spec, hand)
     _add_touch(spec, hand)
     names = _own_names(spec, hand)
-    # The keyframe needs the compiled model, and is itself part of what is written.
+    # The keyframe, which is written, too, needs the compiled model.
     model = spec.compile()
     spec.add_key(
         name=REST,
@@ -80,9 +80,9 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
 
 
 def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:
-    """Return the hand without springs along curves, and how far polynomials are off.
+    """Return the hand without springs along curves, and notes about errors of polynomials.
 
-    MuJoCo's springs follow lines. rtee renews their tangents as it simulates; a file cannot.
+    MuJoCo's springs are linear. rtee updates their tangents during a simulation; a file cannot.
     """
     notes, rigid = [], dict(hand.dynamics)
     for follower in followers(hand):
@@ -107,7 +107,7 @@ def _unit(hand: Hand, joint: str) -> str:
 
 
 def _add_visuals(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Add what is seen of each link; its collision shapes are shown where that is a mesh."""
+    """Add the visual shapes of each link; show its collision shapes instead of a visual mesh."""
     for link in hand.urdf.links.values():
         body = spec.body(LINK + link.name)
         if not link.visuals or any(shape.kind == "mesh" for shape in link.visuals):
@@ -116,7 +116,7 @@ def _add_visuals(spec: mujoco.MjSpec, hand: Hand) -> None:
             continue
         for index, shape in enumerate(link.visuals):
             geom = add_shape(spec, body, shape, f"{link.name}/visual/{index}", _no_triangles)
-            # For the eye only: it neither touches nor weighs anything.
+            # A visual shape has no contacts and no mass.
             geom.contype = geom.conaffinity = 0
             geom.mass = 0.0
             geom.group = _VISIBLE
@@ -129,7 +129,7 @@ def _no_triangles() -> tuple[np.ndarray, np.ndarray]:
 def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
     for motor in spec.actuators:
         actuator = hand.actuator(motor.name)
-        # A continuous joint has limits where hand.yaml gives it some.
+        # A continuous joint has limits only if hand.yaml gives it some.
         if math.isfinite(actuator.lower) and math.isfinite(actuator.upper):
             motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.ctrlrange = [actuator.lower, actuator.upper]
@@ -137,7 +137,7 @@ def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
     """Add a touch sensor to each fingertip: the sum of the normal forces in a box around it [N]."""
-    # The boxes around meshes are known only once the model is compiled.
+    # The bounding boxes of meshes are known only after compilation.
     model = spec.compile()
     for finger in hand.fingers:
         if finger.tip is None:
@@ -176,7 +176,7 @@ def _corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def _own_names(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
-    """Give bodies the names of their links; returns what had to be named otherwise."""
+    """Give bodies the names of their links; return notes about names that had to differ."""
     notes = []
     names = {LINK + link: link for link in hand.urdf.links}
     if "world" in hand.urdf.links:
@@ -192,7 +192,7 @@ def _own_names(spec: mujoco.MjSpec, hand: Hand) -> list[str]:
 
 
 def _in_full(text: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
-    """Return MuJoCo's own text of a model with the numbers of its geometry written in full."""
+    """Return MuJoCo's text of a model, with all digits of the geometry's numbers."""
     root = ElementTree.fromstring(text)  # noqa: S314 - made by MuJoCo just now
     world = root.find("worldbody")
     assert world is not None  # noqa: S101 - every model has one
@@ -220,7 +220,7 @@ def _in_full(text: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
 
 def _set(element: ElementTree.Element, attribute: str, values: Iterable[float]) -> None:
-    """Write numbers in full where MuJoCo has written them, or has rounded them to its default."""
+    """Write all digits of an attribute that MuJoCo has written, or has rounded to its default."""
     found = [float(value) for value in values]
     there = element.get(attribute)
     if there is None:
@@ -228,6 +228,6 @@ def _set(element: ElementTree.Element, attribute: str, values: Iterable[float]) 
         if default is None or tuple(found) == default or not all(map(math.isfinite, found)):
             return
     else:
-        # A sphere has one size, a cylinder two: as many as MuJoCo writes.
+        # As many numbers as MuJoCo writes: a sphere has one size, a cylinder two.
         found = found[: len(there.split())]
     element.set(attribute, " ".join(repr(value) for value in found))

@@ -1,8 +1,8 @@
-"""Read an MJCF file of unknown origin: checked by rtee's own reader, then parsed by MuJoCo.
+"""Reader of MJCF files of unknown origin, which are checked before MuJoCo parses them.
 
-MuJoCo's parser opens whatever file a model names, and makes whatever it counts. So each file is
-read as plain XML first: no entities, limited sizes, and no path that leads out of the model's
-folder.
+MuJoCo's parser opens any file that a model names, and allocates any number that it gives. Each file
+is therefore first read as plain XML, without entities, with limited sizes, and without paths that
+lead out of the model's folder.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ MOST_BODIES: Final = 1000
 """Most bodies of a model; hands have up to 50, and arms with hands 100."""
 
 _GREATEST: Final = 1e10
-"""Numbers from here on are refused; MuJoCo takes no larger ones for positions and forces either."""
+"""Least number that is refused: MuJoCo's own limit for positions and forces."""
 
 _FIRST: Final = 100_000
-"""So many words of an attribute are looked at; only inline meshes have more, and MuJoCo checks
-these."""
+"""Most words checked per attribute; only inline meshes have more, which MuJoCo checks."""
 
 _WORDS: Final = ("name", "model", "file")
-"""Attributes that are names, even if they read like numbers."""
+"""Attributes that are names, even if they look like numbers."""
 
 _MESHES: Final = (".stl", ".obj", ".msh")
 """Formats of meshes that MuJoCo reads."""
@@ -50,7 +49,7 @@ _REFUSED: Final = {
     "flex": "is a flexible body, which no hand model of rtee has",
     "plugin": "needs a plugin of MuJoCo, which rtee does not load",
 }
-"""Elements that are refused, and why; some of them could count without bound."""
+"""Refused elements and the reasons; some of them could make MuJoCo allocate without limit."""
 
 _PLACE: Final = re.compile(
     r"\s*Element (?:name )?'[^']*',(?: id \d+,)? line (\d+)\s*$|\s*Line number=(\d+)\s*$"
@@ -68,7 +67,7 @@ _UNSEEN: Final = (
     "texts",
     "tuples",
 )
-"""Parts that say nothing about how a hand moves and what it touches; some name further files."""
+"""Elements irrelevant for motion and contacts of a hand; some of them name further files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +75,11 @@ class Source:
     """A model that MuJoCo has parsed.
 
     Attributes:
-        path: Its main file.
-        spec: It, without what only serves pictures and measurements.
+        path: The main file.
+        spec: The model, without elements for pictures and measurements.
         alone: Whether it includes no other file, so that lines are those of the main file.
-        says_angle: Whether it says in which unit its angles are.
-        notes: What was left out, one sentence each.
+        says_angle: Whether it gives the unit of angles.
+        notes: Sentences about omitted elements.
     """
 
     path: Path
@@ -91,15 +90,15 @@ class Source:
 
 
 def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
-    """Read an MJCF file with all that it includes.
+    """Read an MJCF file with its includes.
 
     Args:
         path: The file.
-        folders: Where its includes and meshes may be besides its own folder.
+        folders: Further folders in which its includes and meshes may be.
 
     Raises:
         ModelError: A file is missing, is not MJCF, leads out of these folders, is too large, or
-            describes what rtee refuses; the message names file and line where they are known.
+            has a refused element; the message names file and line if they are known.
     """
     file = Path(path)
     allowed = [_real(folder) for folder in (file.absolute().parent, *folders)]
@@ -123,7 +122,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
 
 
 def _check_numbers(element: Element) -> None:
-    """Refuse numbers with which no computation comes to an end."""
+    """Refuse numbers that are not finite or too large for a computation."""
     for attribute, text in element.attributes.items():
         for word in () if attribute in _WORDS else text.split()[:_FIRST]:
             try:
@@ -139,14 +138,14 @@ def _check_numbers(element: Element) -> None:
 
 @contextmanager
 def mujoco_says(path: Path, *, lines: bool) -> Iterator[list[str]]:
-    """Turn what MuJoCo raises into a sentence, and its warnings into notes.
+    """Turn MuJoCo's errors into sentences and its warnings into notes.
 
     Args:
         path: The model's main file.
-        lines: Whether the lines that it names are those of the main file.
+        lines: Whether the lines in its messages are those of the main file.
 
     Yields:
-        The notes, which are there after the block.
+        The notes, complete after the context.
     """
     notes: list[str] = []
     try:
@@ -163,13 +162,13 @@ def listening(notes: list[str]) -> Iterator[None]:
     """Add MuJoCo's warnings to notes."""
     heard: list[str] = []
     before = mujoco.get_mju_user_warning()
-    # Without this it prints some, and writes them to a file in the working directory.
+    # By default, MuJoCo prints warnings and writes them to a file in the working directory.
     mujoco.set_mju_user_warning(heard.append)
     try:
-        with warnings.catch_warnings(record=True) as said:  # and others come this way
+        with warnings.catch_warnings(record=True) as caught:  # Python's own warnings
             warnings.simplefilter("always")
             yield
-        heard += [str(each.message) for each in said]
+        heard += [str(each.message) for each in caught]
         notes += [f"MuJoCo warns: {' '.join(text.split())}" for text in dict.fromkeys(heard)]
     finally:
         mujoco.set_mju_user_warning(before)
@@ -204,7 +203,7 @@ def _all(root: Element) -> Iterator[Element]:
 
 
 def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
-    """Return the root elements of a model's file and of all that it includes."""
+    """Return the root elements of a model's file and of its includes."""
     root = read_xml(file, "MJCF")[0]
     if root.tag != "mujoco":
         what = "a URDF; give it by --urdf" if root.tag == "robot" else f"<{root.tag[:40]}>"
@@ -216,7 +215,7 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
             if element.tag != "include":
                 continue
             name = element.required("file")
-            # MuJoCo looks beside the main file; beside the including one costs nothing to check.
+            # MuJoCo searches beside the main file; the folder of the including file is cheap.
             places = dict.fromkeys((file.parent / name, element.path.parent / name))
             there = [place for place in places if _inside(place, allowed, element, name).is_file()]
             if not there:
@@ -236,7 +235,7 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
 
 
 def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -> Path:
-    """Return a file's real place, which must be inside one of the allowed folders."""
+    """Return a file's real path; raise `ModelError` if it is outside the allowed folders."""
     real = _real(place)
     if not any(real.is_relative_to(folder) for folder in allowed):
         raise element.error(
@@ -249,15 +248,15 @@ def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -
 def _check_meshes(
     elements: Sequence[Element], file: Path, allowed: Sequence[Path]
 ) -> dict[str, str]:
-    """Check every file that a model names; return why each missing mesh cannot be used."""
-    said = [element.attributes for element in elements if element.tag == "compiler"]
+    """Check every file that a model names; return the reason for each unusable mesh."""
+    compilers = [element.attributes for element in elements if element.tag == "compiler"]
     missing: dict[str, str] = {}
     for element in elements:
         for attribute, name in element.attributes.items():
             if not attribute.startswith("file") or element.tag == "include":
                 continue
             own = "texturedir" if element.tag == "texture" else "meshdir"
-            folders = [c[key] for c in said for key in (own, "assetdir") if key in c]
+            folders = [c[key] for c in compilers for key in (own, "assetdir") if key in c]
             places = [file.parent / folder / name for folder in ("", *folders)]
             there = [p for p in places if _inside(p, allowed, element, name).is_file()]
             if element.tag != "mesh":  # textures and the like are never opened
@@ -280,7 +279,7 @@ def collides(geom: mujoco.MjsGeom) -> bool:
 
 
 def _reduce(spec: mujoco.MjSpec, missing: dict[str, str], path: Path) -> list[str]:
-    """Take out of a model what its motion and its contacts do not need; returns notes."""
+    """Remove elements that motion and contacts do not need; return notes."""
     notes = []
     broken = {
         mesh.name or Path(mesh.file).stem: missing[mesh.file]
@@ -314,8 +313,8 @@ def _reduce(spec: mujoco.MjSpec, missing: dict[str, str], path: Path) -> list[st
             spec.delete(thing)
     for material in list(spec.materials):
         spec.delete(material)
-    # Memory and sizes that the file asks for; nothing is simulated with them.
+    # Drop memory and sizes requested by the file, since nothing is simulated here.
     spec.memory, spec.nuserdata, spec.nkey = -1, 0, 0
-    # The compiler must neither join fixed bodies nor drop what is only seen.
+    # The compiler must neither merge fixed bodies nor drop visual shapes.
     spec.compiler.discardvisual = spec.compiler.fusestatic = spec.compiler.usethread = False
     return notes

@@ -1,4 +1,4 @@
-"""Make a URDF of an MJCF model, so that everything in rtee can read it."""
+"""Conversion of an MJCF model to a URDF, the format that rtee reads."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from rtee.hand.tessellation import sphere
 from rtee.sample import FloatArray
 
 Faces = NDArray[np.signedinteger[Any]]
-"""Triangles as numbers of their corners ``(f, 3)``."""
+"""Triangles as indices of their corners ``(f, 3)``."""
 
 EXCLUDED: Final = "excluded in the MJCF"
-"""Why a pair of links is never checked for collision."""
+"""Reason for which a pair of links is never checked for collision."""
 
 _SEEN = 2
-"""Highest group of shapes that MuJoCo's viewers show unless told otherwise."""
+"""Highest group of shapes that MuJoCo's viewers show by default."""
 
 _GIMBAL = 1e-12
-"""Cosine of the pitch below which roll and yaw turn about one axis."""
+"""Cosine of the pitch below which roll and yaw have the same axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Imported:
 
     Attributes:
         urdf: The URDF.
-        passive: Joints without a motor; ``None`` where the model has no motors at all.
-        excluded: Pairs of links that are never checked for collision, and why.
-        notes: What was chosen and left out, one sentence each.
+        passive: Joints without a motor; ``None`` if the model has no motors at all.
+        excluded: Pairs of links that are never checked for collision, with the reason.
+        notes: Sentences about choices and omissions.
     """
 
     urdf: Path
@@ -59,9 +59,9 @@ class _Link:
     """A link of the URDF.
 
     Attributes:
-        name: Its name.
-        body: The body whose shapes it has; ``None`` if it only stands between two joints.
-        origin: Where its frame is in the body's frame ``(3,)`` [m]: its joint's place.
+        name: Name of the link.
+        body: The body with its shapes; ``None`` for a link between two joints of a body.
+        origin: Origin of its frame, that of its joint, in the body's frame ``(3,)`` [m].
     """
 
     name: str
@@ -70,16 +70,16 @@ class _Link:
 
 
 def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = ()) -> Imported:
-    """Write the URDF of an MJCF model into a folder, its meshes beside it.
+    """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
     Args:
         path: The MJCF file.
-        folder: Where the URDF goes.
-        folders: Where its includes and meshes may be besides its own folder.
+        folder: Folder of the URDF.
+        folders: Further folders in which its includes and meshes may be.
 
     Raises:
-        ModelError: The file cannot be read, or describes what rtee has no form for; the message
-            says what, with file and line where they are known.
+        ModelError: The file cannot be read, or has elements that a URDF cannot represent; the
+            message names file and line if they are known.
     """
     source = read_mjcf(path, folders)
     for joint in source.spec.joints:
@@ -118,16 +118,16 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
 
 
 def _degrees(model: mujoco.MjModel, source: Source) -> list[str]:
-    """Return a note where angles count as degrees only because the file does not say otherwise.
+    """Return a note if angles count as degrees only by default.
 
-    Models that are made to be included leave that to the file that includes them; by themselves
-    their hinges hardly turn.
+    Models made for inclusion leave the unit to the including file; read alone, in degrees, their
+    hinges hardly turn.
     """
     hinges = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE) & (model.jnt_limited != 0)
     if source.says_angle or not hinges.any():
         return []
     most = float(np.abs(model.jnt_range[hinges]).max())
-    # No hinge turns by more than a full turn: with larger numbers they are degrees.
+    # No hinge turns by more than a full turn, so that larger numbers are degrees.
     if most > math.radians(2.0 * math.pi):
         return []
     return [
@@ -157,11 +157,11 @@ class _Writer:
         self.root = self._root()
 
     def _root(self) -> int:
-        """Return the body that is the hand's base: the one that the world, or a carrier, holds."""
+        """Return the body of the hand's base, which is fixed to the world or to a carrier."""
         model, body = self._model, 0
         while body == 0 or self._names[body] == CARRIER:
             below = self._children[body]
-            # The floor of a scene may be there; any other shape makes the body a part of the hand.
+            # A carrier may have the floor of a scene, but no other shape.
             shapes = [
                 g for g in self._geoms(body) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
             ]
@@ -175,7 +175,7 @@ class _Writer:
         return list(range(first, first + int(self._model.body_geomnum[body])))
 
     def text(self) -> str:
-        """Return the URDF; writes the meshes."""
+        """Write the meshes and return the URDF."""
         name = self._source.spec.modelname or self._source.path.stem
         self._lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(name)}>"]
         root = _Link(self._names[self.root], self.root, np.zeros(3))
@@ -188,7 +188,7 @@ class _Writer:
         return "\n".join([*self._lines, "</robot>"]) + "\n"
 
     def _body(self, parent: _Link, body: int) -> _Link:
-        """Write a body with its joints; several joints have links without shape between them."""
+        """Write a body with its joints, with links without shape between several joints."""
         model = self._model
         place, turn = model.body_pos[body] - parent.origin, model.body_quat[body]
         first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -198,8 +198,8 @@ class _Writer:
             self._link(link)
             self._fixed(f"{link.name}_fixed", parent.name, link.name, place, turn)
             return link
-        # A URDF's joint turns about the origin of its child; MuJoCo's about an anchor in the body.
-        # So each link's frame is put at the anchor of its joint.
+        # A joint of a URDF turns about the origin of its child link, one of MuJoCo about an anchor
+        # in the body, so that each link's frame is placed at the anchor of its joint.
         above, before = parent.name, np.zeros(3)
         link = parent
         for joint in joints:
@@ -235,7 +235,7 @@ class _Writer:
         driven = motion.driven.get(joint)
         lower, upper = joint_range(model, joint) if driven is None else (driven.lower, driven.upper)
         limited = math.isfinite(lower) and math.isfinite(upper)
-        # A URDF wants limits of a joint that follows, though its actuator's are those that count.
+        # A URDF needs limits of a follower, although those of its actuator decide.
         if not limited and joint in motion.follows:
             lower, upper, limited = -_ANY, _ANY, True
         if slide and not limited:
@@ -295,10 +295,10 @@ class _Writer:
     def _inertial(self, body: int, origin: FloatArray) -> list[str]:
         model = self._model
         mass = float(model.body_mass[body])
-        # A massless body is drawn only; body 0 is the world, which no mass belongs to.
+        # A massless body is only visual, and body 0 is the world.
         if mass <= 0.0 or body == 0:
             return []
-        # Principal moments: MuJoCo turns the inertia's frame so that the products vanish.
+        # Principal moments, since MuJoCo rotates the inertia's frame to remove the products.
         xx, yy, zz = (_number(moment) for moment in model.body_inertia[body])
         return [
             "    <inertial>",
@@ -309,7 +309,7 @@ class _Writer:
         ]
 
     def _shapes(self, geom: int, link: _Link) -> list[str]:
-        """Return a shape as collision geometry, as what is seen, as both, or as neither."""
+        """Return the elements of a shape: collision geometry, visual geometry, both or none."""
         model = self._model
         paired = np.isin(geom, [model.pair_geom1, model.pair_geom2])
         touches = bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or paired)
@@ -331,7 +331,7 @@ class _Writer:
         ]
 
     def _pieces(self, geom: int, link: _Link) -> list[tuple[str, str]]:
-        """Return the shapes that a MuJoCo shape is made of in a URDF, each with its origin."""
+        """Return the shapes of a URDF for a shape of MuJoCo, each with its origin."""
         model, kinds = self._model, mujoco.mjtGeom
         place, turn = model.geom_pos[geom] - link.origin, model.geom_quat[geom]
         size, origin = model.geom_size[geom], _origin(place, turn)
@@ -343,7 +343,7 @@ class _Writer:
             case kinds.mjGEOM_CYLINDER:
                 return [(origin, _cylinder(size))]
             case kinds.mjGEOM_CAPSULE:
-                # A URDF has no capsules: a cylinder and a sphere at each end are one.
+                # A URDF has no capsules, hence a cylinder and a sphere at each end.
                 along = _matrix(turn)[:, 2] * size[1]
                 ball = f'<sphere radius="{_number(size[0])}"/>'
                 ends = [(_origin(place + end, turn), ball) for end in (along, -along)]
@@ -360,12 +360,12 @@ class _Writer:
         model = self._model
         if mesh not in self._meshes:
             first, faces = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
-            # Not the file's vertices: MuJoCo has moved the mesh into its inertial frame, and the
-            # shape's pose with it.
+            # MuJoCo's vertices instead of the file's, since it moves the mesh, and the shape's
+            # pose, into the inertial frame.
             vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
             corners = model.mesh_face[faces : faces + int(model.mesh_facenum[mesh])]
             name = str(model.mesh(mesh).name) or "mesh"
-            # With its number, since two names may become one when they are made safe.
+            # With its number, since two names may become equal when made safe.
             self._meshes[mesh] = self._mesh_file(
                 f"{safe_name(name, 'mesh')[:60]}_{mesh}", vertices, corners
             )
@@ -395,12 +395,11 @@ class _Writer:
 
 
 _ANY: Final = 1e3
-"""Limits of a joint that follows another one and has none itself [rad | m]: those of the actuator
-count."""
+"""Limits of a follower without limits of its own [rad | m]; those of its actuator decide."""
 
 
 def _unique(names: Sequence[str]) -> list[str]:
-    """Return names with numbers where two were equal, as names made up may be."""
+    """Return names with numbers appended to equal ones, as generated names may be equal."""
     found: list[str] = []
     for name in names:
         other, number = name, 2
@@ -423,11 +422,11 @@ def _matrix(turn: FloatArray) -> FloatArray:
 def _origin(place: FloatArray, turn: FloatArray) -> str:
     """Return the element ``origin`` of a position [m] and a unit quaternion (w, x, y, z)."""
     m = _matrix(turn)
-    # The cosine of the pitch; where it vanishes, the yaw is free and chosen to be 0.
+    # Cosine of the pitch; if it vanishes, the yaw is arbitrary and set to 0.
     level = math.hypot(m[0, 0], m[1, 0])
     pitch = math.atan2(-m[2, 0], level)
     yaw = math.atan2(m[1, 0], m[0, 0]) if level > _GIMBAL else 0.0
-    # From the yaw as chosen: near a pitch of 90 degrees only the sum of both is well known.
+    # From the chosen yaw, since near a pitch of 90° only the sum of both is well-defined.
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * m[0, 2] - c * m[1, 2], c * m[1, 1] - s * m[0, 1])
     return f'<origin xyz="{_numbers(place)}" rpy="{_numbers((roll, pitch, yaw))}"/>'

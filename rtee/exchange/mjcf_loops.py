@@ -1,7 +1,7 @@
-"""Closed linkages: where one joint has the others, solved numerically and fitted.
+"""Closed linkages: followers of a joint, solved numerically and fitted by polynomials.
 
-MuJoCo gives the residuals of all equalities and their Jacobian. With the position of one joint
-given, Newton's method finds the others, from one position to the next along its range.
+MuJoCo computes the residuals of all equalities and their Jacobian. For a position of one joint,
+Newton's method finds those of the others, from one position to the next along its range.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from rtee.exchange.mjcf_motion import TINY, Follow, Line, joint_name, joint_rang
 from rtee.sample import FloatArray
 
 _STEPS: Final = 400
-"""Positions along the range of the moving joint: steps of 0.2 degrees for a quarter turn."""
+"""Number of positions along the range of the moving joint: 0.2° apart for a quarter turn."""
 
 _ROUNDS: Final = 200
-"""Newton steps for one position; three to five do, twenty where the linkage is stretched, and 100
-where springs pull far."""
+"""Most Newton steps for one position: usually three to five suffice, twenty in a stretched linkage,
+and 100 if springs pull far."""
 
 _STRIDE: Final = 0.1
-"""Longest step towards where springs are at rest [rad | m]."""
+"""Longest step towards the equilibrium of springs [rad | m]."""
 
 _CLOSED: Final = 1e-9
 """Residual at which a linkage counts as closed [m, rad]."""
 
 _OPEN: Final = 1e-6
-"""Residual that is accepted where the rounded numbers of a file allow no less [m, rad]."""
+"""Residual accepted if the rounded numbers of a file allow no less [m, rad]."""
 
 _FLAT: Final = 1e-6
 """Change of an equality below which a direction counts as open [m/rad]."""
 
 _SINGULAR: Final = 1e-8
-"""Singular values below this share of the largest are rounding."""
+"""Share of the largest singular value below which others count as rounding."""
 
 _JUMP: Final = 20.0
-"""Most that another joint moves within one step of the moving one, in such steps: linkages that are
-stretched move fast, and what moves faster has jumped to another way of closing."""
+"""Largest motion of another joint within one step of the moving joint, in such steps: a stretched
+linkage moves fast, and a faster motion is a jump to another solution."""
 
 _DEGREES: Final = 24
-"""Highest degree of the polynomial that is fitted to a joint's way."""
+"""Highest degree of the polynomial fitted to a joint's motion."""
 
 _CLOSE: Final = 1e-7
-"""Deviation of the fit that is striven for [rad | m]."""
+"""Desired deviation of the fit [rad | m]."""
 
 _FAR: Final = 1e-4
-"""Deviation of the fit that is refused [rad | m]: less than encoders of hands resolve."""
+"""Deviation of the fit from which it is refused [rad | m]: less than encoders of hands resolve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,9 @@ class Solved:
 
     Attributes:
         places: Positions of the moving joint at which it was closed ``(n,)``, ascending [rad | m].
-        ways: Where the others are there ``(n, k)``.
-        follows: How the other joints follow it.
-        notes: What was found, one sentence each.
+        ways: Positions of the others there ``(n, k)`` [rad | m].
+        follows: Couplings of the other joints to it.
+        notes: Sentences about peculiarities.
     """
 
     places: FloatArray
@@ -95,12 +95,13 @@ class Linkage:
             model: The model; its contacts and limits are switched off.
             joint: The joint that moves the others.
             others: The others.
-            equalities: The numbers of the equalities that count.
-            fixed: Joints that are held, with their positions [rad | m].
-            springs: Springs, which decide with the joints' limits what equalities leave open.
+            equalities: The numbers of the equalities to solve.
+            fixed: Positions of the joints that are held [rad | m].
+            springs: Springs, which with the joints' limits decide the directions that the
+                equalities leave open.
         """
         flags = mujoco.mjtDisableBit
-        # Contacts and limits would push the joints about; only the equalities are solved here.
+        # Contacts and limits would move the joints, but only the equalities are solved here.
         model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.model, self.joint, self.others = model, joint, list(others)
@@ -109,7 +110,7 @@ class Linkage:
         self._drawn = model.qpos0.copy()
         for held, position in fixed.items():
             self._drawn[held] += position
-        # Weighted by the root, so that least squares minimise the energy of the springs.
+        # With the root of the stiffness, least squares minimise the energy of the springs.
         root = np.sqrt([spring.weight for spring in springs])
         factors = [[spring.factors.get(o, 0.0) for o in (joint, *others)] for spring in springs]
         pull = root[:, None] * np.array(factors).reshape(-1, 1 + len(self.others))
@@ -132,22 +133,23 @@ class Linkage:
         return data.efc_pos[own].copy(), jacobian[:, [self.joint, *self.others]]
 
     def slopes(self, x: float, q: FloatArray) -> FloatArray:
-        """Return how fast the others move with the joint ``(n,)``, where the linkage is closed.
+        """Return the velocities of the others per that of the joint ``(n,)``, in a closed linkage.
 
-        Roughly where springs decide it: they count as if they held rigidly.
+        Approximate if springs decide them, since springs count as rigid here.
         """
         springs = np.column_stack([self._moved, self._pull])
         rows = np.vstack([self._at(x, q)[1], springs])
         return np.asarray(-np.linalg.pinv(rows[:, 1:], rcond=_SINGULAR) @ rows[:, 0])
 
     def settle(self, x: float) -> tuple[FloatArray | None, int]:
-        """Close the linkage as it is drawn, with the joint at ``x``.
+        """Close the linkage near the model's posture, with the joint at ``x``.
 
-        Where equalities leave something open, springs and the joints' stops decide from now on.
+        From then on, springs and the joints' stops decide the directions that the equalities leave
+        open.
 
         Returns:
-            Where the others are ``(n,)``; ``None`` if it cannot be closed. And how many degrees of
-            freedom are left to them.
+            Positions of the others ``(n,)``, or ``None`` if the linkage cannot be closed; and the
+            number of their remaining degrees of freedom.
         """
         q = self.close(x, np.zeros(len(self.others)))
         if q is None or not self._open(x, q).shape[1]:
@@ -161,35 +163,35 @@ class Linkage:
         return q, left.shape[1] - int(decided)
 
     def _held(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return residuals and derivatives as `_at` does, those of the joints at stops included."""
+        """Return residuals and derivatives like `_at`, including those of joints at stops."""
         residual, jacobian = self._at(x, q)
         stops = list(self._stopped)
         away = q[stops] - np.array(list(self._stopped.values()))
         return np.append(residual, away), np.vstack([jacobian[:, 1:], np.eye(len(q))[stops]])
 
     def _open(self, x: float, q: FloatArray) -> FloatArray:
-        """Return a basis ``(n, k)`` of what is left open to the others."""
+        """Return a basis ``(n, k)`` of the open directions of the others."""
         return _flat_directions(self._held(x, q)[1])
 
     def close(self, x: float, q: FloatArray) -> FloatArray | None:
-        """Return where the others are with the joint at ``x``, near ``q``; ``None`` if nowhere."""
+        """Return the positions of the others near ``q`` for the joint at ``x``, or ``None``."""
         best, least = q, math.inf
         for _ in range(_ROUNDS):
             residual, jacobian = self._held(x, q)
             size = float(np.abs(residual).max(initial=0.0))
-            # With springs the residual may grow on the way to where they are at rest.
+            # With springs, the residual may grow on the way to their equilibrium.
             if size < least or self._by_springs:
                 best, least = q, size
             if size < _CLOSED and not self._by_springs:
                 break
             step = -np.linalg.pinv(jacobian, rcond=_SINGULAR) @ residual
             if self._by_springs:
-                # Within what is left open, to where the springs are at rest.
+                # Along the open directions, to the equilibrium of the springs.
                 left = _flat_directions(jacobian)
                 pull = self._pull @ left
                 lacking = self._rest - self._moved * x - self._pull @ (q + step)
                 along = left @ np.linalg.pinv(pull, rcond=_SINGULAR) @ lacking
-                # In small steps: the way of a linkage is straight over short distances only.
+                # In small steps, since the path of a linkage is straight only over short distances.
                 step = step + along * min(1.0, _STRIDE / max(float(np.abs(along).max()), TINY))
             q = q + step
             if not np.all(np.isfinite(q)):
@@ -202,7 +204,7 @@ class Linkage:
         return best if least < _OPEN else None
 
     def _meet_stops(self, q: FloatArray) -> bool:
-        """Stop the joints that are beyond their limits; return whether there are any."""
+        """Stop the joints beyond their limits at these; return whether there were any."""
         found = {
             i: limit
             for i, (lower, upper) in enumerate(self._ranges)
@@ -213,12 +215,12 @@ class Linkage:
         return bool(found)
 
     def _leave_stop(self, x: float, q: FloatArray) -> bool:
-        """Let a joint go that springs pull away from its stop; return whether there is one."""
+        """Release a joint that springs pull away from its stop; return whether there was one."""
         if not self._stopped:
             return False
         force = self._pull.T @ (self._rest - self._moved * x - self._pull @ q)
         jacobian = self._held(x, q)[1]
-        # The springs' forces are borne by the equalities and the stops; a stop can only push back.
+        # Equalities and stops bear the springs' forces, but a stop can only push.
         borne = np.linalg.pinv(jacobian.T, rcond=_SINGULAR) @ force
         for i, push in zip(list(self._stopped), borne[-len(self._stopped) :], strict=True):
             outward = 1.0 if self._stopped[i] == self._ranges[i][1] else -1.0
@@ -229,7 +231,7 @@ class Linkage:
 
 
 def _flat_directions(jacobian: FloatArray) -> FloatArray:
-    """Return a basis ``(n, k)`` of the directions in which nothing changes."""
+    """Return a basis ``(n, k)`` of the directions that change no residual."""
     if not jacobian.size:
         return np.eye(jacobian.shape[1])
     _, sizes, directions = np.linalg.svd(jacobian)
@@ -237,7 +239,7 @@ def _flat_directions(jacobian: FloatArray) -> FloatArray:
 
 
 def horner(coefficients: Sequence[float], variable: str = "x") -> str:
-    """Return a polynomial as an expression in nested form, which loses no digits."""
+    """Return a polynomial as an expression in Horner's form, which loses no digits."""
     text = repr(float(coefficients[-1]))
     for coefficient in reversed(coefficients[:-1]):
         text = f"{float(coefficient)!r} + {variable}*({text})"
@@ -245,17 +247,17 @@ def horner(coefficients: Sequence[float], variable: str = "x") -> str:
 
 
 def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: object) -> Solved:
-    """Find how the joints of a closed linkage follow one of them.
+    """Return how the joints of a closed linkage follow one of them.
 
     Args:
         linkage: The linkage.
-        limits: The range of the joint [rad | m], from the position as drawn.
-        what: What closes the linkage, for messages.
+        limits: Range of the joint relative to the model's posture [rad | m].
+        what: Name of the constraint that closes the linkage, for messages.
         path: The model's file, for messages.
 
     Raises:
-        ModelError: The linkage leaves the others free, cannot be closed as drawn, or closes along
-            ways that no polynomial follows.
+        ModelError: The linkage leaves the others free, cannot be closed near the model's posture,
+            or no polynomial fits its motion.
     """
     model, joint, others = linkage.model, linkage.joint, linkage.others
     start = min(max(0.0, limits[0]), limits[1])
@@ -273,15 +275,15 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
     step = (limits[1] - limits[0]) / _STEPS
     jump = _JUMP * step
     if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-        # Hinges follow it by as many radians per metre as their levers are short.
+        # The shorter the levers of hinges, the more radians per metre they follow a slide.
         jump *= max(1.0, float(np.abs(linkage.slopes(start, first)).max()))
     for end in limits:
         at, q, before = start, first, first
         while abs(end - at) > TINY:
             ahead = math.copysign(min(step, abs(end - at)), end - at)
-            # From where the last step leads on, so that the linkage does not fold over.
+            # Start from an extrapolation of the last step, so that the linkage does not fold over.
             found = linkage.close(at + ahead, 2.0 * q - before)
-            # A jump: Newton's method has found another way in which the linkage closes.
+            # After a jump, Newton's method has found another solution.
             if found is None or float(np.abs(found - q).max()) > jump:
                 break
             at, q, before = at + ahead, found, q
@@ -316,9 +318,9 @@ def _fitted(
     what: str,
     path: object,
 ) -> Follow:
-    """Return how a joint follows: a line where it is one, else a polynomial."""
+    """Return the coupling of a joint: linear if possible, else a polynomial."""
     middle, half = float(0.5 * (x[0] + x[-1])), float(0.5 * (x[-1] - x[0]))
-    # To -1 … 1: powers of the plain positions would lose the digits of a high degree.
+    # Scaled to -1 … 1, since high powers of the plain positions would lose digits.
     t = (x - middle) / half
     error = math.inf
     for degree in (1, *range(2, _DEGREES + 1)):

@@ -1,7 +1,7 @@
-"""How the joints of a MuJoCo model move: which have motors, and which follow them, and how.
+"""Motors and constraints of a MuJoCo model, and the motion of its joints that follows from them.
 
-Positions are MuJoCo's less the model's own (``qpos0``), so that all are 0 as it is drawn. MuJoCo's
-equalities are written in these, too.
+Positions are MuJoCo's minus the model's own (``qpos0``), and so 0 in the model's posture. MuJoCo's
+equalities use these positions, too.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from rtee.errors import ModelError
 from rtee.sample import FloatArray
 
 TINY = 1e-9
-"""Slopes and remainders below this are rounding [rad, m and their quotients]."""
+"""Size below which slopes and remainders count as rounding [rad, m and their quotients]."""
 
 
 _NARROW = 0.1
-"""A tendon's limits couple its joints if they leave it less than this share of its way: hands of
-which two tendons cross at the last joint leave 0.08, and limits that only end a motion 1."""
+"""Share of a tendon's travel that its limits leave, below which they couple its joints: hands whose
+two tendons cross at the last joint leave 0.08, and limits that only end a motion leave 1."""
 
 _RIGID = 1e9
-"""Stiffness of such a coupling, of which the largest factor is 1 [N·m/rad | N/m]: a billion times
-that of the springs of fingers."""
+"""Stiffness of such a coupling, whose largest factor is 1 [N·m/rad | N/m]: a billion times that of
+the springs of fingers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +34,12 @@ class Motor:
     """An actuator of the model.
 
     Attributes:
-        name: Its name; empty if it has none.
+        name: Name of the actuator; may be empty.
         joint: The joint that it moves; ``None`` if it pulls a tendon.
         tendon: The tendon that it pulls.
         lower: Lower limit of the joint's position or the tendon's length [rad | m]; ``-inf``: none.
         upper: Upper limit.
-        effort: Largest torque or force at the joint or tendon [N·m | N]; 0 if not known.
+        effort: Largest torque or force at the joint or tendon [N·m | N]; 0 if unknown.
     """
 
     name: str
@@ -52,13 +52,13 @@ class Motor:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A sum of joint positions with a constant value: ``Σ factor · q = value``.
+    """A linear coupling of joint positions: ``Σ factor · q = value``.
 
     Attributes:
         factors: The factors by joint.
         value: The value.
-        weight: Stiffness of the spring that pulls there; 0 if it holds rigidly.
-        equality: Number of the model's equality that says so, if one does.
+        weight: Stiffness of the spring; 0 for a rigid coupling.
+        equality: Number of the model's equality, if it comes from one.
     """
 
     factors: Mapping[int, float]
@@ -73,9 +73,9 @@ class Curve:
 
     Attributes:
         joint: The joint.
-        of: The one it follows.
+        of: The joint that it follows.
         coefficients: ``c₀ … c₄``.
-        equality: Number of the model's equality that says so.
+        equality: Number of the model's equality.
     """
 
     joint: int
@@ -85,7 +85,7 @@ class Curve:
 
     @property
     def straight(self) -> bool:
-        """Whether it is a line."""
+        """Whether the polynomial is linear."""
         return not any(self.coefficients[2:])
 
 
@@ -94,8 +94,8 @@ class Loop:
     """A constraint that is solved numerically: ``connect``, ``weld``, a spatial tendon.
 
     Attributes:
-        what: What it is, for messages.
-        joints: The joints that take part.
+        what: Name of the constraint for messages.
+        joints: The joints involved.
         equality: Number of the model's equality; -1 for a tendon that a motor pulls.
     """
 
@@ -106,13 +106,13 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Follow:
-    """How a joint of the hand follows another one.
+    """Coupling of a joint of the hand to another one.
 
     Attributes:
-        of: The joint it follows.
+        of: The joint that it follows.
         factor: Factor of a linear coupling.
-        offset: Its offset [rad | m].
-        expression: An expression in ``x`` instead of these.
+        offset: Offset of a linear coupling [rad | m].
+        expression: Expression in ``x`` that replaces factor and offset.
     """
 
     of: int
@@ -126,9 +126,9 @@ class Driven:
     """A joint with a motor.
 
     Attributes:
-        lower: Lower limit [rad | m]; ``-inf`` if it has none.
-        upper: Upper limit.
-        effort: Effort limit [N·m | N]; 0 if not known.
+        lower: Lower limit [rad | m]; ``-inf`` for none.
+        upper: Upper limit [rad | m].
+        effort: Effort limit [N·m | N]; 0 if unknown.
     """
 
     lower: float
@@ -138,15 +138,15 @@ class Driven:
 
 @dataclass(slots=True)
 class Motion:
-    """How the joints of a hand move.
+    """Motion of the joints of a hand.
 
     Attributes:
         driven: The joints with motors.
         follows: The joints that follow others.
-        fixed: The joints that stand still, with their positions [rad | m].
-        passive: The joints that nothing moves.
-        dropped: Joints of motors that are not parts of the hand.
-        notes: What was chosen, one sentence each.
+        fixed: Positions of the joints that stand still [rad | m].
+        passive: The joints that no motor moves.
+        dropped: Joints of motors that are not part of the hand.
+        notes: Sentences about choices.
     """
 
     driven: dict[int, Driven] = field(default_factory=dict)
@@ -159,16 +159,16 @@ class Motion:
 
 @dataclass(slots=True)
 class Constraints:
-    """What a model says about its joints.
+    """Motors and constraints of a model's joints.
 
     Attributes:
-        motors: Its actuators.
-        fixed: Joints held at a position.
-        lines: Rigid sums.
-        springs: Sums that springs pull to a value.
-        curves: Joints that follow others.
-        loops: What is solved numerically.
-        notes: What was chosen, one sentence each.
+        motors: The actuators.
+        fixed: Positions of joints that are held.
+        lines: Rigid linear couplings.
+        springs: Linear couplings by springs.
+        curves: Polynomial couplings.
+        loops: Constraints that are solved numerically.
+        notes: Sentences about choices.
     """
 
     motors: list[Motor]
@@ -181,7 +181,7 @@ class Constraints:
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return a joint's name, or one that its number gives."""
+    """Return a joint's name, or one made of its number."""
     return str(model.joint(joint).name) or f"joint_{joint}"
 
 
@@ -198,15 +198,15 @@ def tendon_factors(model: mujoco.MjModel, tendon: int) -> dict[int, float] | Non
 
 
 def resting_length(model: mujoco.MjModel, factors: Mapping[int, float]) -> float:
-    """Return a fixed tendon's length as the model is drawn [rad | m]."""
+    """Return a fixed tendon's length in the model's posture [rad | m]."""
     return sum(factor * float(model.qpos0[joint]) for joint, factor in factors.items())
 
 
 def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
-    """Collect what a model says about how its joints move.
+    """Return the motors and constraints of a model.
 
     Raises:
-        ModelError: An actuator moves what rtee has no actuator for.
+        ModelError: An actuator moves something other than a joint or tendon.
     """
     found = Constraints(_motors(model, path))
     for i in range(model.neq):
@@ -216,7 +216,7 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
         factors, stiffness = tendon_factors(model, tendon), float(model.tendon_stiffness[tendon])
         if factors is not None and stiffness > 0.0:
             lower, upper = model.tendon_lengthspring[tendon]
-            # Such a spring may have a dead band, whose middle stands for it.
+            # Such a spring may have a dead band, which its middle represents.
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
             found.springs.append(Line(factors, value, stiffness))
         _add_limited_tendon(model, tendon, found)
@@ -233,10 +233,10 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
 
 
 def _add_limited_tendon(model: mujoco.MjModel, tendon: int, found: Constraints) -> None:
-    """Add a fixed tendon whose limits hardly let it move as a coupling of its joints.
+    """Add a coupling of the joints of a fixed tendon whose limits hardly let it move.
 
-    It counts as a stiff spring: a joint without a motor follows by it, and what motors and
-    equalities decide stays so.
+    The coupling is a stiff spring, by which a joint without a motor follows, but which motors and
+    equalities override.
     """
     factors = tendon_factors(model, tendon)
     moved = {motor.joint for motor in found.motors} | {
@@ -285,7 +285,7 @@ def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
             name, joint, tendon, *_targets(model, i, gear), _effort(model, i, joint, gear)
         )
         there = motors.get((joint, tendon))
-        # A joint may have a position and a velocity actuator: its limits are those that are known.
+        # A joint may have a position and a velocity actuator, of which one has the limits.
         motors[joint, tendon] = motor if there is None else replace(
             there, lower=max(there.lower, motor.lower), upper=min(there.upper, motor.upper),
             effort=max(there.effort, motor.effort),
@@ -298,12 +298,12 @@ def _targets(model: mujoco.MjModel, i: int, gear: float) -> tuple[float, float]:
     gain, slope = float(model.actuator_gainprm[i, 0]), float(model.actuator_biasprm[i, 1])
     servo = model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_AFFINE and slope < 0.0 < gain
     limited, targets = model.actuator_ctrllimited[i], model.actuator_ctrlrange[i]
-    # Where the controls are velocities (intvelocity), their sum over time is the target.
+    # If the controls are velocities (intvelocity), the target is their integral.
     if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
         limited, targets = model.actuator_actlimited[i], model.actuator_actrange[i]
     if not (servo and limited):
         return -math.inf, math.inf
-    # At rest gain · target = -slope · (gear · length), so that this is where a target leads.
+    # At rest, gain · target = -slope · (gear · length), which gives the length for a target.
     ends = sorted(float(end) * gain / -slope / gear for end in targets)
     return ends[0], ends[1]
 
@@ -312,7 +312,7 @@ def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> fl
     limits = []
     if model.actuator_forcelimited[i]:
         limits.append(float(np.abs(model.actuator_forcerange[i]).max()) * abs(gear))
-    # Only without a bias is the force the control times the gain; a servo's depends on its error.
+    # The force is the control times the gain only without a bias, unlike that of a servo.
     elif model.actuator_ctrllimited[i] and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE:
         gain = abs(float(model.actuator_gainprm[i, 0]) * gear)
         limits.append(float(np.abs(model.actuator_ctrlrange[i]).max()) * gain)
@@ -351,12 +351,12 @@ def _add_equality(model: mujoco.MjModel, i: int, found: Constraints) -> None:
 
 
 def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
-    """Return the joints on the way between the two bodies of an equality."""
+    """Return the joints on the path between the two bodies of an equality."""
     ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
     if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         ends = [int(model.site_bodyid[end]) for end in ends]
     one, two = (_joints_to(model, body) for body in ends)
-    # Joints above both bodies move them together, and so do not change the loop.
+    # Joints above both bodies move them together and do not change the loop.
     return frozenset(one ^ two)
 
 
@@ -390,7 +390,7 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> frozenset[int]:
 
 
 def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Return a joint's limits [rad | m]; infinite where it has none."""
+    """Return a joint's limits [rad | m]; infinite if it has none."""
     if not model.jnt_limited[joint]:
         return -math.inf, math.inf
     lower, upper = model.jnt_range[joint] - model.qpos0[joint]
@@ -398,7 +398,7 @@ def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 
 
 def null_space(matrix: FloatArray) -> FloatArray:
-    """Return an orthonormal basis ``(n, k)`` of what a matrix ``(m, n)`` maps to nothing."""
+    """Return an orthonormal basis ``(n, k)`` of the null space of a matrix ``(m, n)``."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, sizes, directions = np.linalg.svd(matrix)
@@ -413,11 +413,11 @@ def names_of(model: mujoco.MjModel, joints: Iterable[int]) -> str:
 
 
 def rounded(value: float) -> float:
-    """Return a solved number without the last digits, which are rounding of the solution."""
+    """Return a number without its last digits, which are rounding errors of the solution."""
     return float(f"{value:.13g}") if abs(value) > 1e-13 else 0.0  # infinity stays infinity
 
 
 def bare(model: mujoco.MjModel, joint: int) -> bool:
-    """Return whether a joint's body has neither shapes nor bodies on it."""
+    """Return whether a joint's body has neither shapes nor child bodies."""
     body = int(model.jnt_bodyid[joint])
     return model.body_geomnum[body] == 0 and body not in model.body_parentid[1:]

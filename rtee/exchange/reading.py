@@ -1,4 +1,4 @@
-"""A model in any of the forms that rtee reads, as a URDF while it is needed."""
+"""Models in any format that rtee reads, as temporary URDF files."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rtee.errors import ConfigError, UserError, needing_extra
 from rtee.exchange.xacro_expand import arguments_of, expand
 
 XACRO: Final = ".xacro"
-"""Ending of the names of files that are expanded. Another file is never run."""
+"""Suffix of files that are expanded; other files are never run."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadableModel:
-    """A model as a URDF, and what its own form says besides.
+    """A model as a URDF, with properties that a URDF cannot represent.
 
     Attributes:
         urdf: The URDF.
-        passive: Joints without a motor; ``None`` where that is not known.
-        excluded: Pairs of links that are never checked for collision, and why.
-        notes: What was chosen and left out, one sentence each.
-        package_dirs: Folders to look mesh packages up in.
+        passive: Joints without a motor; ``None`` if unknown.
+        excluded: Pairs of links that are never checked for collision, with the reason.
+        notes: Sentences about choices and omissions.
+        package_dirs: Folders of mesh packages.
     """
 
     urdf: Path
@@ -38,7 +38,7 @@ class ReadableModel:
 def as_urdf(
     urdf: Path | None, mjcf: Path | None, arguments: Sequence[str], package_dirs: Sequence[Path]
 ) -> AbstractContextManager[ReadableModel]:
-    """Return a context in which a model is there as a URDF.
+    """Return a context in which a model exists as a URDF.
 
     Args:
         urdf: Its URDF, or its xacro file if the name ends with ``.xacro``.
@@ -65,10 +65,10 @@ def as_urdf(
 def xacro_as_urdf(
     path: Path, arguments: Mapping[str, str], package_dirs: Sequence[Path] = ()
 ) -> Iterator[ReadableModel]:
-    """Expand a xacro file; the URDF is there inside the block.
+    """Expand a xacro file to a URDF, which exists inside the context.
 
     Args:
-        path: The file; what it contains is run.
+        path: The file, whose expressions are run.
         arguments: Its arguments, by name.
         package_dirs: Folders to look packages up in.
 
@@ -79,22 +79,22 @@ def xacro_as_urdf(
     with _made(path) as folder:
         urdf = folder / f"{path.name.partition('.')[0] or 'hand'}.urdf"
         expand(path, urdf, arguments, package_dirs)
-        # Meshes are looked up from where the xacro file is; the URDF is elsewhere.
+        # Mesh paths are relative to the xacro file, but the URDF is in another folder.
         home = path.absolute().parent
         yield ReadableModel(urdf, package_dirs=(*package_dirs, home, *home.parents))
 
 
 @contextmanager
 def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableModel]:
-    """Make a URDF of an MJCF file; it is there inside the block.
+    """Convert an MJCF file to a URDF, which exists inside the context.
 
     Args:
         path: The MJCF file.
-        folders: Where its includes and meshes may be besides its own folder.
+        folders: Further folders in which its includes and meshes may be.
 
     Raises:
         MissingExtra: The extra ``sim`` is not installed.
-        ModelError: The file cannot be read, or describes what rtee has no form for.
+        ModelError: The file cannot be read, or has elements that a URDF cannot represent.
     """
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf
@@ -105,13 +105,13 @@ def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableM
 
 @contextmanager
 def _made(path: Path) -> Iterator[Path]:
-    """Make a folder for what is made of a file; errors inside the block name the file instead."""
+    """Make a folder for a conversion; errors about its files name the original file instead."""
     with TemporaryDirectory(prefix="rtee-") as name:
         folder = Path(name)
         try:
             yield folder
         except UserError as error:
-            # The folder is gone when the message is read, and its lines are not those of the file.
+            # The folder is gone when the message is read, and its lines differ from the file's.
             if error.path is not None and error.path.is_relative_to(folder):
                 error.path, error.line = path, None
             raise

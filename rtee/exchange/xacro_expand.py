@@ -1,8 +1,8 @@
-"""Expand xacro files, in a process of its own.
+"""Expand xacro files in a separate process.
 
-A xacro file is a program: its expressions are Python. xacro keeps the usual functions from them,
-which is not a protection against a file that means harm. The process has the user's rights; it is
-limited in memory, time and what it writes, so that a file by mistake endless ends.
+A xacro file is a program whose expressions are Python. xacro hides the usual functions from them,
+which does not protect against a malicious file. The process has the user's rights; limits of its
+memory, time and output end a file that never ends by mistake.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from rtee.hand.files import MAX_SIZE, read_bytes
 from rtee.hand.meshes import find_package
 
 _TIME: Final = 60.0
-"""Longest time of an expansion [s]; large robots take two."""
+"""Longest time of an expansion [s]; large robots take 2 s."""
 
 _MEMORY: Final = 2_000_000_000
 """Most address space of an expansion [bytes]; large robots take 200 MB."""
 
 _FAILED: Final = 3
-"""Exit status of the process when xacro refuses the file; it writes why."""
+"""Exit status of the process when xacro refuses the file."""
 
 _ANSWER: Final = ".json"
-"""Ending of the file with the reason, beside the URDF; the file's expressions may print."""
+"""Suffix of the file with the reason, beside the URDF, since expressions may print to stdout."""
 
 
 def arguments_of(words: Sequence[str]) -> dict[str, str]:
     """Return xacro arguments given as ``NAME:=VALUE``.
 
     Raises:
-        ConfigError: A word is none, or a name is given twice.
+        ConfigError: A word has another form, or a name is given twice.
     """
     found: dict[str, str] = {}
     for word in words:
@@ -59,14 +59,14 @@ def expand(
     """Write the URDF that a xacro file expands to.
 
     Args:
-        path: The xacro file; what it contains is run.
-        target: Where the URDF goes.
+        path: The xacro file, whose expressions are run.
+        target: Path of the URDF.
         arguments: Its arguments, by name.
         package_dirs: Folders to look packages up in, before those of the environment.
 
     Raises:
         MissingExtra: The extra ``xacro`` is not installed.
-        ModelError: xacro refuses the file, or does not come to an end.
+        ModelError: xacro refuses the file, or the expansion exceeds a limit.
     """
     with needing_extra("expanding xacro files", "xacro"):
         import xacro  # noqa: F401 - only the other process uses it
@@ -79,8 +79,8 @@ def expand(
     }
     root = str(Path(__file__).parents[2])
     search = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
-    # In a session of its own, so that whatever the file starts ends with it.
-    # Its output goes nowhere: the file's expressions may print what they like.
+    # A new session, so that processes started by the file end with it. Its output is dropped, since
+    # expressions may print anything.
     process = subprocess.Popen(
         [sys.executable, "-m", __name__],
         stdin=subprocess.PIPE,
@@ -94,13 +94,13 @@ def expand(
     except subprocess.TimeoutExpired:
         raise ModelError(f"xacro does not end within {_TIME:g} s", path=path) from None
     finally:
-        # On Ctrl-C, too: its signal does not reach a process with a session of its own.
+        # On Ctrl-C, too, whose signal does not reach a process in another session.
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     if process.returncode == _FAILED:
         raise _refusal(target.with_suffix(_ANSWER), path)
-    # Any other status means that a limit of the system has ended it.
+    # Any other status means that a limit ended the process.
     if process.returncode != 0 or not target.is_file():
         raise ModelError(
             f"xacro breaks off: the file computes for more than {_TIME:g} s, or makes more than "
@@ -122,7 +122,7 @@ def _refusal(answer: Path, path: Path) -> ModelError:
 
 
 def _limit() -> None:
-    """Limit what this process may take."""
+    """Limit the resources of this process."""
     for kind, most in (
         (resource.RLIMIT_AS, _MEMORY),
         (resource.RLIMIT_CPU, int(_TIME)),
@@ -130,13 +130,13 @@ def _limit() -> None:
         (resource.RLIMIT_CORE, 0),
     ):
         hard = resource.getrlimit(kind)[1]
-        # Raising a hard limit takes rights that this process should not have.
+        # Raising a hard limit needs rights that this process should not have.
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
 
 
 def _offer_packages(folder: Path, package_dirs: Sequence[Path]) -> None:
-    """Be the package of ROS 2 that xacro asks where packages are; it is not on the index."""
+    """Provide the module of ROS 2, missing on PyPI, that xacro asks for the folders of packages."""
 
     def share(name: str) -> str:
         found = find_package(name, folder, package_dirs)
@@ -154,7 +154,7 @@ def _offer_packages(folder: Path, package_dirs: Sequence[Path]) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return what went wrong: the innermost error that says something."""
+    """Return the message of the innermost error that has one."""
     inner = error
     while isinstance(getattr(inner, "exc", None), BaseException):
         inner = inner.exc  # type: ignore[attr-defined]
@@ -163,7 +163,7 @@ def _reason(error: BaseException) -> str:
     if isinstance(inner, LookupError) and "package '" in str(inner):
         return str(inner.args[0])
     text = str(error) or type(error).__name__
-    # xacro puts the type of what failed first: "<class 'ValueError'>: …".
+    # xacro's messages begin with the type: "<class 'ValueError'>: …".
     return re.sub(r"^<class '[\w.]*'>:\s*", "", text)
 
 
@@ -174,7 +174,7 @@ def _main() -> int:
     _offer_packages(path.parent, [Path(folder) for folder in task["package_dirs"]])
     import xacro
 
-    xacro.verbosity = 0  # no warnings, and no places, on the standard output
+    xacro.verbosity = 0  # no warnings and no locations on stdout
     try:
         document = xacro.process_file(str(path), mappings=task["arguments"])
         Path(task["target"]).write_text(document.toprettyxml(indent="  "), encoding="utf-8")

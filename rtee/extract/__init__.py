@@ -1,1 +1,1 @@
-"""From a hand's model to its primitive grasping actions."""
+"""Extraction of the primitive grasping actions from a hand's model."""

@@ -1,4 +1,4 @@
-"""Search for poses in which nothing else collides, there or on the straight path to them."""
+"""Search for poses without other collisions, in the pose and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 _LITTLE: Final = 0.03
-"""A recalibrated step that gains less than this share of the value is the last one."""
+"""Share of the value that a recalibrated step must gain for another one to follow."""
 
 _RADIUS: Final = 0.08
-"""First radius of the trust region in each coordinate, as a part of an actuator's range: about as
-far as the gaps of near links stay linear."""
+"""First radius of the trust region in each coordinate, as a share of an actuator's range: about the
+range in which the gaps of near links are linear."""
 
 _TIGHTER: Final = 0.4
 _WIDER: Final = 1.6
 """Factors of that radius after a step that failed, and after one that did not."""
 
 _SMALLEST: Final = 0.002
-"""Radius at which the trust region ends; a fingertip then moves by a fraction of a millimetre."""
+"""Smallest radius of the trust region, in which a fingertip moves a fraction of a millimetre."""
 
 _EVALUATIONS: Final = 40
 """Most evaluations of a descent out of a collision."""
@@ -42,48 +42,47 @@ _QUICK: Final = 25
 """Most evaluations of a descent that only keeps a start at a minimum."""
 
 _TRUST_EVALUATIONS: Final = 11
-"""Evaluations of one step in the trust region: its model is linear, and soon exhausted."""
+"""Most evaluations of a step in the trust region: few suffice for its linear model."""
 
 _SAME: Final = 0.05
-"""Starts that differ by less in every coordinate lead out of the same collisions."""
+"""Difference in every coordinate below which starts count as equal."""
 
 _GOOD: Final = 0.85
-"""A clear pose of this share of the greatest depth ends the search for other ones."""
+"""Share of the greatest depth at which a clear pose ends the search for others."""
 
 _POOL: Final = 4
-"""Starts that are kept at minima while constraints are learned: each costs a descent in each
-round."""
+"""Number of starts kept at minima while constraints are learned: each costs a descent per round."""
 
 _SHORT: Final = 2e-3
-"""How far before a collision a pose is put back, as a part of the path: some 0.1 mm."""
+"""Distance of a pose moved back before a collision, as a share of the path: some 0.1 mm."""
 
 _BEFORE: Final = 1e-4
-"""The same for a single actuator, whose bounds lie as near: more than rounding moves them."""
+"""The same for a single actuator, whose bounds are exact except for rounding."""
 
 _FOLLOWED: Final = 1
-"""How many clear poses' paths are checked in each round: a path costs more than a pose."""
+"""Number of clear poses whose paths are checked per round: a path costs more than a pose."""
 
 _QUERY_BUDGET: Final = 300
-"""What one search may spend on queries of original meshes, in units of a query whether two touch
-(2 ms): less than a second."""
+"""Budget of one search for queries of original meshes, in units of a collision query of 2 ms: less
+than a second."""
 
 _IMPROVED: Final = 2
-"""How many of the clear poses that were found are improved: the others are seldom better then."""
+"""Number of clear poses that are improved: the others seldom become better than these."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchBudget:
-    """How much a search for clear poses tries.
+    """Limits of a search for clear poses.
 
     Attributes:
-        pool: Good poses that serve as starts.
-        attempts: Poses that are pushed out of their collisions.
-        pushes: Descents to push one out.
-        recalibrations: Steps to improve one, each with newly measured allowances.
-        trust_steps: Steps to improve one in its trust region.
-        path_rounds: Rounds that learn from blocked paths.
-        extra_attempts: Further poses that are pushed where none of them comes out.
-        settle: Whether poses are brought to minima of the goal before anything is learned.
+        pool: Number of starts.
+        attempts: Most poses pushed out of their collisions.
+        pushes: Most descents to push a pose out.
+        recalibrations: Most steps to improve a pose, each with newly measured allowances.
+        trust_steps: Most steps to improve a pose in its trust region.
+        path_rounds: Most rounds that learn from blocked paths.
+        extra_attempts: Further attempts if none has succeeded.
+        settle: Whether poses are moved to minima of the goal before constraints are learned.
     """
 
     pool: int = 10
@@ -97,12 +96,11 @@ class SearchBudget:
 
 
 class ClearSearch:
-    """Pushes poses out of the collisions that are not wanted.
+    """Pushes poses out of unwanted collisions.
 
-    Poses are improved under the constraints known so far, with an exact penalty; then the pose is
-    checked exactly, and what collides there becomes a constraint, or a tighter one (see
-    `Constraints`). A pose that is clear is refined: the allowances are measured there, and it moves
-    further as long as it gets better and stays clear.
+    Improves a pose under the constraints known so far, with an exact penalty, and then checks it
+    exactly; collisions become constraints, or tighten them (see `Constraints`). Refines a clear
+    pose: measures the allowances there, and moves it as long as it improves and stays clear.
     """
 
     def __init__(
@@ -131,11 +129,11 @@ class ClearSearch:
 
     @property
     def _out_of_budget(self) -> bool:
-        """Whether queries of meshes as given have cost so much that the search is to end."""
+        """Whether the search has used up its budget for queries of original meshes."""
         return self._scene.query_cost >= self._cost_limit
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return clear poses, the best one whose path is clear first, if there is any.
+        """Return clear poses, the best one with a clear path first.
 
         Args:
             starts: Coordinates ``(k,)`` of good poses, the best first.
@@ -158,12 +156,12 @@ class ClearSearch:
                     free.append(y)
                     break
                 behind.append(y)
-                # The next round knows of it; meanwhile, the place just before the collision may do.
+                # A constraint for the next round; the pose before the collision is a fallback.
                 self._constraints.learn_path(blocked, y)
                 nearer = self._go_back(y, blocked)
                 if nearer is not None:
                     free.append(nearer)
-            # The best pose has a clear path: further rounds could only find worse ones.
+            # If the best pose has a clear path, further rounds could only find worse ones.
             if not found or any(y is found[0] for y in free):
                 break
         return [*sorted(free, key=self._function.value), *behind]
@@ -184,9 +182,9 @@ class ClearSearch:
     def _explore(self, starts: Sequence[FloatArray], attempts: int) -> list[FloatArray]:
         """Return clear poses, the best first.
 
-        All starts are kept at minima of the goal under the constraints learned so far. The best of
-        them is pushed out of its collisions, which teaches new constraints; and so on, until what
-        was reached comes near the best of the starts.
+        Keeps all starts at minima of the goal under the constraints learned so far. Pushes the best
+        of them out of its collisions, which adds constraints, and repeats this until the clear pose
+        is nearly as good as the best start.
         """
         value = self._function.value
         pool = list(starts[: self._budget.pool])
@@ -194,11 +192,11 @@ class ClearSearch:
         found: list[FloatArray] = []
         best, enough = np.inf, _GOOD * min(map(value, pool), default=0.0)
         for number in range(attempts + self._budget.extra_attempts):
-            # Extra attempts are only for searches that have found nothing.
+            # Extra attempts are only for searches without a clear pose so far.
             if (found and number >= attempts) or self._out_of_budget:
                 break
             while self._uncalibrated:
-                # Only now: a pose found last calibrates what the next attempt may rely on.
+                # Delayed until here, since the last pose found calibrates only further attempts.
                 self._constraints.calibrate(self._uncalibrated.pop())
             minima = self._settled(pool)
             pool = [minimum.y for minimum in sorted(minima, key=lambda m: m.value)[:_POOL]]
@@ -222,13 +220,13 @@ class ClearSearch:
     def _improved(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one in which the tips touch."""
         better = self._improve_in_trust_region(self._improve_recalibrated(y))
-        # Links nested in each other are slow to check, so the improvement leaves them out.
+        # The improvement ignores nested links, which are slow to check.
         if better is y or self._checker.nested(self._function.stored(better)):
             return y
         return better if self._touches(better) else y
 
     def _settled(self, pool: Sequence[FloatArray]) -> list[Minimum]:
-        """Return minima of the goal under the constraints that are reached from some poses."""
+        """Return the minima of the goal under the constraints, reached from these poses."""
         if not self._constraints.learned:
             if not self._budget.settle:
                 return [Minimum(y, self._function.value(y), 1) for y in pool]
@@ -238,14 +236,14 @@ class ClearSearch:
     def _push_out(self, start: FloatArray) -> FloatArray | None:
         """Return a clear pose reached from a good one.
 
-        Where the convex parts push a pose out in the wrong direction, it is put back on the path to
-        just before the links that collide in it first touch, and improved from there, unless the
-        tips are apart there and stay apart.
+        If the convex parts push the pose in the wrong direction, moves it back on the path to just
+        before the first contact of its colliding links, and improves it from there, unless the tips
+        do not touch there.
         """
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
             u = self._function.stored(y)
-            # The cheap ones first; the costly ones only where these are clear.
+            # Check nested links, which are costly, only if the others are clear.
             hits = self._checker.unnested(u) or self._checker.nested(u)
             collided = collided or hits
             if not hits:
@@ -270,14 +268,14 @@ class ClearSearch:
     def _improve_recalibrated(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose, possibly far from a clear one.
 
-        The gaps at the pose show how much more the convex parts may overlap; with these allowances
-        the goal is improved, and the pose moves on as far as it stays clear.
+        The gaps at the pose give larger allowances for the overlaps of convex parts. Improves the
+        goal with these, and moves the pose as far as it stays clear.
         """
         best = self._function.value(y)
         for _ in range(0 if self._out_of_budget else self._budget.recalibrations):
             self._constraints.calibrate(y)
             step = self._descend(y, _EVALUATIONS).y - y
-            # The allowances hold near the pose: a long step may leave that neighbourhood.
+            # The allowances hold only near the pose, which a long step may leave.
             for share in (1.0, 0.5, 0.25, 0.125):
                 trial = y + share * step
                 value = self._function.value(trial)
@@ -293,8 +291,8 @@ class ClearSearch:
     def _improve_in_trust_region(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one.
 
-        Near the pose the exact gaps of near links are linear functions of the coordinates. The goal
-        is improved within these bounds and a radius that shrinks when the pose found is not clear.
+        Near the pose, the exact gaps of near links are nearly linear in the coordinates. Improves
+        the goal within these bounds and a radius that shrinks when the new pose is not clear.
         """
         best, radius = self._function.value(y), _RADIUS
         concerned = self._constraints.concerned()
@@ -311,7 +309,7 @@ class ClearSearch:
                 resolution=MEDIUM,
             ).y
             value = self._function.value(trial)
-            # Nothing better within reach: the model is exhausted, so look closer by.
+            # Nothing better within the radius, so that the next step searches closer.
             if value >= best - CLOSE:
                 radius *= _TIGHTER
             elif hits := self._collides(trial):
@@ -320,7 +318,7 @@ class ClearSearch:
                 concerned |= new
                 gaps += self._linear_gaps(y, new.values()) if new else []
             else:
-                # The model was right: trust it farther, and measure the gaps at the new pose.
+                # The model was right, so that the radius grows, with gaps of the new pose.
                 y, best, radius = trial, value, radius * _WIDER
                 gaps = self._linear_gaps(y, concerned.values())
             if radius < _SMALLEST:
@@ -332,8 +330,8 @@ class ClearSearch:
     ) -> list[tuple[float, FloatArray]]:
         """Return the gaps of near links at a clear pose, with their derivatives.
 
-        A gap is what is left of a distance beyond the links' margin. Where the convex parts are
-        close or overlap, it is that of the geometry as given.
+        A gap is the distance minus the links' margin; that of the original geometry if the convex
+        parts are close or overlap.
         """
         self._scene.place(self._function.stored(y))
         found = []
@@ -345,7 +343,7 @@ class ClearSearch:
                 found.append((gap - margin, rise))
             elif gap < NEAR:
                 found.append((gap, self._scene.derivative(pair, self._space)))
-        # Adding 0 turns -0.0 into 0.0, whose sign would otherwise be kept.
+        # Adding 0 turns -0.0 into 0.0.
         return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in found]
 
     def _above(self, gaps: Sequence[tuple[float, FloatArray]], at: FloatArray) -> Objective:
@@ -380,10 +378,10 @@ class ClearSearch:
 
 
 def touching_postures(function: GoalFunction, found: Iterable[FloatArray]) -> Iterator[FloatArray]:
-    """Yield those postures, rounded as they are stored, in which the tips touch as wanted.
+    """Yield the postures, rounded as stored, in which the tips touch as the goal requires.
 
     Args:
-        function: What is wanted, over the space that was searched.
+        function: The goal, over the space of the search.
         found: Coordinates ``(k,)`` in it.
     """
     return (u for u in map(function.stored, found) if function.touching(u))
@@ -396,10 +394,10 @@ def clear_postures(
     starts: Sequence[FloatArray],
     budget: SearchBudget,
 ) -> list[FloatArray]:
-    """Return postures as stored that touch as wanted and in which nothing else collides.
+    """Return postures, rounded as stored, in which the tips touch and nothing else collides.
 
     Args:
-        function: What is wanted, over the space to search.
+        function: The goal, over the space to search.
         motion: Bounds on the motion of the links.
         checker: The links that may not collide.
         starts: Coordinates ``(k,)`` of good postures, the best first.

@@ -1,4 +1,4 @@
-"""Find what else collides at a posture and on the straight path to it."""
+"""Checks for other collisions at a posture and on the straight path to it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rtee.hand.linalg import norms, rotated
 from rtee.sample import FloatArray
 
 STEP: Final = 0.001
-"""Between two exact checks on a path, near links move at most this far against each other [m]."""
+"""Largest relative motion of near links between two exact checks on a path [m]."""
 
 _FINE: Final = 0.0005
 """Step of the search for the first contact of two tips whose convex parts overlap [m]."""
@@ -29,31 +29,30 @@ _MOST: Final = 4096
 
 _COARSE_PARTS: Final = 16
 _PARTS: Final = 32
-"""Into how many parts a path is halved before it is checked exactly: for links whose convex parts
-overlap, where halving decides nothing, and for others."""
+"""Number of parts into which a path is halved before exact checks: for links whose convex parts
+overlap, for which halving decides nothing, and for others."""
 
 _PLACE: Final = 2.0**-16
-"""Unit of the intensities checked on a path, so that last digits do not move them; a fingertip
-moves some micrometres in it."""
+"""Unit of the intensities checked on a path, which makes them independent of last digits; per unit,
+a fingertip moves some micrometres."""
 
 _FEW: Final = 12
-"""Up to this many pairs of links are measured without comparing their spheres first, which costs as
-much."""
+"""Most pairs of links measured without comparing their spheres first, which would cost as much."""
 
 _SHARE: Final = 0.8
-"""Links that are near each other at rest may come to this part of their distance there: rounding
-the posture to be stored takes less than the rest of it."""
+"""Share of their distance at rest that near links have to keep: the rest is more than the rounding
+of stored postures."""
 
 REDUCED: Final = 0.25
-"""Share of their margin that links keep where no posture of a pinch allows for more: clear still,
-but only for a model that is exact."""
+"""Share of the margin for pinches without a posture of full margin: still clear, but only if the
+model is exact."""
 
 _PLACES: Final = 65
-"""At how many intensities the clearance on a path is measured: a fingertip moves a few millimetres
-between two of them."""
+"""Number of intensities at which the clearance on a path is measured, between which a fingertip
+moves a few millimetres."""
 
 _SURE: Final = 1e-5
-"""Links that are known to be farther apart do not touch, however distances are rounded [m]."""
+"""Distance beyond which links do not touch, however distances are rounded [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class Blocked:
 
     Attributes:
         pair: The links that collide.
-        at: Where they first do, an intensity.
+        at: Intensity of their first collision.
     """
 
     pair: LinkPair
@@ -72,14 +71,14 @@ class Blocked:
 class Collisions:
     """The links that may collide at all.
 
-    Not collisions: contact of links that one moving joint joins, of links that touch at rest, and
-    of pairs that the SRDF disables.
+    Excludes links joined by a moving joint, links that touch at rest, and pairs that the SRDF
+    disables.
 
     Attributes:
-        checked: The pairs of links that remain.
+        checked: The remaining pairs of links.
         at_rest: The pairs that touch at rest.
-        narrow: The pairs whose distance at rest is less than the hand's clearance allows for, with
-            that distance [m].
+        narrow: The pairs whose distance at rest is too small for the hand's clearance, with that
+            distance [m].
     """
 
     def __init__(self, scene: Scene, motion: Motion) -> None:
@@ -91,7 +90,7 @@ class Collisions:
         for pair in scene.pairs.values():
             a, b = pair.bodies
             adjacent = parents[a] == b or parents[b] == a
-            # Links joined by a joint overlap at it in nearly every model.
+            # In nearly every model, links overlap at the joint between them.
             if not adjacent and frozenset(pair.links) not in disabled:
                 candidates.append(pair)
         scene.place(scene.hand.rest)
@@ -100,7 +99,7 @@ class Collisions:
         touching = {pair.links for pair in near if scene.touching(pair)}
         self.at_rest = tuple(sorted(touching))
         remaining = [pair for pair in candidates if pair.links not in touching]
-        # Links nested in each other cost most to check and collide rarely.
+        # Nested links cost most to check and rarely collide.
         overlapping = {pair.links for pair in near if scene.at_least(pair) <= 0.0}
         self._nested = overlapping - touching
         self.checked = tuple(sorted(remaining, key=lambda pair: pair.links in self._nested))
@@ -118,9 +117,9 @@ class Collisions:
         }
 
     def margin(self, pair: LinkPair) -> float:
-        """Return the distance that two links keep from each other in a clear pose [m].
+        """Return the distance that two links have to keep in a clear pose [m].
 
-        The hand's clearance, or four fifths of what they have at rest where that is less.
+        The hand's clearance, or four fifths of their distance at rest if that is less.
         """
         least = self._scene.hand.clearance
         gap = self.narrow.get(pair.links, self.narrow.get(pair.links[::-1]))
@@ -130,8 +129,8 @@ class Collisions:
         """Return a checker of the links that some actuators move against each other.
 
         Args:
-            actuators: The actuators that move; the others rest, where nothing collides.
-            tips: Pairs of links whose contact is wanted.
+            actuators: The actuators that move; the others stay at rest.
+            tips: Pairs of links that shall touch.
         """
         moving, wanted = frozenset(actuators), set(tips)
         pairs = [
@@ -139,16 +138,16 @@ class Collisions:
             for pair in self.checked
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
-        # `checked` is sorted, so the nested ones are the last in any selection from it.
+        # `checked` is sorted, so that the nested pairs are the last in any selection.
         nested = sum(pair.links in self._nested for pair in pairs)
         margins = [self.margin(pair) for pair in pairs]
         return CollisionChecker(self._scene, self._motion, pairs, margins, nested)
 
 
 class CollisionChecker:
-    """Checks the links that may not come near each other in one search.
+    """Checks the links that must stay apart in one search.
 
-    Two links collide where they are nearer to each other than their margin.
+    Two links collide if their distance is less than their margin.
 
     Attributes:
         pairs: The pairs of links.
@@ -169,7 +168,7 @@ class CollisionChecker:
             motion: Bounds on their motion.
             pairs: The pairs.
             margins: The distances that they have to keep [m].
-            nested: How many of them, the last, are nested in each other.
+            nested: Number of nested pairs, which are the last.
         """
         self._scene = scene
         self._motion = motion
@@ -200,31 +199,31 @@ class CollisionChecker:
         """
         scene, least = self._scene, FARTHEST_CLEARANCE
         straight = self._motion.path_to(u)
-        # From the pose backwards: the least distance is usually at its end, and bounds all others.
+        # From the pose backwards, since the least distance is usually at the end.
         for t in np.linspace(1.0, 0.0, _PLACES) if path else (1.0,):
             scene.place(straight.at(float(t)))
             near = np.flatnonzero(self._known.least(scene.joints) < least)
             if len(near) > _FEW:
                 near = near[self._spheres.gaps()[near] < least]
             gaps = [scene.at_least(self.pairs[c]) for c in near]
-            # What is known here bounds the distances at the next place from below.
+            # The distances here bound those at the next intensity from below.
             self._known.learn(near, gaps, scene.joints)
             for c, gap in zip(near, gaps, strict=True):
-                # Whether meshes are that near is computed faster than how near they are.
+                # A proximity test of meshes is faster than their distance.
                 if gap < least and scene.nearer(self.pairs[c], least):
                     least = min(least, scene.exact_distance(self.pairs[c]))
         return least
 
     def at(self, u: FloatArray) -> list[LinkPair]:
-        """Return which links collide at a posture ``(n,)``."""
+        """Return the pairs of links that collide at a posture ``(n,)``."""
         return self._colliding(u, 0, len(self.pairs))
 
     def unnested(self, u: FloatArray) -> list[LinkPair]:
-        """Return which links collide at a posture, of those that are not nested at rest."""
+        """Return the colliding pairs among those that are not nested at rest."""
         return self._colliding(u, 0, len(self.pairs) - self._nested)
 
     def nested(self, u: FloatArray) -> list[LinkPair]:
-        """Return which links collide at a posture, of those that are nested at rest."""
+        """Return the colliding pairs among those that are nested at rest."""
         return self._colliding(u, len(self.pairs) - self._nested, len(self.pairs))
 
     def _colliding(self, u: FloatArray, begin: int, end: int) -> list[LinkPair]:
@@ -238,20 +237,20 @@ class CollisionChecker:
         return [self.pairs[c] for c in near if scene.nearer(self.pairs[c], float(self._margins[c]))]
 
     def blocked(self, u: FloatArray) -> Blocked | None:
-        """Return where the straight path from rest to a posture is first blocked, if it is.
+        """Return the first collision on the straight path from rest to a posture, or ``None``.
 
-        Links whose convex parts stay farther apart than they can move are free; for the others the
-        path is halved, again and again. What remains is checked exactly, so often that the links
-        move at most 1 mm against each other, where they are near, between two checks.
+        Links whose convex parts are farther apart than they can move are free. For others, halves
+        the path repeatedly, and checks the remaining parts exactly, at steps in which near links
+        move at most 1 mm against each other.
         """
         key = u.tobytes()
-        # The same posture is asked for again when the evidence is measured.
+        # Cached, since the measurement of the evidence checks the same posture again.
         if key not in self._paths:
             self._paths[key] = self.first_on(self._motion.path_to(u), self.pairs)
         return self._paths[key]
 
     def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
-        """Return where some links first collide on a path, ``None`` if they do not."""
+        """Return the first collision of these links on a path, or ``None``."""
         found: Blocked | None = None
         for pair, ends in sorted(self._near_runs(path, pairs), key=lambda run: run[1][0]):
             if found is not None:
@@ -276,7 +275,7 @@ class CollisionChecker:
             for ends, columns in parts.items():
                 for t in ends:
                     asked.setdefault(t, set()).update(columns)
-            # By places, not by pairs: placing the hand costs more than measuring a pair.
+            # Ordered by intensities, since placing the hand costs more than measuring a pair.
             for t, concerned in asked.items():
                 new = [c for c in concerned if t not in gaps[c]]
                 if new:
@@ -289,7 +288,7 @@ class CollisionChecker:
                 for c in columns:
                     margin = self._margin_of[pairs[c].number]
                     here, there = gaps[c][start] - margin, gaps[c][end] - margin
-                    # Links that come near each other anywhere between must cover both gaps.
+                    # Links that come near each other in between have to cover both gaps.
                     if here + there > speeds[c] * (end - start):
                         continue
                     overlap = here <= 0.0 and there <= 0.0
@@ -304,7 +303,7 @@ class CollisionChecker:
     def _within_reach(
         self, path: StraightPath, pairs: Sequence[LinkPair], speeds: Sequence[float]
     ) -> list[int]:
-        """Return the numbers of the pairs whose spheres come near each other on some half."""
+        """Return the indices of the pairs whose spheres come near each other on some half."""
         spheres = self._spheres if pairs is self.pairs else Spheres(self._scene, pairs)
         bounds = []
         for t in (0.0, 0.5, 1.0):
@@ -316,13 +315,13 @@ class CollisionChecker:
         return [int(c) for c in np.flatnonzero(near)]
 
     def _first_in(self, pair: LinkPair, path: StraightPath, ends: Sequence[float]) -> float | None:
-        """Return where a pair first touches on a run of the path."""
+        """Return the intensity of a pair's first contact on a run of the path, or ``None``."""
         travelled = self._motion.travelled(pair, path, ends)
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
         before, margin = ends[0], self._margin_of[pair.number]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
-            # On a lattice, so that another processor's last digits lead to the same places.
+            # On a lattice, which is independent of a processor's last digits.
             t = min(ends[-1], round(t / _PLACE) * _PLACE)
             self._scene.place(path.at(t))
             if self._scene.nearer(pair, margin):
@@ -332,7 +331,7 @@ class CollisionChecker:
 
 
 def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
-    """Return the ends of parts of a path, joined where one follows another."""
+    """Return the ends of parts of a path, with consecutive parts joined."""
     runs: list[list[float]] = []
     for start, end in sorted(parts):
         if runs and runs[-1][-1] == start:
@@ -343,10 +342,10 @@ def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
 
 
 def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float) -> float | None:
-    """Return where two links first touch on the path, ``None`` if they do not.
+    """Return the intensity of two links' first contact on the path, or ``None``.
 
-    Conservative advancement (Mirtich, 1996) on the convex parts; where these overlap, exact checks
-    at most half a millimetre of motion apart.
+    Uses conservative advancement (Mirtich, 1996) on the convex parts and, if these overlap, exact
+    checks at most half a millimetre of motion apart.
 
     Args:
         scene: The scene.
@@ -354,7 +353,7 @@ def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float
         path: The path.
         speed: Bound on the speed of the links against each other per unit of the path [m].
     """
-    # Where the parts overlap, the gap is no longer a safe step: go on by the finest one.
+    # If the parts overlap, the gap gives no step, and the finest one is used.
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
     t = before = 0.0
     while True:
@@ -383,10 +382,10 @@ def bisect(
         scene: The scene.
         pair: The links.
         path: The path.
-        apart: An intensity at which they do not touch; it may equal ``touching``.
-        touching: A greater one at which they do.
+        apart: An intensity at which they do not touch; may equal ``touching``.
+        touching: A larger intensity at which they touch.
         margin: The margin [m].
-        precision: How far off the answer may be.
+        precision: Largest error of the result.
     """
     while touching - apart > precision:
         middle = (apart + touching) / 2.0
@@ -399,13 +398,10 @@ def bisect(
 
 
 class Spheres:
-    """Lower bounds on the distances of pairs of links, all at once.
-
-    Every link lies in a sphere that moves with it.
-    """
+    """Lower bounds on the distances of many pairs of links, from bounding spheres."""
 
     def __init__(self, scene: Scene, pairs: Sequence[LinkPair]) -> None:
-        """Put spheres around the links of some pairs."""
+        """Compute the spheres of the links of these pairs."""
         self._scene = scene
         links = list(dict.fromkeys(shapes for pair in pairs for shapes in pair.shapes))
         spheres = [_sphere(scene, shapes) for shapes in links]
@@ -419,7 +415,7 @@ class Spheres:
     def gaps(self) -> FloatArray:
         """Return the least distance of every pair at the posture of the scene ``(p,)`` [m]."""
         rotations, translations = self._scene.bodies()
-        # Summed in a fixed order, as BLAS would not: the same bits on every processor.
+        # Summed in a fixed order, unlike BLAS, for the same bits on every processor.
         there = np.add.reduce(rotations[self._bodies] * self._centres[:, None, :], axis=2)
         there += translations[self._bodies]
         between = there[self._second] - there[self._first]
@@ -436,6 +432,6 @@ def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
             rotated(shape.points, shape.placement.rotation) + shape.placement.translation
         )
     points = np.concatenate(corners)
-    # Of the bounding box: not the smallest sphere, but a bound is enough.
+    # Around the bounding box; this is not the smallest sphere, but a valid bound.
     centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
     return centre, float(norms(points - centre).max())

@@ -1,4 +1,4 @@
-"""Constraints that a search for clear poses learns: links that have to stay apart, and how far."""
+"""Constraints learned in a search for clear poses: links that have to stay apart, and distances."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest
 
 WEIGHT: Final = 5.0
-"""What a metre beyond a constraint counts at first, in metres of depth: more than the goal gains by
-it, so that the penalty is exact."""
+"""First weight of a violated constraint, in metres of depth per metre: more than the goal gains by
+a violation, so that the penalty is exact."""
 
 CLOSE: Final = 5e-5
-"""Values and gaps are compared to this [m]: a few units of the medium resolution."""
+"""Tolerance in comparisons of values and gaps [m]: a few units of the medium resolution."""
 
 NEAR: Final = 5e-3
-"""Links farther apart than this are out of reach of one step in the trust region [m]."""
+"""Distance beyond which links are out of reach of one step in the trust region [m]."""
 
 CLOSER: Final = 1e-3
-"""Between convex parts this far apart the exact gap does not matter [m]."""
+"""Distance of convex parts beyond which the exact gap does not matter [m]."""
 
 _SHRINK: Final = 0.2
-"""An allowance at which links still collided is lowered by this share of itself: enough to get out
-within a few rounds, without giving away much depth."""
+"""Share by which an allowance is lowered if links still collide: enough to end the collision in a
+few rounds, without losing much depth."""
 
 _STRENGTHEN: Final = 2.0
 _STRONGEST: Final = 40.0
-"""Factor by which the weight of a constraint grows when it was broken, and its upper bound: beyond,
-the penalty is so steep that descents end on it."""
+"""Factor by which the weight of a violated constraint grows, and its upper bound: descents would
+end on a steeper penalty."""
 
 _COARSE: Final = 0.01
-"""Precision with which the first contact on the path is sought, as an intensity: the allowance
-measured there is a first guess."""
+"""Precision of the first contact on the path, as an intensity: the allowance measured there is only
+a first guess."""
 
 _SAFE: Final = 2e-5
-"""How far before a collision an actuator's bound is put, as an intensity: more than rounding."""
+"""Distance of an actuator's bound before a collision, as an intensity: more than rounding."""
 
 _MARGIN: Final = 1e-4
-"""How much less than at the first contact the convex parts may overlap at first [m]."""
+"""Difference between the overlap at the first contact and the first allowance [m]."""
 
 _SAMPLES: Final = 16
-"""At how many intensities beyond a collision on the path the overlap is measured: enough to find
-where it is deepest."""
+"""Number of intensities beyond a collision on the path at which the overlap is measured: enough to
+find the deepest one."""
 
 _STATIONS: Final = 4
 _MOST_STATIONS: Final = 8
-"""At how many of them a constraint on the path holds at first, and at most: each takes a
-placement of the hand in every evaluation."""
+"""Number of these intensities at which a constraint on the path holds, at first and at most: each
+costs a placement of the hand per evaluation."""
 
 _APART: Final = 0.02
-"""Intensities that differ by less are one station."""
+"""Difference of intensities below which they count as one station."""
 
 _POSE: Final = (1.0,)
 """The intensities of a constraint at the pose alone."""
@@ -70,9 +70,9 @@ class Constraint:
 
     Attributes:
         pair: The links.
-        times: Where on the path, as intensities; 1 is the pose itself.
-        allowance: How deep their convex parts may overlap there before the links are too near [m];
-            negative where the parts have to stay apart.
+        times: Intensities on the path; 1 is the pose itself.
+        allowance: Largest overlap of their convex parts there [m]; negative if the parts have to
+            stay apart.
         weight: Factor of the penalty.
     """
 
@@ -83,17 +83,17 @@ class Constraint:
 
 
 class Constraints:
-    """Learns from collisions at poses and on the paths to them, and keeps poses out of them.
+    """Learns constraints from collisions at poses and on the paths to them.
 
-    The convex parts of two links are measured in place of the links. They overlap before the links
-    collide, by an allowance that is measured where the links first touch.
+    Measures the convex parts of two links instead of the links. The parts overlap before the links
+    collide, by an allowance that is measured at the first contact of the links.
     """
 
     def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:
-        """Begin with none.
+        """Begin without constraints.
 
         Args:
-            function: What to press together, over the space to search.
+            function: The goal, over the space to search.
             motion: Bounds on the motion of the links.
             checker: The links that may not collide.
         """
@@ -108,12 +108,12 @@ class Constraints:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper corner of the box that is left ``(k,)``."""
+        """Lower and upper corner of the remaining box ``(k,)``."""
         return self._low, self._high
 
     @property
     def learned(self) -> bool:
-        """Whether anything keeps poses out of anything."""
+        """Whether there are any constraints or bounds."""
         return bool(self._known or self._low.any() or (self._high < 1.0).any())
 
     def concerned(self) -> dict[tuple[str, str], LinkPair]:
@@ -121,12 +121,12 @@ class Constraints:
         return {c.pair.links: c.pair for c in self._known if c.times == _POSE}
 
     def calibrate(self, y: FloatArray) -> None:
-        """Allow at least the overlaps at which links would touch near a clear pose."""
+        """Raise allowances to the overlaps at which links would touch near a clear pose."""
         self._scene.place(self._function.stored(y))
         for c in self._known:
             overlap, margin = -self._scene.distance(c.pair), self._checker.margin(c.pair)
             if c.times == _POSE and overlap > -CLOSER - margin:
-                # What is free here in truth may be added to the overlap of the convex parts.
+                # The exact gap may be added to the overlap of the convex parts.
                 gap = self._scene.exact_distance(c.pair) - margin
                 c.allowance = max(c.allowance, COARSE.rounded_value(overlap + gap - CLOSE))
                 c.weight = WEIGHT
@@ -154,7 +154,7 @@ class Constraints:
         deepest = times[int(np.argmax(overlaps))]
         known = self._of(blocked.pair, on_path=True)
         if known is None:
-            # The deepest place and some others: where one is kept apart, another becomes deepest.
+            # The deepest place and some others, one of which may become the deepest.
             few = (*times[:: _SAMPLES // _STATIONS], deepest)
             self._known.append(Constraint(blocked.pair, few, overlaps[0]))
         elif all(abs(t - deepest) > _APART for t in known.times):
@@ -164,20 +164,20 @@ class Constraints:
 
     def _of(self, pair: LinkPair, *, on_path: bool = False) -> Constraint | None:
         of_pair = (c for c in self._known if c.pair is pair)
-        # At most one of each: what else is learned tightens it.
+        # At most one of each kind, which later collisions tighten.
         return next((c for c in of_pair if (c.times != _POSE) is on_path), None)
 
     def _tighten(self, constraint: Constraint, overlap: float) -> None:
-        """Allow less than an overlap at which the links do collide."""
+        """Lower the allowance below an overlap at which the links collide."""
         least = min(constraint.allowance, overlap)
         constraint.allowance = COARSE.rounded_value(least - max(CLOSE, _SHRINK * abs(least)))
-        # The penalty was not enough to keep the pose out, so it gets steeper, too.
+        # The penalty was too weak to prevent the collision, so that it becomes steeper, too.
         constraint.weight = min(_STRONGEST, constraint.weight * _STRENGTHEN)
 
     def _bound(self, pair: LinkPair, y: FloatArray) -> bool:
-        """Bound an actuator that alone moves two links, where they first collide on its path."""
+        """Bound an actuator that alone moves two links at their first collision on its path."""
         moving = pair.actuators & self._varying
-        # Only then the collision depends on one coordinate, and a bound says all there is to say.
+        # If the collision depends on one coordinate, a bound describes it completely.
         if len(moving) != 1:
             return False
         (actuator,) = moving
@@ -191,7 +191,7 @@ class Constraints:
         goal[actuator] = goal[actuator] * share + rest[actuator] * (1.0 - share)
         i = self._index.index(actuator)
         limit, start = MEDIUM.snap(self._space.coordinates(goal))[i], self._space.rest[i]
-        # On the far side of rest the bound is an upper one, on the near side a lower one.
+        # An upper bound on the far side of rest, a lower one on the near side.
         if limit >= start and y[i] > start:
             self._high[i] = min(self._high[i], limit)
         else:
@@ -228,7 +228,7 @@ class Constraints:
 
             if not before:
                 return value, sloping
-            slope = sloping()  # now, since the links are placed elsewhere next
+            slope = sloping()  # now, since the links are moved next
             for c in before:
                 least, steepest = np.inf, slope
                 for t in c.times:

@@ -1,4 +1,4 @@
-"""The transmission for the searches: non-linear couplings are interpolated in tables."""
+"""The transmission for the searches, with non-linear couplings interpolated in tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rtee.hand.transmission import Coupling, Linear
 from rtee.sample import FloatArray
 
 _KNOTS: Final = 1025
-"""Knots of a table, which agrees with smooth couplings to 1e-8 rad."""
+"""Number of knots of a table, which agrees with smooth couplings to 1e-8 rad."""
 
 
 class Couplings:
@@ -22,8 +22,8 @@ class Couplings:
 
     Linear couplings are evaluated directly. Non-linear ones are tabulated at 1025 knots over the
     widened limits and interpolated by cubic Hermite polynomials. That agrees with smooth couplings
-    of real hands to 1e-8 rad, and to 3e-5 rad where they have kinks. Where an expression has no
-    finite value, the nearest finite one holds.
+    of real hands to 1e-8 rad, and to 3e-5 rad at kinks. If an expression has no finite value, the
+    nearest finite one replaces it.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -61,7 +61,7 @@ class _Table:
         self.actuator = actuator
         self.rows = np.array(rows, dtype=np.intp)
         self._low, self._step = low, (high - low) / (_KNOTS - 1)
-        # Two knots beyond both ends serve the central differences there.
+        # Two more knots beyond both ends, for the central differences there.
         x: FloatArray = low + self._step * np.arange(-2.0, _KNOTS + 2.0)
         columns = []
         for coupling in couplings:
@@ -78,15 +78,15 @@ class _Table:
         self._last, self._found = math.nan, (self._values[0], self._slopes[0])
 
     def at(self, x: float) -> tuple[FloatArray, FloatArray]:
-        """Return the joints' positions and their derivatives; the last answer is remembered."""
-        # Position and slope are asked for one after the other, at the same place.
+        """Return the joints' positions and their derivatives; the last result is cached."""
+        # Callers request position and slope one after the other, at the same place.
         if x != self._last:
             self._last, self._found = x, self._interpolate(x)
         return self._found
 
     def _interpolate(self, x: float) -> tuple[FloatArray, FloatArray]:
         place = (x - self._low) / self._step
-        # Beyond the ends, the polynomials of the last steps go on.
+        # Beyond the ends, extrapolate the polynomials of the last steps.
         i = min(max(int(place), 0), _KNOTS - 2)
         t = place - i
         s = 1.0 - t
@@ -132,6 +132,6 @@ def _finite(values: FloatArray) -> FloatArray:
     if good.all():
         return values
     x = np.arange(len(values))
-    # Expressions may have poles or roots outside of the joint's real range.
+    # Expressions may have poles or roots outside the joint's real range.
     result: FloatArray = np.interp(x, x[good], values[good])
     return result

@@ -13,45 +13,45 @@ from rtee.hand.linalg import dot, matvec
 from rtee.sample import FloatArray
 
 Slope = Callable[[], FloatArray]
-"""Returns the derivative ``(k,)`` where a function was evaluated last.
+"""Returns the derivative ``(k,)`` at the last evaluation of a function.
 
-It is called before the next evaluation, or not at all: half of the steps that a line search tries
-are too long, and the derivative there is not needed."""
+Called before the next evaluation, or not at all, since half of the steps of a line search are too
+long and need no derivative."""
 
 Objective = Callable[[FloatArray], tuple[float, Slope]]
-"""From coordinates in the unit box to the value and what returns its derivative."""
+"""Returns the value at coordinates in the unit box, and a function that returns its derivative."""
 
 Bounds = tuple[FloatArray | float, FloatArray | float]
-"""Lower and upper corner of the box that coordinates stay in."""
+"""Lower and upper corner of the box of the coordinates."""
 
 _DECREASE: Final = 1e-4
 _CURVATURE: Final = 0.5
 """Shares of the first slope in the two weak Wolfe conditions: the usual one, and less than the
-usual 0.9, as what lies behind a kink is worth little."""
+usual 0.9, since going on behind a kink gains little."""
 
 _FIRST_STEP: Final = 0.1
 _LONGEST_STEP: Final = 0.5
-"""Lengths of steps in the coordinate that moves farthest, as parts of an actuator's range: before
-anything is known of the curvature, and ever."""
+"""Longest steps in the coordinate that moves farthest, as shares of an actuator's range: without
+knowledge of the curvature, and in general."""
 
 _FLAT: Final = 1e-10
-"""A derivative this small is zero [m]: far below the unit of every resolution."""
+"""Size below which a derivative counts as 0 [m]: far below the unit of every resolution."""
 
 _CURVED: Final = 1e-14
-"""Less curvature along a step than this is a rounding error [m]; the model is not updated by it."""
+"""Curvature along a step below which it is a rounding error and does not update the model [m]."""
 
 _MOST_TRIALS: Final = 10
-"""Points that a line search tries; ten halvings of the longest step come to the coarse unit."""
+"""Most points of a line search; ten halvings of the longest step give the coarse unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where a descent ended.
+    """End of a descent.
 
     Attributes:
         y: Coordinates ``(k,)``.
         value: The value there.
-        evaluations: How often the function was evaluated.
+        evaluations: Number of evaluations of the function.
     """
 
     y: FloatArray
@@ -70,19 +70,19 @@ def descend(
 ) -> Minimum:
     """Return a local minimum by projected BFGS.
 
-    Quasi-Newton steps on the coordinates that are not held at a bound, with a line search for the
-    weak Wolfe conditions. These suffice on functions with kinks, where the method converges though
-    the derivative jumps (Lewis and Overton, 2013). Where it stalls, it restarts once from the
+    Makes quasi-Newton steps in the coordinates that are not held at a bound, with a line search for
+    the weak Wolfe conditions. With these, the method converges on functions with kinks, although
+    the derivative jumps (Lewis and Overton, 2013). If it stalls, it restarts once from the
     identity.
 
     Args:
-        function: What to minimise.
+        function: The function to minimise.
         start: Coordinates ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
-        resolution: What coordinates, values and slopes are rounded to; a step that gains no more
-            than the unit of values ends the descent.
-        enough: A value at which the descent ends.
+        resolution: Units to which coordinates, values and slopes are rounded; a step that gains no
+            more than the unit of values ends the descent.
+        enough: Value at which the descent ends.
     """
     low, high = np.zeros(len(start)) + bounds[0], np.zeros(len(start)) + bounds[1]
     bounds = low, high = resolution.snap_box((low, high))
@@ -91,7 +91,7 @@ def descend(
     count, fresh, restarted = 1, True, False
     inverse = np.eye(len(y))
     while count < evaluations and value > enough:
-        # A coordinate at a bound that would leave the box takes no part in this step.
+        # Hold coordinates at a bound that would leave the box in this step.
         held = ((y <= low) & (slope > 0.0)) | ((y >= high) & (slope < 0.0))
         free = np.where(held, 0.0, slope)
         if max(map(abs, free.tolist()), default=0.0) < _FLAT:
@@ -109,7 +109,7 @@ def descend(
         if found is None or value - found[1] <= resolution.value:  # stalled
             if found is not None:
                 y, value, slope = found
-            # Stalled with the identity: it is a minimum, or as good as one.
+            # Stalled with the identity, so that this is a minimum, or as good as one.
             if restarted or fresh:
                 break
             inverse, fresh, restarted = np.eye(len(y)), True, True
@@ -118,8 +118,8 @@ def descend(
         y, value, slope = found
         along = dot(step, change)
         if along > _CURVED:
-            # Before the first update, the identity is scaled to the curvature that was met (Nocedal
-            # and Wright, Numerical Optimization, 2006, equation 6.20).
+            # Before the first update, scale the identity to the measured curvature (Nocedal and
+            # Wright, Numerical Optimization, 2006, equation 6.20).
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
             # The BFGS update of the inverse, as a symmetric sum of two outer products.
@@ -139,7 +139,7 @@ def _measured(
 
 
 def within(y: FloatArray, bounds: Bounds) -> FloatArray:
-    """Return coordinates clamped into a box."""
+    """Return coordinates clamped to a box."""
     clamped: FloatArray = np.minimum(np.maximum(y, bounds[0]), bounds[1])
     return clamped
 
@@ -162,7 +162,7 @@ def _search_line(
     for count in range(_MOST_TRIALS):
         there = resolution.snap(y + t * direction)
         inside = within(there, bounds)
-        # Shorter than a unit of the lattice: nothing smaller can be tried.
+        # The step is shorter than a unit of the lattice.
         if (inside == y).all():
             return best, count
         new, rise = function(inside)
@@ -174,10 +174,10 @@ def _search_line(
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)
             projected = there.tolist() != inside.tolist()
-            # At a face of the box, the slope along the direction says nothing any more.
+            # At a face of the box, the slope along the direction has no meaning.
             if projected or dot(new_slope, direction) >= _CURVATURE * steepness:
                 return best, count + 1
             below = t
-        # Bisection once there is an upper end, doubling before: it ends on kinks, too.
+        # Double until there is an upper end, then bisect, which converges on kinks, too.
         t = (below + above) / 2.0 if above < np.inf else 2.0 * t
     return best, _MOST_TRIALS

@@ -12,7 +12,7 @@ import pinocchio as pin
 from rtee.hand.geometry import Shape
 
 TOUCH: Final = 1e-8
-"""Surfaces closer than this touch [m]: above the rounding errors of Coal."""
+"""Distance below which surfaces touch [m]: above the rounding errors of Coal."""
 
 _POLYTOPES: Final = 1e-9
 """Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
@@ -20,13 +20,13 @@ last digit takes one of two normals wherever their depths differ by less, and se
 they do. For cylinders, which have no end of faces, the default stays: some would not converge."""
 
 _FAILED: Final = -1e6
-"""Coal's result is below this where it did not find a depth [m]: no hand is as deep in itself."""
+"""Distance below which Coal has failed to find a depth [m]: no hand penetrates itself so deeply."""
 
 _CLIMBED: Final = 32
-"""Coal climbs along the edges of hulls with more vertices, from where its last query ended."""
+"""Number of vertices above which Coal climbs along edges, from the end of its last query."""
 
 _ENDLESS: Final = (coal.Cylinder, coal.BVHModelBase)
-"""Shapes of which no polytope of finitely many faces is exact."""
+"""Shapes that no polytope with finitely many faces represents exactly."""
 
 _FIRST_DIRECTION: Final = np.array([1.0, 0.0, 0.0])
 _FIRST_VERTICES: Final = np.zeros(2, dtype=np.int32)
@@ -35,19 +35,19 @@ _place, _measure = pin.updateGeometryPlacements, pin.computeDistances
 
 
 class DistanceQueries:
-    """Distances and contacts of two links, of their shapes convex, as drafts of that, or as given.
+    """Distances and contacts of two links, by convex parts, drafts of these, or original geometry.
 
-    All couples of shapes, one of the first link and one of the second, are measured by one call.
-    Coal can keep where its last search of a couple ended as a guess for the next one, which moves
-    results in their last digits. Here every search begins from the same guess, so that results
-    depend on the posture alone. Coal's own default does that for convex shapes; for meshes as given
-    it must be set again each time.
+    One call measures all couples of shapes, one of the first link and one of the second.
+    Coal can use the end of a couple's last search as a guess for the next one, which changes the
+    last digits of results. Here every search begins from the same guess, so that results depend on
+    the posture alone. This is Coal's default for convex shapes; for original meshes it must be set
+    again each time.
 
     Attributes:
         couples: Indices of the couples' shapes in the scene.
-        slack: How much nearer than the bodies that are measured the convex parts can be [m].
-        remembers: Whether Coal keeps the last direction in which it looked for a vertex of a hull,
-            which moves the next result by some 10 nm; only new queries have none.
+        slack: Largest excess of the bodies' distance over that of the convex parts [m].
+        remembers: Whether Coal keeps the direction of its last search for a vertex of a hull, which
+            changes the next result by some 10 nm; only new queries have none.
         results: Coal's last distance result of every couple.
     """
 
@@ -69,10 +69,10 @@ class DistanceQueries:
             shapes: All shapes.
             first: Indices of those of the first link.
             second: Indices of those of the second link.
-            bodies: What stands for each of the shapes, by its index: its convex part, its draft, or
-                its geometry as given.
-            draft: Measure for a search: depths of polytopes more precisely.
-            slack: How much nearer than the bodies the convex parts of the links can be [m].
+            bodies: Geometry of each shape, by its index: its convex part, its draft, or its
+                original geometry.
+            draft: Whether to measure for a search, with more precise depths of polytopes.
+            slack: Largest excess of the bodies' distance over that of the convex parts [m].
         """
         self.slack = slack
         self.couples = tuple((i, j) for i in first for j in second)
@@ -107,18 +107,18 @@ class DistanceQueries:
 
     @property
     def measures_meshes(self) -> bool:
-        """Whether any of the shapes is a mesh as given, which takes long."""
+        """Whether any of the shapes is an original mesh, which is slow."""
         return self._guided
 
     def least(self, stamp: int) -> tuple[float, int]:
-        """Return the least distance of a couple and its number.
+        """Return the least distance [m] and the number of its couple.
 
-        The distance is negative where convex shapes overlap [m].
+        The distance is negative if convex shapes overlap.
 
         Args:
-            stamp: Number of the joints' placement, another one after each.
+            stamp: Number of the joints' placement, which changes with each.
         """
-        # Asked for at one posture by the goal, the constraints and the checks: measured once.
+        # Cached, since goal, constraints and checks request it at the same posture.
         if stamp != self._measured:
             _place(self._robot, self._joints, self._model, self._data)
             if self._guided:
@@ -132,13 +132,10 @@ class DistanceQueries:
         return self._least
 
     def _measured_again(self) -> int:
-        """Return the number of the nearest couple where some depth did not converge.
-
-        Those that did not are measured less precisely.
-        """
+        """Return the number of the nearest couple after measuring failed depths less precisely."""
         for k, request in enumerate(self._distances):
             precision = request.epa_tolerance
-            # Only for this query: the tolerance is set back below.
+            # Only for this query, as the tolerance is restored below.
             while self.results[k].min_distance < _FAILED and request.epa_tolerance < 1.0:
                 request.epa_tolerance *= 10.0
                 pin.computeDistance(self._model, self._data, k)
@@ -148,9 +145,8 @@ class DistanceQueries:
     def collide(self, couple: int, stamp: int, margin: float) -> bool:
         """Return whether the surfaces of a couple are closer than a margin; primitives are solid.
 
-        Surfaces that meet are asked for with a margin of 10 nm: where a triangle lies symmetrically
-        in a primitive, Coal finds a distance of the order of rounding errors instead of a
-        collision.
+        Use a margin of 10 nm for contact: if a triangle lies symmetrically in a primitive, Coal
+        returns a distance of the order of rounding errors instead of a collision.
 
         Args:
             couple: Number of the couple.

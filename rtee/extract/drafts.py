@@ -1,4 +1,4 @@
-"""Simplify convex parts for the searches: hulls with fewer vertices, and only the outer ones."""
+"""Simplification of convex parts for the searches: fewer vertices, and only outer parts."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from rtee.hand.linalg import rotated
 from rtee.sample import FloatArray
 
 SLACK: Final = 1e-4
-"""A draft may lie this far within a mesh's hull [m]; hands differ more from their models."""
+"""Largest distance of a draft below a mesh's hull [m]; hands differ more from their models."""
 
 _SIMPLE: Final = 200
-"""Hulls with fewer vertices are not worth simplifying: Coal climbs along their edges."""
+"""Number of vertices below which simplifying a hull gains little: Coal climbs along its edges."""
 
 _DIRECTIONS: Final = np.array(
     [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], float
 )
-"""Directions whose outermost vertices begin a draft: to a cube's faces, edges and corners."""
+"""Directions of the first vertices of a draft: to a cube's faces, edges and corners."""
 
 _SIDES: Final = 16
-"""Sides of the prism in place of a cylinder: up to 32 corners, Coal compares them all and keeps
+"""Sides of the prism that replaces a cylinder: up to 32 corners, Coal compares them all and keeps
 nothing from one query to the next."""
 
 _THICK: Final = 6.0
-"""A prism of so few sides may lie this many times the slack within its cylinder; thicker cylinders
-get more sides."""
+"""Largest distance of such a prism below its cylinder, in units of the slack; thicker cylinders get
+more sides."""
 
 _TURN: Final = 0.37
-"""How far that prism is turned about its axis, as a share of a side: not a simple fraction, so that
-its faces are parallel to few others."""
+"""Rotation of that prism about its axis, as a share of a side: not a simple fraction, so that its
+faces are parallel to few others."""
 
 _ROUNDED: Final = 2e-9
-"""How far rounding the corners to a nanometre moves them at most [m]."""
+"""Upper bound of the motion of corners by rounding to a nanometre [m]."""
 
 _ROUNDS: Final = 12
-"""Most rounds in which vertices are added; each halves what is missing, about."""
+"""Most rounds of adding vertices, each of which about halves the error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """What replaces the convex part of a shape while a search explores.
+    """Replacement of the convex part of a shape during a search.
 
     Attributes:
-        shape: A convex shape within the convex part.
-        slack: How far the convex part reaches beyond it at most [m].
+        shape: A convex shape inside the convex part.
+        slack: Largest distance of the convex part beyond it [m].
     """
 
     shape: coal.ShapeBase
@@ -58,11 +58,11 @@ class Draft:
 
 
 def draft(shape: Shape) -> Draft:
-    """Return a polytope of few vertices within a shape's convex part, or that part itself.
+    """Return a polytope of few vertices inside a shape's convex part, or that part itself.
 
-    A cylinder becomes a prism: with flat faces alone, depths are exact, and no last digit decides
-    which normal is found. A hull of many vertices becomes one of fewer; spheres, boxes and simple
-    hulls stay as they are.
+    A cylinder becomes a prism, since depths between flat faces are exact and their normals do not
+    depend on last digits. A hull of many vertices becomes one of fewer; spheres, boxes and simple
+    hulls are unchanged.
     """
     part = shape.convex
     if isinstance(part, coal.Cylinder):
@@ -80,7 +80,7 @@ def _prism(radius: float, half: float) -> Draft:
         flat = SLACK / radius
         sides = math.ceil(math.pi / math.acos(1.0 - flat))
     turns = [2.0 * math.pi * (k + _TURN) / sides for k in range(sides)]
-    # Rounded to a nanometre, so that sines of another mathematical library give the same corners.
+    # Rounded to a nanometre, so that all mathematical libraries give the same corners.
     ring = [(round(radius * math.cos(a), 9), round(radius * math.sin(a), 9)) for a in turns]
     corners = np.array([(x, y, z) for z in (-half, half) for x, y in ring])
     return Draft(hull_of(corners), radius * flat + _ROUNDED)
@@ -89,8 +89,8 @@ def _prism(radius: float, half: float) -> Draft:
 def _simplified(part: coal.ConvexBase) -> Draft:
     """Return a hull of fewer vertices within a hull.
 
-    It begins with the outermost vertices in evenly spread directions. Where a vertex lies beyond a
-    face by more than the slack, the one farthest beyond is added, until there is none.
+    Begins with the outermost vertices in evenly spread directions. If vertices lie beyond a face by
+    more than the slack, adds the farthest one, until there is none.
     """
     points = np.array(part.points())
     chosen = np.unique(_along(points, _DIRECTIONS).argmax(axis=0))
@@ -103,7 +103,7 @@ def _simplified(part: coal.ConvexBase) -> Draft:
         if worst <= SLACK:
             return Draft(hull, max(0.0, worst))
         far = beyond.max(axis=0) > SLACK
-        # One for each face that is not good enough, so that few rounds are needed.
+        # One vertex for each face that is not good enough, so that few rounds suffice.
         chosen = np.unique(np.concatenate([chosen, beyond.argmax(axis=0)[far]]))
     return Draft(part, 0.0)
 
@@ -111,9 +111,9 @@ def _simplified(part: coal.ConvexBase) -> Draft:
 def outer(
     shapes: Sequence[Shape], drafts: Mapping[int, Draft], link: Sequence[int]
 ) -> tuple[int, ...]:
-    """Return those shapes of a link that the draft of no other one holds within itself.
+    """Return the shapes of a link that lie inside no other shape's draft.
 
-    What lies within another convex part is never nearer to anything than that part.
+    A shape inside another convex part is never nearer to other links than that part.
 
     Args:
         shapes: All shapes.
@@ -127,12 +127,12 @@ def outer(
             continue
         normals = np.array(body.normals())
         levels = _along(np.array(body.points()), normals).max(axis=0)
-        # One that was dropped already may still hold others: it lies within what is kept.
+        # A dropped shape may contain others, too, as it lies inside a kept one.
         for i in [i for i in kept if i != j]:
             shape = shapes[i]
             corners = rotated(shape.points, shape.placement.rotation) + shape.placement.translation
             local = rotated(corners - holder.translation, holder.rotation.T)
-            # All corners on the inner side of all faces: held as a whole, since both are convex.
+            # All corners inside all faces, so that the whole shape is inside: both are convex.
             if (_along(local, normals) <= levels).all():
                 kept.remove(i)
     return tuple(kept)
@@ -156,7 +156,7 @@ def least_width(shape: Shape, draft: coal.ShapeBase) -> float:
 
 
 def _along(points: FloatArray, directions: FloatArray) -> FloatArray:
-    """Return how far points ``(p, 3)`` lie along directions ``(d, 3)``: ``(p, d)`` [m]."""
+    """Return the projections ``(p, d)`` of points ``(p, 3)`` on directions ``(d, 3)`` [m]."""
     x, y, z = directions.T
     result: FloatArray = points[:, :1] * x + points[:, 1:2] * y + points[:, 2:3] * z
     return result

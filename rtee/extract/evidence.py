@@ -1,4 +1,4 @@
-"""Measure the evidence recorded of a pinch, at the posture as it is stored."""
+"""Measurement of a pinch's evidence, at the posture rounded as stored."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ _DIGITS: Final = 9
 
 
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
-    """Return what else is near a posture and the straight path to it.
+    """Return the evidence about other links near a posture and the straight path to it.
 
     Args:
         scene: The hand's links.
         u: The posture as stored ``(n,)``.
-        checker: The links that must not come near each other.
+        checker: The links that have to stay apart.
 
     Returns:
-        What the evidence says about it, and the part of their margins that all other links keep in
-        the posture and on the path: 1, a quarter, or 0.
+        The evidence, and the share of their margins that all other links keep in the posture and
+        on the path: 1, a quarter, or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []
     for share, applied in ((1.0, checker), (REDUCED, checker.reduced)):
         near = applied.at(u)
-        # The first margin that is kept counts, the full one before the reduced one.
+        # Try the full margin before the reduced one.
         pose = pose or (0.0 if near else share)
         if not near and applied.blocked(u) is None:
             path = share
@@ -61,7 +61,7 @@ class Inspector:
     Attributes:
         scene: The hand's links.
         motion: Bounds on their motion.
-        collisions: What may not collide.
+        collisions: The links that may not collide.
     """
 
     scene: Scene
@@ -80,9 +80,9 @@ class Inspector:
         return cls(scene, motion, Collisions(scene, motion))
 
     def checker(self, fingers: Iterable[Finger], tips: Iterable[LinkPair]) -> CollisionChecker:
-        """Return a checker of what some fingers move, but for pairs of tips that are to touch."""
+        """Return a checker of the links that fingers move, except tips that shall touch."""
         hand = self.scene.hand
-        # Also what these fingers share with others: it moves in the pinch, too.
+        # Including actuators shared with other fingers, which move in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}
         return self.collisions.checker(moving, [frozenset(pair.links) for pair in tips])
 
@@ -99,7 +99,7 @@ class Inspector:
         around, margin = _surroundings(scene, u, checker)
         scene.place(u)
         touching = scene.touching(tips)
-        # Tips that touch have a depth only between their convex parts.
+        # The depth of touching tips is defined only between their convex parts.
         witness = scene.witness(tips) if touching else scene.exact_witness(tips)
         points = [scene.origin(link) for link in tips.links]
         contact_at = None
@@ -163,7 +163,7 @@ class Inspector:
 
 
 def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:
-    """Return the least intensity up to which contacts have linked all tips."""
+    """Return the least intensity at which contacts have linked all tips."""
     known = sorted((at, edge) for edge, at in firsts if at is not None)
     for i, (at, _) in enumerate(known):
         if linked(size, [edge for _, edge in known[: i + 1]]):
@@ -178,7 +178,7 @@ def as_posture(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:
 
 
 def _round(value: float) -> float:
-    # Adding 0 turns -0.0 into 0.0, which files and people read more easily.
+    # Adding 0 turns -0.0 into 0.0, which reads better in files.
     return round(value, _DIGITS) + 0.0
 
 

@@ -1,4 +1,4 @@
-"""Extract all primitive grasping actions of a hand."""
+"""Extraction of all primitive grasping actions of a hand."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import closed_rest
 
 _LARGE: Final = 5.0
-"""Links of hands are smaller than this [m]; larger ones come from meshes in millimetres."""
+"""Size that no link of a hand has [m]; larger ones come from meshes in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Extraction:
 
     Attributes:
         primitives: The primitives, kind by kind.
-        seconds: How long it took [s].
-        notes: What was noticed, one sentence each.
+        seconds: Duration of the extraction [s].
+        notes: Sentences about peculiarities of the model.
     """
 
     primitives: tuple[Primitive, ...]
@@ -51,9 +51,9 @@ def extract(
 
     Args:
         hand: The hand.
-        jobs: Processes to use; 0 for one per processor.
-        rank: Which posture of a pinch comes first among the clear ones.
-        progress: Called with the number of searches done and their total.
+        jobs: Number of processes; 0 for one per processor.
+        rank: Criterion of the first one of a pinch's clear postures.
+        progress: Called with the number of finished searches and their total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
@@ -69,19 +69,19 @@ def extract(
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
-    """Return all pinches: find which fingers pinch at all, then how, and which others join."""
+    """Return all pinches: of two fingers first, and then of several."""
     fingers = inspector.scene.hand.fingers
     tipped = [finger for finger in fingers if finger.tip]
 
     def probed(pair: tuple[Finger, ...]) -> PinchProbe | None:
-        inspector.scene.forget()  # so that it does not matter which process does what
+        inspector.scene.forget()  # so that results do not depend on the distribution of tasks
         search = pinch_search(inspector, pair[0], pair[1], rank)
         return None if search is None else search.probe()
 
     pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
     found = parallel_map(probed, pairs, jobs, progress)
     probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
-    # Only now: searches for several tips start from the pinches of two, all of which must be known.
+    # After all pinches of two fingers, from which searches for several tips start.
     tight = {
         frozenset(finger.name for finger in pair): probe.explored
         for pair, probe in probes.items()
@@ -95,7 +95,7 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
         search = pinch_search(inspector, group[0], group[1], rank)
         return None if search is None else search.finish(probes[group])
 
-    # Searches that take longest go first, so that all processes end at about the same time.
+    # The longest searches first, so that all processes end at about the same time.
     tasks: list[tuple[Finger, ...]]
     tasks = [g for size in range(len(tipped), 2, -1) for g in combinations(tipped, size)]
     tasks += probes

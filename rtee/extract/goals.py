@@ -15,28 +15,28 @@ from rtee.extract.space import Space, rounded
 from rtee.sample import FloatArray
 
 _MARGIN: Final = 2e-4
-"""By how much the convex parts of linked tips should overlap [m], so that the tips themselves,
-which lie within these, do meet."""
+"""Desired overlap of the convex parts of linked tips [m], so that the tips themselves, which lie
+inside these, touch."""
 
 _PULL: Final = 5.0
-"""How much more a gap between tips that should be linked counts than a depth: that a tip meets the
-others matters more than that two of them meet deeper."""
+"""Weight of a gap between tips that should be linked, relative to a depth: contact of a further tip
+matters more than a deeper contact."""
 
 
 class Goal(Protocol):
-    """Something to minimise at the posture where the scene is placed."""
+    """A quantity to minimise, at the present posture of the scene."""
 
     def value(self) -> float:
-        """Return the value [m]; the lower the better."""
+        """Return the value [m]; lower is better."""
 
     def slope(self, space: Space) -> tuple[float, Slope]:
         """Return the value [m] and its derivative by the coordinates of the space ``(k,)``."""
 
     def reached(self) -> bool:
-        """Return whether the convex parts of the tips overlap as wanted."""
+        """Return whether the convex parts of the tips overlap as required."""
 
     def touching(self) -> bool:
-        """Return whether the tips touch as wanted, in their geometry as given."""
+        """Return whether the tips touch as required, by their original geometry."""
 
 
 class GoalFunction:
@@ -68,22 +68,22 @@ class GoalFunction:
         return self.goal.value()
 
     def reached(self, y: FloatArray) -> bool:
-        """Return whether the convex parts of the tips overlap as wanted at coordinates ``(k,)``."""
+        """Return whether the convex parts overlap as required at coordinates ``(k,)``."""
         self.scene.place(self.space.posture(y))
         return self.goal.reached()
 
     def touching(self, u: FloatArray) -> bool:
-        """Return whether the tips touch as wanted, as given, at a posture ``(n,)`` [rad | m]."""
+        """Return whether the tips touch as required at a posture ``(n,)`` [rad | m]."""
         self.scene.place(u)
         return self.goal.touching()
 
     def stored(self, y: FloatArray) -> FloatArray:
-        """Return the posture ``(n,)`` at coordinates ``(k,)``, rounded as it is stored."""
+        """Return the posture ``(n,)`` at coordinates ``(k,)``, rounded as stored."""
         return rounded(self.scene.hand, self.space.posture(y))
 
 
 class PinchGoal:
-    """Two tips: the signed distance of their convex parts."""
+    """Goal of two tips: the signed distance of their convex parts."""
 
     def __init__(self, scene: Scene, tips: LinkPair) -> None:
         self._scene = scene
@@ -108,7 +108,7 @@ class PinchGoal:
 
 
 class GapGoal(PinchGoal):
-    """Two tips: the distance of their geometry as given, 0 where it touches."""
+    """Goal of two tips: the distance of their original geometry, 0 in contact."""
 
     def value(self) -> float:
         """Return the distance [m]."""
@@ -121,7 +121,7 @@ class GapGoal(PinchGoal):
 
 
 class SeparationGoal(PinchGoal):
-    """Two tips to be moved apart: minus the signed distance of their convex parts."""
+    """Goal of two tips to separate: minus the signed distance of their convex parts."""
 
     def value(self) -> float:
         """Return minus the signed distance [m]."""
@@ -147,11 +147,11 @@ class TipEdge:
 
 
 class MultiPinchGoal:
-    """Three tips or more, linked by contacts.
+    """Goal of three tips or more, linked by contacts.
 
-    The value is minus the sum of all depths, plus a pull on the gaps of the shortest spanning tree,
-    so that the tips stay or become linked, plus a push on contacts with tips that take no part.
-    Most of these never touch; only those that did are measured and pushed.
+    The value is minus the sum of all depths, plus a penalty on the gaps of the shortest spanning
+    tree, which links the tips, plus a penalty on contacts with tips of other fingers (bystanders).
+    Most bystanders never touch; only those that did are measured.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class MultiPinchGoal:
             scene: The hand's links.
             size: Number of tips.
             edges: The pairs of them that can touch.
-            bystanders: Pairs of tips of which one takes no part or both.
+            bystanders: Pairs of tips of which at least one is not part of the pinch.
         """
         self._scene = scene
         self._size = size
@@ -178,10 +178,10 @@ class MultiPinchGoal:
         self._touched: list[LinkPair] = []
 
     def learn_bystanders(self) -> bool:
-        """Return whether tips that take no part overlap others for the first time."""
+        """Add bystanders that overlap another tip for the first time; return whether any did."""
         known = {pair.number for pair in self._touched}
         new = [pair for pair in self._bystanders if pair.number not in known]
-        # Measured only until it is known: most bystanders are never near.
+        # Those already known need no measurement.
         new = [pair for pair in new if self._scene.distance(pair) < 0.0]
         self._touched += new
         return bool(new)
@@ -203,7 +203,7 @@ class MultiPinchGoal:
         tree = set(spanning_tree(self._size, self._ends, gaps))
         value, terms = 0.0, []
         for i, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
-            # Beyond the margin the pull ends, so that no pair is pressed for its own sake.
+            # The penalty ends at the margin, so that it does not press a pair deeper.
             pull = _PULL if i in tree and gap > -_MARGIN else 0.0
             weight = pull + (1.0 if gap < 0.0 else 0.0)
             if weight:
@@ -214,7 +214,7 @@ class MultiPinchGoal:
             if gap < 0.0:
                 value -= _PULL * gap
                 terms.append((pair, -_PULL))
-        # Where the tree changes from one pair to another, the value has a kink, not a step.
+        # If the tree changes from one pair to another, the value has a kink but no step.
         return value, lambda: scene.gradient(terms, space)
 
     def reached(self) -> bool:
@@ -240,7 +240,7 @@ def spanning_tree(
         edges: Pairs of nodes.
         lengths: Length of each edge.
     """
-    part = list(range(size))  # in which part of the tree each node is
+    part = list(range(size))  # number of the subtree of each node
     tree: list[int] = []
     for i in sorted(range(len(edges)), key=lengths.__getitem__):
         first, second = edges[i]
@@ -249,7 +249,7 @@ def spanning_tree(
             tree.append(i)
             if len(tree) == size - 1:
                 break
-            # Relabelled in full: for a handful of tips, a union-find would be longer and no faster.
+            # Relabel all nodes; for a handful of tips, a union-find would be no faster.
             part = [b if p == a else p for p in part]
     return tree
 

@@ -1,4 +1,4 @@
-"""Tips that are joined to each other by a joint: find the part of them that can show a pinch."""
+"""Clipping of tips that a joint connects, to the parts whose contact shows a pinch."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from rtee.hand.tessellation import subdivided
 from rtee.sample import FloatArray
 
 OUTER: Final = 0.5
-"""From where on a jaw counts, between the reach of its contact at rest (0) and its end (1)."""
+"""Begin of the part of a jaw that is kept, between the end of its contact at rest (0) and its own
+end (1)."""
 
 _EDGE: Final = 0.006
 """Longest edge of the triangles along which a mesh is cut [m]: a fraction of a fingertip's
 width."""
 
 _PARTS: Final = 64
-"""A shape is cut into at most this many edges along its longest side; edges of larger shapes are
-longer, so that the number of triangles stays bounded."""
+"""Most edges along the longest side of a shape, which limits the number of triangles of large
+shapes."""
 
 _HALVINGS: Final = 8
-"""How often the range of distances from the axis is halved: to less than a millimetre."""
+"""Number of halvings of the range of distances from the axis, to less than a millimetre."""
 
 
 class ClippedShape(Shape):
-    """The part of a shape that lies beyond a distance from an axis.
+    """The part of a shape beyond a distance from an axis.
 
-    Its convex part is the hull of that part. Its exact geometry are the triangles beyond the
-    distance, or the convex part of a primitive.
+    Its convex part is the hull of that part. Its exact geometry consists of the triangles beyond
+    the distance, or is the convex part of a primitive.
     """
 
     def __init__(self, whole: Shape, corners: FloatArray) -> None:
@@ -42,10 +43,10 @@ class ClippedShape(Shape):
 
         Args:
             whole: The shape.
-            corners: The triangles that remain ``(t, 3, 3)`` in the shape's own frame [m].
+            corners: The remaining triangles ``(t, 3, 3)`` in the shape's own frame [m].
         """
         points = corners.reshape(-1, 3)
-        # To 0.1 µm, so that corners shared by triangles are one.
+        # Rounded to 0.1 µm, which makes shared corners of triangles equal.
         hull = hull_of(np.unique(np.round(points, 7), axis=0))
         exact = _mesh(corners) if whole.is_mesh else hull
         super().__init__(whole.link, whole.body, whole.of_link, exact, whole.source)
@@ -57,7 +58,7 @@ class ClippedShape(Shape):
 
 @dataclass(frozen=True)
 class Jaw:
-    """A shape of a tip, as seen from the joint's axis.
+    """A shape of a tip, with its pose relative to the joint's axis.
 
     Attributes:
         shape: The shape.
@@ -82,27 +83,27 @@ class Jaw:
         return float(self.arms(self.shape.triangles[0]).max())
 
     def outline(self, limit: float) -> FloatArray:
-        """Return points ``(k, 3)`` whose hull holds what is beyond a distance from the axis."""
+        """Return points ``(k, 3)`` whose hull contains the part beyond a distance from the axis."""
         vertices, faces = self.shape.triangles
         arms = self.arms(vertices)
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         near, far = np.minimum(arms[edges[:, 0]], arms[edges[:, 1]]), arms[edges].max(axis=1)
         crossing = edges[(near < limit) & (far > limit)]
-        # Where edges cross the limit, by interpolating their ends' distances.
+        # Points where edges cross the limit, interpolated by the distances of their ends.
         a, b = crossing[:, 0], crossing[:, 1]
         share = ((limit - arms[a]) / (arms[b] - arms[a]))[:, None]
         cuts = vertices[a] + share * (vertices[b] - vertices[a])
         return np.concatenate([vertices[arms > limit], cuts])
 
     def beyond(self, limit: float) -> FloatArray:
-        """Return the triangles ``(t, 3, 3)`` that are beyond a distance from the axis."""
+        """Return the triangles ``(t, 3, 3)`` beyond a distance from the axis."""
         vertices, faces = self.shape.triangles
         outside = (self.arms(vertices) > limit)[faces]
         whole = outside.all(axis=1)
         low, high = self.shape.box
         edge = max(_EDGE, float((high - low).max()) / _PARTS)
         pieces = subdivided(vertices[faces[~whole]], edge)
-        # Whole triangles on the outer side, so what is left has no slivers at the cut.
+        # Only whole triangles on the outer side, without slivers at the cut.
         kept = pieces[(self.arms(pieces) > limit).all(axis=1)]
         return np.concatenate([vertices[faces[whole]], kept])
 
@@ -112,17 +113,17 @@ def clip_jaws(
 ) -> tuple[list[ClippedShape], list[ClippedShape]]:
     """Return the parts of two joined tips whose contact shows a pinch.
 
-    Tips that a joint joins may touch near it at every configuration, which shows nothing. The least
-    distance from the joint's axis beyond which they do not touch at rest shows how far that
-    reaches. What counts are the outer parts of the tips: those farther from the axis than the
-    middle between that reach and the end of the shorter tip.
+    Tips connected by a joint may touch near it in every configuration, which is no pinch. This
+    contact ends at the least distance from the joint's axis beyond which they do not touch at rest.
+    The parts returned are farther from the axis than the middle between this distance and the end
+    of the shorter tip.
 
     Args:
         first: The shapes of one tip.
         second: The shapes of the other one.
 
     Returns:
-        The clipped shapes of both tips; empty where nothing is left.
+        The clipped shapes of both tips; empty if nothing is left.
     """
     end = min(max(jaw.reach() for jaw in tip) for tip in (first, second))
     low, high = 0.0, end

@@ -20,14 +20,14 @@ Result = TypeVar("Result")
 Progress = Callable[[int, int], None]
 
 _PR_SET_PDEATHSIG: Final = 1
-"""Linux: the signal that a process gets when its parent ends (prctl(2))."""
+"""Option of prctl(2) on Linux: the signal that a process receives when its parent ends."""
 
 _work: tuple[Callable[[Any], Any], Sequence[Any]]
-"""In a process of the pool: the function and its arguments, inherited by the fork."""
+"""The function and its arguments in a process of the pool, inherited by the fork."""
 
 
 def processors() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -38,21 +38,20 @@ def parallel_map(
 ) -> list[Result]:
     """Return the results of a function for all tasks, in their order.
 
-    ``jobs`` processes do the tasks. They are forked, so that they share what the function refers
-    to, meshes and all, without copies. Where forking is not safe, on other systems than Linux or
-    beside other threads, this process does all the work; the results are the same. They are also
-    the same when a process dies: this process then does what is missing.
+    Runs the tasks in forked processes, which share all data of the function, such as meshes,
+    without copies. If forking is not safe, on systems other than Linux or beside other threads, or
+    if a process dies, this process runs the tasks, with the same results.
 
     Args:
-        function: A function without side effects that matter.
+        function: A function without relevant side effects.
         tasks: Its arguments.
         jobs: Number of processes.
-        progress: Called with the number of tasks that are done and that of all.
+        progress: Called with the number of finished tasks and the total.
     """
     total, jobs = len(tasks), min(jobs, len(tasks))
     done: dict[int, Result] = {}
     if jobs > 1 and sys.platform.startswith("linux") and threading.active_count() == 1:
-        # Processes of the caller are not to be killed below.
+        # Processes of the caller must not be killed below.
         others = set(active_children())
         work = (os.getpid(), function, tasks)
         with ProcessPoolExecutor(jobs, get_context("fork"), _begin, work) as pool:
@@ -64,7 +63,7 @@ def parallel_map(
                         progress(len(done), total)
             except BaseException:
                 for process in set(active_children()) - others:
-                    # Interrupted: waiting for searches of a minute would look like hanging.
+                    # After an interruption, waiting a minute for searches would look like hanging.
                     process.kill()
                 raise
     for number in range(total):
@@ -75,12 +74,12 @@ def parallel_map(
 
 
 def _begin(parent: int, function: Callable[[Any], Any], tasks: Sequence[Any]) -> None:
-    """Prepare a process of the pool, which ends when its parent ends, even if that is killed."""
+    """Initialise a process of the pool, which ends with its parent, even if that is killed."""
     global _work
     _work = function, tasks
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it ended before
+    if os.getppid() != parent:  # the parent has ended already
         os._exit(1)
 
 

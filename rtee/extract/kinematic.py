@@ -1,4 +1,4 @@
-"""Find the primitives that follow from kinematics alone: Trig, TipFlex, FingFlex, single joints."""
+"""The primitives that follow from kinematics alone: Trig, TipFlex, FingFlex, single joints."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rtee.hand.model import Finger, Hand
 def kinematic_primitives(hand: Hand) -> list[Primitive]:
     """Return the primitives that need no geometry.
 
-    A continuous actuator has no bound to go to and takes no part in them. Fingers without a
-    fingertip have none. FingFlex bends a finger: an actuator that swings it sideways is none.
+    Continuous actuators, which have no bound to move to, and fingers without a fingertip are left
+    out. FingFlex uses an actuator that bends a finger, not one that swings it sideways.
     """
     found: list[Primitive] = []
     bounded = {finger.name: _bounded(hand, finger) for finger in hand.fingers if finger.tip}
@@ -25,7 +25,7 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
         found.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
     for name, own in several.items():
         sideways = abduction(hand, hand.finger(name))
-        # Where the innermost actuator swings the finger sideways, the next one bends it.
+        # If the innermost actuator swings the finger sideways, the next one bends it.
         first = next((a for a in own if a not in sideways), own[0])
         found.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
     found += [
@@ -57,7 +57,7 @@ def _flex(hand: Hand, kind: PrimitiveKind, finger: str, actuators: tuple[str, ..
 
 def _single_joint(hand: Hand, actuator: int) -> Primitive:
     spec = hand.actuators[actuator]
-    # The bound that is farther from rest first: that one closes the hand.
+    # First the bound farther from rest, which closes the hand.
     bounds = sorted((spec.upper, spec.lower), key=lambda bound: bound != spec.farthest)
     postures = tuple(_posture(hand, {spec.name: bound}) for bound in bounds)
     return Primitive(

@@ -19,14 +19,14 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind, from_rest
 
 _STATIONS: Final = 33
-"""At how many places of a path non-linear couplings are evaluated; between two of them those of
+"""Number of places of a path at which non-linear couplings are evaluated, between which those of
 hands are nearly linear."""
 
 _SAFETY: Final = 1.5
-"""Factor on the steepest slope found there: it may be steeper in between."""
+"""Factor on the steepest slope found there, as it may be steeper in between."""
 
 _NEAR: Final = 0.005
-"""How near points must be for their motion to count [m]: farther ones cannot touch between two
+"""Distance within which the motion of points counts [m]: farther points cannot touch between two
 checks, which are a millimetre of motion apart."""
 
 _UPPER: Final = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=bool)
@@ -42,7 +42,7 @@ class StraightPath:
     Attributes:
         rest: Start ``(n,)`` [rad | m].
         goal: End ``(n,)`` [rad | m].
-        travel: Upper bound of what each joint travels per unit of the path ``(m,)`` [rad | m].
+        travel: Upper bound of each joint's travel per unit of the path ``(m,)`` [rad | m].
     """
 
     rest: FloatArray
@@ -57,8 +57,8 @@ class StraightPath:
 class Motion:
     """Bounds on the speed of links, from the lengths of the chains that carry them.
 
-    A point of a body, seen from a revolute joint that moves it, is never farther away than the
-    lengths of the chain between them and the body's own radius add up to.
+    The distance of a point of a body from a revolute joint that moves it is at most the length of
+    the chain between them plus the body's radius.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -80,31 +80,30 @@ class Motion:
             q = hand.transmission.joints(
                 np.array([from_rest(hand.rest, goal, t) for t in stations])
             )
-            # Joints that follow non-linearly move unevenly: the steepest part bounds all.
+            # Non-linear followers move unevenly, so that the steepest part gives the bound.
             travel = _SAFETY * np.abs(np.diff(q, axis=0)).max(axis=0) * (_STATIONS - 1)
         return StraightPath(hand.rest, goal, travel)
 
     def levers(self, pair: LinkPair) -> FloatArray:
-        """Return how far two links can move against each other per unit of each joint ``(m,)``.
+        """Return the largest relative motion of two links per unit of each joint ``(m,)``.
 
-        Metres for revolute joints, 1 for prismatic ones, 0 for joints that move both or neither.
+        In metres for revolute joints, 1 for prismatic ones, 0 for joints that move both or neither.
         """
         if pair.links not in self._bounds:
             self._bounds[pair.links] = self._bound(pair)
         return self._bounds[pair.links]
 
     def speed(self, pair: LinkPair, path: StraightPath) -> float:
-        """Return a bound on the speed of two links against each other per unit of the path [m]."""
+        """Return a bound on the relative speed of two links per unit of the path [m]."""
         return dot(self.levers(pair), path.travel)
 
     def travelled(
         self, pair: LinkPair, path: StraightPath, stations: Sequence[float]
     ) -> FloatArray:
-        """Return how far two links have moved against each other where they are near.
+        """Return the relative motion of two links at the points where they are near.
 
-        Near are the points of one link's bounding boxes that lie within the other one's, widened by
-        5 mm, at the one or the other end of a part of the path. Of the points of a box those move
-        farthest that are its corners.
+        These are the points of one link's bounding boxes inside the other's boxes, widened by 5 mm,
+        at either end of a part of the path. In a box, the corners move farthest.
 
         Args:
             pair: The links.
@@ -127,7 +126,7 @@ class Motion:
     def _displacements(
         self, fixed: int, moving: int, motion: tuple[FloatArray, FloatArray]
     ) -> FloatArray | float:
-        """Return how far points of a shape that are near another one move between stations.
+        """Return the motion between stations of a shape's points near another shape.
 
         Args:
             fixed: The other shape.
@@ -150,7 +149,7 @@ class Motion:
         lower, upper = one.box
         lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
         near = (lower < upper).all(axis=1)
-        # The usual case: these two shapes never come near each other.
+        # Usually, the two shapes never come near each other.
         if not near.any():
             return 0.0
         corners = np.where(_UPPER, upper[:, None], lower[:, None])
@@ -169,21 +168,20 @@ class Motion:
         levers = np.zeros(len(scene.hand.joints))
         for shapes, body in zip(pair.shapes, pair.bodies, strict=True):
             reach = max(self._radius[i] for i in shapes)
-            # From the link to the base, over all joints that carry the link.
+            # From the link to the base, along all joints that carry the link.
             while body:
                 if pair.moved_by[body - 1] != 0.0:
                     joint = scene.hand.joints[body - 1]
                     lever = 1.0 if joint.kind is JointKind.PRISMATIC else reach
                     levers[body - 1] = max(levers[body - 1], lever)
-                # Seen from the next joint towards the base, everything is farther away by this
-                # link.
+                # Seen from the next joint towards the base, the point is farther away by this link.
                 reach += self._length[body]
                 body = scene.kinematics.model.parents[body]
         return levers
 
     @cached_property
     def _length(self) -> list[float]:
-        """Distance of every joint's frame from its parent's, travel included [m]."""
+        """Distance of every joint's frame from its parent's, including travel [m]."""
         scene = self._scene
         lengths = [norm(m.translation) for m in scene.kinematics.model.jointPlacements]
         for i, joint in enumerate(scene.hand.joints):
@@ -192,13 +190,13 @@ class Motion:
         return lengths
 
     def _farthest(self, joint: int) -> float:
-        """Return how far a joint goes from 0, as its actuator moves it [rad | m]."""
+        """Return the largest distance of a joint from 0 in its actuator's range [rad | m]."""
         hand = self._scene.hand
         coupling = hand.transmission.couplings[joint]
         if coupling.actuator is None:
             return abs(coupling.value(0.0))
         spec = hand.actuators[coupling.actuator]
-        # Those that follow may go beyond their own limits: the actuator's count.
+        # Followers may exceed their own limits, so that those of the actuator decide.
         return max(abs(coupling.value(u)) for u in sample(spec.lower, spec.upper))
 
     @cached_property
@@ -213,13 +211,10 @@ class Motion:
 
 
 class DistanceBounds:
-    """Lower bounds on the distances of some links, from what was measured at earlier postures.
-
-    Two links come nearer to each other by no more than they can move.
-    """
+    """Lower bounds on distances of links, from distances at earlier postures and their motion."""
 
     def __init__(self, motion: Motion, pairs: Sequence[LinkPair]) -> None:
-        """Begin with nothing known of some pairs of links."""
+        """Begin without known distances of these pairs of links."""
         self._levers = np.zeros((len(pairs), motion.joints))
         for levers, pair in zip(self._levers, pairs, strict=True):
             levers[:] = motion.levers(pair)
@@ -232,13 +227,13 @@ class DistanceBounds:
         Args:
             joints: Joint positions ``(m,)`` [rad | m].
         """
-        # A joint moves the links against each other by its travel times its longest lever at most.
+        # A joint's contribution is at most its travel times its longest lever.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)
         return least
 
     def learn(self, pairs: NDArray[np.intp], gaps: Sequence[float], joints: FloatArray) -> None:
-        """Learn the distances [m] of some pairs, by their numbers, at joint positions ``(m,)``."""
+        """Store the distances [m] of pairs, by their indices, at joint positions ``(m,)``."""
         self._gaps[pairs] = gaps
         self._joints[pairs] = joints
 

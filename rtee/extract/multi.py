@@ -1,4 +1,4 @@
-"""Find MultiPinchTight: three fingertips or more that touch together, linked by contacts."""
+"""Search for MultiPinchTight: three fingertips or more, linked by contacts."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
 
 _MOST_TREES: Final = 4
-"""From how many spanning trees starts are combined; the hands in ``config/`` have no more."""
+"""Most spanning trees from which starts are combined; the hands in ``config/`` have no more."""
 
 _BUDGET: Final = SearchBudget(
     pool=3, attempts=2, pushes=4, recalibrations=2, trust_steps=5, path_rounds=2, settle=False
 )
-"""For several tips, which leave rest so far that more starts find nothing better."""
+"""Budget for several tips, for which more starts find nothing better."""
 
 Pinches = Mapping[frozenset[str], FloatArray]
 """The deepest posture ``(n,)`` of each two fingers that pinch tightly."""
@@ -34,13 +34,13 @@ Pinches = Mapping[frozenset[str], FloatArray]
 
 @dataclass(frozen=True)
 class MultiSearch:
-    """Looks for the multi-pinch of some fingers.
+    """Search for the multi-pinch of some fingers.
 
     Attributes:
         inspector: Measures postures.
         fingers: The fingers.
         pinches: The pinches of two fingers that were found.
-        rank: What makes one posture better than another.
+        rank: Criterion of the ranking.
     """
 
     inspector: Inspector
@@ -81,15 +81,15 @@ class MultiSearch:
         return self.inspector.scene.hand
 
     def _minima(self, goal: MultiPinchGoal, space: Space, edges: Sequence[TipEdge]) -> Minima:
-        """Return local minima; again where tips that take no part touch."""
+        """Return local minima, searched again if bystanders touch at them."""
         scene, warm, blocks = self.inspector.scene, self._warm(space, edges), self._blocks(space)
         effort = SEVERAL if space.size <= FEW else MANY
-        # Few tips are ever in the way; only those that were met are pushed away in the next round.
+        # Few tips are ever in the way; the next round penalises only those that touched.
         while True:
             found = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
             learned = False
             for minimum in (*found.explored, *found.polished):
-                # Ends of descents are where bystanders matter; on the way there they may overlap.
+                # Bystanders may overlap during a descent, but not at its end.
                 scene.place(space.posture(minimum.y))
                 learned |= goal.learn_bystanders()
             if not learned:
@@ -103,7 +103,7 @@ class MultiSearch:
         return found
 
     def _bystanders(self, moving: frozenset[int]) -> list[LinkPair]:
-        """Return the pairs of tips that move, of which one or both take no part."""
+        """Return the moving pairs of tips of which at least one is not part of the pinch."""
         mine = {finger.tip for finger in self.fingers}
         return [
             pair
@@ -112,7 +112,7 @@ class MultiSearch:
         ]
 
     def _warm(self, space: Space, edges: Sequence[TipEdge]) -> list[FloatArray]:
-        """Return the pinches of pairs, and starts combined from those that link the fingers."""
+        """Return the pinches of pairs, and starts combined from pinches that link the fingers."""
         ends = [edge.ends for edge in edges]
         pinches = [self.pinches[frozenset(self.fingers[k].name for k in end)] for end in ends]
         starts = []
@@ -121,7 +121,7 @@ class MultiSearch:
             for i in tree:
                 for actuator in edges[i].tips.actuators:
                     values[actuator].append(float(pinches[i][actuator]))
-            # An actuator that several pinches move goes to the mean of what they want.
+            # An actuator of several pinches gets the mean of their positions.
             u = self._hand.rest.copy()
             for actuator, chosen in enumerate(values):
                 if chosen:
@@ -130,7 +130,7 @@ class MultiSearch:
         return [space.coordinates(u) for u in (*starts, *pinches)]
 
     def _blocks(self, space: Space) -> list[Block]:
-        """Return the coordinates that belong to each finger, and those that belong to none."""
+        """Return the coordinates of each finger, and those of no single finger."""
         owner = {self._hand.actuator_index(n): f.name for f in self.fingers for n in f.own}
         blocks: dict[str | None, list[int]] = {}
         for coordinate, actuator in enumerate(space.index.tolist()):

@@ -1,8 +1,8 @@
-"""Compute the openings of actions: the distance of opposing fingertips on the way from rest.
+"""Openings of actions: the distances of opposing fingertips on the path from rest.
 
-Distances are those of the geometry as given, measured by Coal. Levers follow from the Jacobians of
-the tips' nearest points and the transmission: the opening loses ``-dw/du`` per unit of an actuator,
-and a force ``F`` that presses the sides apart takes the effort ``-F dw/du`` of it (virtual work).
+Distances are those of the original geometry, measured by Coal. Levers follow from the Jacobians of
+the tips' nearest points and the transmission: the opening decreases by ``-dw/du`` per unit of an
+actuator, and a force ``F`` between the sides needs its effort ``-F dw/du`` (virtual work).
 """
 
 from __future__ import annotations
@@ -27,50 +27,50 @@ from rtee.sample import FloatArray
 from rtee.types import from_rest, readonly
 
 ERROR: Final = 2e-5
-"""With one actuator, the table is made finer until interpolating is off by less than this [m]: a
-fifth of the 0.1 mm that parallel grippers are exact to."""
+"""Largest interpolation error of a table with one actuator [m]: a fifth of the accuracy of parallel
+grippers, 0.1 mm."""
 
 ERROR_OF_FINGERS: Final = 1e-4
-"""The same for several actuators [m], whose errors alone move a fingertip by more."""
+"""The same for several actuators [m], whose position errors alone move a fingertip by more."""
 
 _FIRST: Final = 17
-"""Points of the first, even table: enough not to miss where tips approach and part again."""
+"""Points of the first, even table: enough to detect that tips approach and separate again."""
 
 _FINEST: Final = 1.0 / 2048
-"""Points are never nearer to each other than this intensity, whatever the error there."""
+"""Least difference of intensities of two points, whatever the error."""
 
 _CLOSES: Final = 2e-3
-"""Tips that come nearer to each other by less than this do not oppose each other [m]."""
+"""Least approach of two opposing tips [m]."""
 
 _SHARE: Final = 0.3
-"""A pair of tips opposes each other if it closes by this share of what the pair does that closes
-most: neighbours that are drawn together a little by the way do not."""
+"""Approach of opposing tips relative to that of the pair that closes most; neighbouring fingers,
+which approach each other a little, have less."""
 
 _PARTS: Final = 0.9
-"""Of two tips, only the shapes count that close by this share of what the two shapes do that close
-most: hinges and levers that belong to the tips' links stay near each other all the way."""
+"""Approach of two shapes of tips relative to that of the two that close most, below which they are
+ignored: hinges and levers on the tips' links stay near each other all the time."""
 
 _BUMP: Final = 1e-4
-"""An opening that grows by less than this on the way still counts as falling [m]."""
+"""Largest growth of an opening that still counts as falling [m]."""
 
 _STEP: Final = 1e-6
-"""From one point of the table to the next the opening falls at least by this, its rounding [m]."""
+"""Least decrease of the opening from one point of the table to the next, its rounding [m]."""
 
 _TOUCH: Final = 1e-6
-"""Surfaces nearer than this touch [m]; the line between their nearest points is undefined."""
+"""Distance below which surfaces touch, and their nearest points define no line [m]."""
 
 _ROUNDS: Final = 30
-"""Steps in which the middle of tips that close from all around is found; three suffice for those
-of a symmetric gripper."""
+"""Most steps to find the middle of tips that close from all around; three suffice for a symmetric
+gripper."""
 
 _WORTH: Final = 0.005
-"""A part of the way that is left out is reported if it is larger than this."""
+"""Share of the path from which an omitted part is reported."""
 
 _FLAT: Final = 1e-12
 """Squared sine of the angle below which three points are on a line."""
 
 _STILL: Final = 1e-9
-"""A tip slower than this does not move [m per unit of intensity]."""
+"""Speed below which a tip does not move [m per unit of intensity]."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,11 @@ def make_openings(
 
 
 def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
-    """Return the opening of an action; ``None`` if no tips oppose each other on its way.
+    """Return the opening of an action; ``None`` if no tips oppose each other on its path.
 
-    Where two sides of tips oppose each other, the opening is the least distance between a tip of
-    one side and a tip of the other. Tips that close from more than two sides leave room for a ball:
-    the opening is the diameter of the smallest one that reaches all of them.
+    If two sides of tips oppose each other, the opening is the least distance between a tip of one
+    side and a tip of the other. If tips close from more than two sides, it is the diameter of the
+    smallest ball that touches all of them.
 
     Args:
         geometry: The hand's geometry.
@@ -141,7 +141,7 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
 
 
 def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
-    """Return the fingers with a tip that take part; a lone one may close on one that is fixed."""
+    """Return the fingers whose tips may oppose; a single moving one may close on a fixed one."""
     tipped = [finger for finger in hand.fingers if finger.tip]
     moved = set(action.waypoints[-1].involved)
     named = [f.name for f in tipped if f.name in action.fingers]
@@ -152,7 +152,7 @@ def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
 
 
 class _Way:
-    """The way of an action from rest, with what its tips do there."""
+    """The path of an action from rest, with the gaps and motions of its tips."""
 
     def __init__(self, geometry: HandGeometry, action: Action, fingers: Sequence[str]) -> None:
         hand = geometry.hand
@@ -202,20 +202,20 @@ class _Way:
         return max(float(distance), 0.0), result
 
     def gap(self, first: str, second: str) -> _Gap:
-        """Return the gap between the tips of two fingers where the hand is placed."""
+        """Return the gap between the tips of two fingers at the present posture."""
         found = (self._between(*couple) for couple in self._couples[first, second])
         distance, result = min(found, key=lambda each: each[0])
         points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
         if distance > _TOUCH:
             between = points[1] - points[0]
             self._normals[first, second] = between / norm(between)
-        # Tips that touch keep the normal from just before: between equal points there is none.
+        # Touching tips keep their last normal, since equal points define none.
         normal = self._normals.get((first, second), np.zeros(3))
         return _Gap(distance, *points, normal)
 
     def from_point(self, finger: str, centre: FloatArray) -> tuple[float, FloatArray]:
-        """Return how far a tip is from a point [m], and its point that is nearest to that."""
-        # Coal measures no points, but spheres of next to no radius.
+        """Return the distance of a tip from a point [m], and the tip's nearest point."""
+        # Coal measures no points, hence a sphere of a tiny radius.
         point, at = coal.Sphere(_TOUCH), coal.Transform3s(np.eye(3), centre)
         best, nearest = math.inf, centre
         for shape in self._parts[finger]:
@@ -228,7 +228,7 @@ class _Way:
         return max(best + _TOUCH, 0.0), nearest
 
     def jacobian(self, finger: str, point: FloatArray) -> FloatArray:
-        """Return how a point of a tip moves with the actuators ``(3, a)``."""
+        """Return the Jacobian of a point of a tip by the actuators ``(3, a)``."""
         robot = self._kinematics
         body = robot.body(self.tips[finger])
         if body == 0:  # the base, which nothing moves
@@ -241,7 +241,7 @@ class _Way:
         return matmul(linear, self._slopes)
 
     def sides(self) -> tuple[tuple[str, ...], ...]:
-        """Return the sides on which the tips oppose each other; none if they do not."""
+        """Return the opposing sides of the tips; none if they do not oppose each other."""
         closes = self._closings()
         most = {pair: max(found) for pair, found in closes.items()}
         least = max(_CLOSES, _SHARE * max(most.values()))
@@ -256,7 +256,7 @@ class _Way:
         return _two_sides(there, opposed) or tuple((finger,) for finger in there)
 
     def _closings(self) -> dict[tuple[str, str], list[float]]:
-        """Return how much nearer each two shapes of two tips come after they were farthest [m]."""
+        """Return the approach of each two shapes of two tips from their largest distance [m]."""
         farthest = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
         closes = {pair: [0.0] * len(couples) for pair, couples in self._couples.items()}
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
@@ -272,7 +272,7 @@ class _Way:
 def _two_sides(
     fingers: Sequence[str], opposed: Sequence[tuple[str, str]]
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the fingers on two sides, with all opposed pairs across; nothing if there are more."""
+    """Return the fingers on two sides such that all pairs oppose; empty if that is impossible."""
     partners: dict[str, list[str]] = {finger: [] for finger in fingers}
     for a, b in opposed:
         partners[a].append(b)
@@ -287,7 +287,7 @@ def _two_sides(
                 if other not in side:
                     side[other] = 1 - side[finger]
                     waiting.append(other)
-                # An odd cycle: these fingers cannot be divided into two sides.
+                # An odd cycle cannot be divided into two sides.
                 elif side[other] == side[finger]:
                     return ()
     return tuple(tuple(f for f in fingers if side[f] == k) for k in (0, 1)) if fingers else ()
@@ -309,7 +309,7 @@ class _Table:
         return self._known[intensity]
 
     def opening(self) -> Opening | None:
-        """Return the table of the part of the way on which the opening falls."""
+        """Return the table of the part of the path on which the opening falls."""
         for s in np.linspace(0.0, 1.0, _FIRST).tolist():
             self.at(s)
         self._refine()
@@ -317,7 +317,7 @@ class _Table:
         falling = _falling([self._known[s].width for s in grid])
         part = [grid[i] for i in falling]
         rows = [self._known[s] for s in part]
-        # What is left of the way hardly closes: not an action that grips.
+        # If the rest of the path hardly closes, the action does not grip.
         if len(rows) < 2 or rows[0].width - rows[-1].width < _CLOSES:
             return None
         action = self._way.action
@@ -335,7 +335,7 @@ class _Table:
         )
 
     def _refine(self) -> None:
-        """Halve the steps within which the opening is not straight enough."""
+        """Halve the steps in which the opening is not linear enough."""
         error = ERROR if len(self._way.actuators) == 1 else ERROR_OF_FINGERS
         waiting = list(_steps(sorted(self._known)))
         while waiting:
@@ -363,7 +363,7 @@ class _Table:
                     (near.first, near.normal) if k == 0 else (near.second, -near.normal)
                 )
                 moved = way.jacobian(finger, point)
-                # The tips of a side press together: each carries its share.
+                # The tips of a side press together, each with its share of the force.
                 lever += vecmat(towards, moved) / len(side)
                 angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(min(gap.distance for gap in gaps.values()), lever, angle)
@@ -382,7 +382,7 @@ class _Table:
             centre = moved
         lever, angle = np.zeros(len(way.actuators)), 0.0
         for finger, (distance, point) in zip(fingers, reach, strict=True):
-            if distance < _STEP:  # no direction any more
+            if distance < _STEP:  # the direction is undefined
                 continue
             towards = (centre - point) / distance
             moved = way.jacobian(finger, point)
@@ -396,7 +396,7 @@ def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
 
 
 def _falling(width: Sequence[float]) -> list[int]:
-    """Return where the opening falls by most, as indices at which it falls strictly."""
+    """Return the indices of the strictly falling part with the largest decrease."""
     best: list[int] = [0]
     run: list[int] = [0]
     for i in range(1, len(width)):
@@ -410,16 +410,16 @@ def _falling(width: Sequence[float]) -> list[int]:
 
 
 def _note(first: float, last: float, width: float) -> str:
-    said = []
+    sentences = []
     if first > _WORTH:
-        said.append(f"the tips first part: used from {first:.0%} of the way on")
+        sentences.append(f"the tips first part: used from {first:.0%} of the way on")
     if last < 1.0 - _WORTH and width > _TOUCH:
-        said.append(f"the tips part again: used up to {last:.0%} of the way")
-    return "; ".join(said)
+        sentences.append(f"the tips part again: used up to {last:.0%} of the way")
+    return "; ".join(sentences)
 
 
 def _angle(motion: FloatArray, towards: FloatArray) -> float:
-    """Return the angle between a tip's motion and a unit vector [rad]; 0 for one that is still."""
+    """Return the angle between a tip's motion and a unit vector [rad]; 0 for a still tip."""
     speed = norm(motion)
     if speed < _STILL:
         return 0.0
@@ -427,7 +427,7 @@ def _angle(motion: FloatArray, towards: FloatArray) -> float:
 
 
 def _middle(points: FloatArray) -> FloatArray:
-    """Return the centre of the smallest ball that holds a few points ``(k, 3)``."""
+    """Return the centre of the smallest ball that contains a few points ``(k, 3)``."""
     best: float = math.inf
     centre: FloatArray = points.mean(axis=0)
     for size in (2, 3):
@@ -443,7 +443,7 @@ def _middle(points: FloatArray) -> FloatArray:
 def _circumcentre(points: FloatArray) -> FloatArray:
     """Return the centre of the smallest sphere through two or three points ``(k, 3)``.
 
-    The mean of three points on a line, through which there is none.
+    For three points on a line, which have none, return their mean.
     """
     edges = points[1:] - points[0]
     a, c = dot(edges[0], edges[0]), 0.5 * norms(edges) ** 2

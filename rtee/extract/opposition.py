@@ -1,4 +1,4 @@
-"""Rate how well the forces of two tips oppose each other at a pinch."""
+"""Opposition of the forces of two tips in a pinch."""
 
 from __future__ import annotations
 
@@ -19,39 +19,39 @@ FRICTION: Final = 0.5
 """Coefficient of friction: rubber on most surfaces has more, bare plastic less."""
 
 BALL: Final = 0.005
-"""Radius of the small ball [m]: what two fingertips can hold and most hands can close on."""
+"""Radius of the small ball [m], which two fingertips can hold and most hands can close on."""
 
 _STILL: Final = 1e-3
-"""A tip that moves less than this share of the other one counts as still."""
+"""Motion of a tip relative to the other one's below which it counts as still."""
 
 _TOUCH: Final = 1e-6
-"""A gap that counts as touching [m]: far below the ball's radius, above rounding errors."""
+"""Largest gap that counts as contact [m]: far below the ball's radius, above rounding errors."""
 
 _NO_SPEED: Final = 1e-9
-"""Speeds per unit of the path that are rounding errors [m]."""
+"""Speed per unit of the path below which it is a rounding error [m]."""
 
 _FAR: Final = 1.0
-"""How far a tip is drawn back or moved on to meet the ball [m]: larger than any hand."""
+"""Longest motion of a tip back or forth to meet the ball [m]: larger than any hand."""
 
 
 def opposition(
     scene: Scene, tips: LinkPair, witness: Witness, direction: FloatArray
 ) -> Opposition | None:
-    """Return how well two tips oppose each other at the posture where the scene is placed.
+    """Return the opposition of two tips at the present posture of the scene.
 
     The line of closing of a tip is the velocity of its contact point on the straight path from
-    rest. A tip that does not move closes by the other one's motion, reversed. The angle of a tip is
-    that between its line of closing and the contact normal that points out of it.
+    rest; for a tip that does not move, the reversed velocity of the other one. The angle of a tip
+    is that between its line of closing and its outward contact normal.
 
-    The small ball is put at the contact. Each tip is drawn back along its line of closing until it
-    just touches the ball: there it would meet the ball when it closes. The grasp is in force
+    The small ball is placed at the contact. Each tip is moved back along its line of closing until
+    it just touches the ball, where it would meet the ball when closing. The grasp is in force
     closure if the line between the two contact points lies within both cones of friction (Nguyen,
     1988).
 
     Args:
-        scene: The scene, placed.
+        scene: The scene at the posture.
         tips: The tips.
-        witness: Their contact, or where they are closest.
+        witness: Their contact, or their closest points.
         direction: The path from rest ``(n,)`` [rad | m].
 
     Returns:
@@ -66,11 +66,11 @@ def opposition(
         return None
     if (
         not np.isfinite(speeds).all() or norm(witness.normal) < 0.5
-    ):  # no unit vector: none was found
+    ):  # no unit vector, since no normal was found
         return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
-            # Seen from a still tip, it is the other one that comes.
+            # Seen from a still tip, the other one approaches.
             closing[i] = -closing[1 - i]
     lines = [v / norm(v) for v in closing]
     outward = (witness.normal, -witness.normal)
@@ -86,7 +86,7 @@ def opposition(
 
 
 def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: float) -> bool:
-    """Return whether two contacts hold a ball: their line lies within both cones of friction.
+    """Return whether the line between two contacts lies within both cones of friction.
 
     Args:
         contacts: Two points on the ball's surface ``(3,)`` [m].
@@ -105,12 +105,12 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
 def _meet(
     scene: Scene, shapes: Sequence[int], line: FloatArray, centre: FloatArray
 ) -> FloatArray | None:
-    """Return where a tip that closes along a line first touches the ball, on the ball [m]."""
+    """Return the first contact point, on the ball, of a tip that closes along a line [m]."""
     ball = coal.Sphere(BALL)
-    # The ball moves instead of the tip: the scene stays where it is placed.
+    # The ball moves instead of the tip, so that the scene stays unchanged.
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
-        # Conservative advancement: moving by the gap never passes the first contact.
+        # By conservative advancement, since a motion by the gap never passes the first contact.
         drawn_back = 0.0
         while gap > _TOUCH:
             drawn_back -= gap
@@ -118,7 +118,7 @@ def _meet(
                 return None
             gap, towards = _gap(scene, shapes, ball, centre + drawn_back * line)
         return _on_ball(centre, towards)
-    # The tip overlaps the ball: it is drawn back until it leaves the ball, then bisected.
+    # The tip overlaps the ball; move it back until it leaves the ball, then bisect.
     low, high = 0.0, BALL
     while _gap(scene, shapes, ball, centre + high * line)[0] <= 0.0:
         low, high = high, 2.0 * high

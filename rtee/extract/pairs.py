@@ -1,4 +1,4 @@
-"""Two links that move against each other, and where they are closest."""
+"""Pairs of links that move against each other, and their closest points."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ class LinkPair:
     """Two links and the pairs of their shapes.
 
     Attributes:
-        links: The links' names.
-        bodies: The joints that carry them, 0 for the base.
+        links: Names of the links.
+        bodies: Joints that carry the links; 0 for the base.
         shapes: Indices of the shapes of the first and of the second link in the scene.
         number: Number of the pair in the scene, the same in both orders.
         moved_by: 1 for joints that move the second link, -1 the first; 0 for none or both ``(m,)``.
         actuators: The actuators that move the links against each other.
-        turned: Whether the links are in the other order than the scene has them.
+        turned: Whether the links are in the reverse order of the scene.
     """
 
     links: tuple[str, str]
@@ -44,10 +44,10 @@ class LinkPair:
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """Where two links are closest, or deepest in each other, in the hand's base frame.
+    """Closest points of two links, or those of deepest penetration, in the hand's base frame.
 
     Attributes:
-        distance: Signed distance of their convex parts, negative: depth of penetration [m].
+        distance: Signed distance of their convex parts; negative for a penetration [m].
         first: Point on the first link [m].
         second: Point on the second link [m].
         normal: Unit vector from the first link to the second one.

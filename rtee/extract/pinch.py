@@ -1,4 +1,4 @@
-"""Find PinchTight and PinchLoose: two fingertips that touch, or come as close as they can."""
+"""Search for PinchTight and PinchLoose: two fingertips that touch, or nearly do."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from rtee.hand.model import Finger
 from rtee.sample import FloatArray
 
 _TRIED: Final = 4
-"""From how many minima contact of the geometry as given is sought; the others are shallower."""
+"""Number of minima from which contact of the original geometry is searched, the deepest first."""
 
 _EVALUATIONS: Final = 40
 """Most evaluations of such a descent, each of which measures meshes."""
 
 _MOST: Final[dict[Rank, int]] = {"depth": 2, "opposition": 6}
-"""How many postures are measured and, where distinct, kept, by rank: the deepest is soon found, the
-best opposed may be any of them."""
+"""Number of postures measured and, if distinct, kept, by rank: the deepest is found soon, but any
+of them may be opposed best."""
 
 
 @dataclass(frozen=True, slots=True)
 class PinchProbe:
-    """Whether and how two fingers pinch, before collisions with other links are considered.
+    """Pinch of two fingers, without regard to collisions with other links.
 
     Attributes:
         kind: Tight or loose.
-        minima: Coordinates of the deepest poses, of their convex parts, the deepest first; as they
-            were before polishing.
-        postures: Postures as stored in which the tips touch, the deepest first; of a loose pinch
-            the one in which they are closest.
+        minima: Coordinates of the deepest poses of the convex parts before polishing, the deepest
+            first.
+        postures: Postures as stored in which the tips touch, the deepest first; for a loose pinch
+            that in which they are closest.
         explored: The posture ``(n,)`` of the deepest pose before polishing, for further searches.
     """
 
@@ -50,7 +50,7 @@ class PinchProbe:
 
 
 class PinchSearch:
-    """Looks for the pinch of two fingers."""
+    """Search for the pinch of two fingers."""
 
     def __init__(
         self, inspector: Inspector, fingers: tuple[Finger, Finger], tips: LinkPair, rank: Rank
@@ -72,9 +72,9 @@ class PinchSearch:
         self._pinch = GoalFunction(self._scene, PinchGoal(self._scene, tips), space)
 
     def probe(self) -> PinchProbe | None:
-        """Return whether the fingers pinch and how, before anything else is considered."""
+        """Return the pinch without regard to other links; ``None`` if the fingers do not pinch."""
         pinch, space = self._pinch, self._pinch.space
-        # Tips that touch everywhere, such as those of one rigid part, do not pinch.
+        # Tips that always touch, such as those of one rigid part, do not pinch.
         if pinch.touching(space.posture(space.rest)) and not self._can_separate():
             return None
         found = minima(pinch)
@@ -103,10 +103,9 @@ class PinchSearch:
                 clear = clear_postures(
                     self._pinch, inspector.motion, applied, probe.minima, SearchBudget()
                 )
-                # One place is kept for the deepest posture, clear or not.
+                # Keep one place for the deepest posture, clear or not.
                 candidates += candidates_of(clear[: most - 1])
-                # With full margins; the reduced ones are only for pinches that leave no other
-                # choice.
+                # With full margins; reduced ones are only for pinches without such a posture.
                 if any(candidate.margin for candidate in candidates):
                     break
         candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
@@ -114,7 +113,7 @@ class PinchSearch:
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))
 
     def _can_separate(self) -> bool:
-        """Return whether the tips are apart anywhere; contact everywhere shows no pinch."""
+        """Return whether the tips can separate; tips that always touch do not pinch."""
         space = self._pinch.space
         apart = GoalFunction(self._scene, SeparationGoal(self._scene, self._tips), space)
         found = minima(apart).polished[:_TRIED]
@@ -130,7 +129,7 @@ class PinchSearch:
         return bool(self._contacts(function, deep))
 
     def _closest(self, found: Sequence[FloatArray]) -> FloatArray:
-        """Return the posture as stored at which the tips' geometry is closest."""
+        """Return the posture as stored with the least distance of the tips' geometry."""
         gap = self._gap(self._pinch.space)
         ends = [_descended(gap, y) for y in found[:_TRIED]]
         return gap.stored(min(ends, key=gap.value))
@@ -138,7 +137,7 @@ class PinchSearch:
     def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
         """Return coordinates at which the tips touch exactly, the deepest first.
 
-        Where only the convex parts overlap at the minima, the exact distance leads to a contact.
+        If only the convex parts overlap at the minima, minimises the exact distance from there.
         """
 
         def touching(found: Sequence[FloatArray]) -> list[FloatArray]:
@@ -148,7 +147,7 @@ class PinchSearch:
         return touching(deep) or touching([_descended(gap, y) for y in deep[:_TRIED]])
 
     def _gap(self, space: Space) -> GoalFunction:
-        """Return the distance of the tips' geometry as given."""
+        """Return the goal function of the distance of the tips' original geometry."""
         return GoalFunction(self._scene, GapGoal(self._scene, self._tips), space)
 
 

@@ -1,4 +1,4 @@
-"""Finish a descent on a kink, by a proximal bundle method."""
+"""Minimisation on a kink, by a proximal bundle method, after a descent."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from rtee.hand.linalg import dot, matmul, matvec, vecmat
 from rtee.sample import FloatArray
 
 _FIRST_STEP: Final = 0.3
-"""Length of the first step in the steepest coordinate, as a part of an actuator's range."""
+"""Length of the first step in the steepest coordinate, as a share of an actuator's range."""
 
 _SERIOUS: Final = 0.1
-"""A step that gains this part of what the model predicts is taken; others only refine the model."""
+"""Share of the predicted gain from which a step is taken; other steps only refine the model."""
 
 _KEPT: Final = 14
 """Most linear pieces: more than meet at a kink of a dozen actuators."""
 
 _ENOUGH: Final = 1e-6
-"""Where the model predicts less than this part of the value, the minimum is found."""
+"""Predicted gain, as a share of the value, below which the minimum is found."""
 
 _ROUNDING: Final = 1e-10
 """Rounding errors of the model, relative to its largest number."""
 
 _SWEEPS: Final = 3
-"""How often each coordinate may be held or freed at the box before a step is taken as it is."""
+"""Most changes of each coordinate between held and free before a step is taken as it is."""
 
 _TINY: Final = 1e-300
-"""In place of a zero divisor."""
+"""Substitute for a divisor 0."""
 
 _sum = np.add.reduce
 
@@ -44,13 +44,13 @@ class _Pieces:
         self.slopes = slope[None, :]
 
     def errors(self, y: FloatArray, value: float) -> FloatArray:
-        """Return by how much the pieces lie below the function at a point, at least 0."""
+        """Return the distances of the pieces below the function at a point, at least 0."""
         there = self.values + _sum(self.slopes * (y - self.points), axis=1)
         errors: FloatArray = np.maximum(0.0, value - there)
         return errors
 
     def drop(self, i: int) -> None:
-        """Forget a piece."""
+        """Remove a piece."""
         self.points = np.delete(self.points, i, axis=0)
         self.values = np.delete(self.values, i)
         self.slopes = np.delete(self.slopes, i, axis=0)
@@ -72,12 +72,13 @@ def polish(
 ) -> Minimum:
     """Return a local minimum of the maximum of smooth functions.
 
-    A depth is the least over the directions in which two parts can be separated, so minus the depth
-    has kinks, and its minima lie on them. The bundle method (Kiwiel, 1985) models the function by
-    the linear pieces that it has met and steps to the minimum of the model plus a proximal term.
+    A depth is a minimum over the directions in which two parts can be separated. Minus the depth
+    therefore has kinks, with its minima on them. The bundle method (Kiwiel, 1985) models the
+    function by the linear pieces at earlier points and steps to the minimum of the model plus a
+    proximal term.
 
     Args:
-        function: What to minimise.
+        function: The function to minimise.
         start: Coordinates in the box ``(k,)``.
         evaluations: Most evaluations.
         bounds: Corners of the box.
@@ -95,7 +96,7 @@ def polish(
     reach = _FIRST_STEP / scale
     weights, held = np.ones(1), np.zeros(len(y))
     for count in range(2, evaluations + 1):
-        # The function is not convex: a piece above it here counts as one that touches it.
+        # The function is not convex; a piece above it here counts as touching it.
         errors, slopes = pieces.errors(y, value), pieces.slopes
         step, weights, held = _model_step(slopes, errors, (weights, held), y, reach, (low, high))
         predicted = -float((matvec(slopes, step) - errors).max())
@@ -104,7 +105,7 @@ def polish(
             return Minimum(y, value, count)
         new, rise = function(there)
         new, new_slope = resolution.rounded_value(new), resolution.rounded_slope(rise())
-        # The piece that the last step depended on least is forgotten.
+        # Remove the piece with the least weight in the last step.
         if len(weights) >= _KEPT:
             least = int(np.argmin(weights))
             pieces.drop(least)
@@ -112,12 +113,11 @@ def polish(
         pieces.add(there, new, new_slope)
         weights = np.append(weights, 0.0)
         if new <= value - _SERIOUS * predicted:
-            # As good as predicted: the model may be trusted farther.
+            # The gain is as good as predicted, so that the next step may be longer.
             reach *= 2.0 if new <= value - 0.5 * predicted else 1.0
-            # A serious step: the model moves its centre; otherwise it only gets better at the old
-            # one.
+            # A serious step moves the centre of the model; any other only refines the model.
             y, value = there, new
-        # The new piece says nothing about the function at y: the step was too long.
+        # The new piece does not improve the model at y, since the step was too long.
         elif value - new - dot(new_slope, y - there) > 2.0 * predicted:
             reach *= 0.5
     return Minimum(y, value, evaluations)
@@ -131,16 +131,16 @@ def _model_step(
     reach: float,
     box: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the step to the model's minimum in the box, the pieces' weights, and what is held.
+    """Return the step to the model's minimum in the box, the pieces' weights, and the held faces.
 
     Coordinates are held at the lower face (-1), the upper one (1) or not (0). The search begins
-    with the weights and the held coordinates that are given.
+    with the given weights and held coordinates.
     """
     low, high = box
     weights, side = guess
     held = side != 0.0
     fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
-    # Solve for the free coordinates, hold what would leave the box, free what pulls back; repeat.
+    # Solve for the free coordinates, hold those that leave the box, free those pulled back; repeat.
     for _ in range(_SWEEPS * len(y)):
         some = bool(held.any())
         free = np.where(held, 0.0, slopes) if some else slopes
@@ -154,14 +154,14 @@ def _model_step(
         elif not some:
             break
         else:
-            # What is held is freed where the model's minimum lies inside after all.
+            # Free held coordinates whose minimum of the model lies inside the box.
             pull = vecmat(weights, slopes) + fixed / reach
             freed = held & np.where(side < 0.0, pull < 0.0, pull > 0.0)
             if not freed.any():
                 break
             held &= ~freed
         side = np.where(held, np.where(leaving, np.where(there < low, -1.0, 1.0), side), 0.0)
-        # What would leave the box goes to its face; the rest is solved again.
+        # Move coordinates that would leave the box to its face, and solve for the rest again.
         fixed = np.where(held, np.where(side < 0.0, low, high) - y, 0.0)
     return within(y + step, box) - y, weights, side
 
@@ -181,7 +181,7 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
         weights = [0.0] * count
         weights[offsets.index(min(offsets))] = total = 1.0
     face = {i: weight / total for i, weight in enumerate(weights) if weight}
-    # Pieces may be linearly dependent: a little on the diagonal keeps the system definite.
+    # Pieces may be linearly dependent, so that a ridge on the diagonal keeps the system definite.
     ridge = _ROUNDING * (1.0 + max(rows[i][i] for i in range(count)))
     for _ in range(4 * count):
         face = _on_face(rows, offsets, ridge, face)
@@ -190,11 +190,11 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
             for row, offset in zip(rows, offsets, strict=True)
         ]
         level, least = max(gradient[i] for i in face), min(gradient)
-        # Optimal where no weight outside the face has a smaller derivative than those on it.
+        # Optimal if no weight outside the face has a smaller derivative than those on it.
         entering = gradient.index(least)
         if entering in face or least > level - _ROUNDING * (1.0 + abs(level)):
             break
-        # The steepest one enters: with few pieces, the simplest rule is fast enough.
+        # The steepest one enters, a simple rule that is fast enough for few pieces.
         face[entering] = 0.0
     x = np.zeros(count)
     x[list(face)] = list(face.values())
@@ -204,12 +204,12 @@ def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) 
 def _on_face(
     rows: list[list[float]], offsets: list[float], ridge: float, face: dict[int, float]
 ) -> dict[int, float]:
-    """Return the minimum over a face of the simplex, or over a face of it that the way there meets.
+    """Return the minimum over a face of the simplex, or over a subface that limits the step.
 
     Args:
         rows: M, positive semidefinite ``(k, k)``.
         offsets: c ``(k,)``.
-        ridge: What is added to the diagonal, so that M becomes definite.
+        ridge: Number added to the diagonal, which makes M definite.
         face: A point of the face, by the coordinates that are free there.
     """
     while len(face) > 1:
@@ -241,8 +241,8 @@ def _on_face(
 def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
     """Return the solutions of a small definite system with two right sides.
 
-    Gaussian elimination: for the few pieces that meet at a kink it is faster than a call of LAPACK,
-    and gives the same digits on every processor.
+    Uses Gaussian elimination, which for the few pieces at a kink is faster than LAPACK and gives
+    the same digits on every processor.
 
     Args:
         block: The rows of the system, the right sides last; they are overwritten.

@@ -1,4 +1,4 @@
-"""Rank the postures of a pinch."""
+"""Ranking of the postures of a pinch."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from rtee.sample import FloatArray
 Rank = Literal["depth", "opposition"]
 
 _SAME: Final = 0.02
-"""Postures that differ by less in every actuator, as a part of its range, are one."""
+"""Difference in every actuator, as a share of its range, below which postures may be equal."""
 
 _AS_GOOD: Final = 0.01
-"""They are one only if their depths or distances differ by no more than this share, too."""
+"""Largest difference of the depths or distances of equal postures, as a share."""
 
 _DIGITS: Final = 5
-"""Decimals to which depths are compared: 10 µm, less than hands differ from their models."""
+"""Decimals for comparing depths: 10 µm, less than hands differ from their models."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A posture with what was measured there.
+    """A posture with its evidence.
 
     Attributes:
         u: Actuator positions as stored ``(n,)`` [rad | m].
         evidence: The evidence.
-        margin: Part of their margins that other links keep in the posture and on the path to it:
-            1, a quarter, or 0 where it is not clear.
+        margin: Share of their margins that other links keep in the posture and on the path to it:
+            1, a quarter, or 0 if it is not clear.
     """
 
     u: FloatArray
@@ -48,7 +48,7 @@ class Candidate:
 
     @property
     def usable(self) -> bool:
-        """Whether all other links keep their full margin, there and on the path."""
+        """Whether all other links keep their full margin, in the posture and on the path."""
         return self.margin == 1.0
 
 
@@ -70,15 +70,15 @@ class FoundPinch:
 def ranked(hand: Hand, candidates: Sequence[Candidate], rank: Rank) -> tuple[Candidate, ...]:
     """Return distinct candidates, the best first.
 
-    Those with a clear pose and a clear path come first, the ones whose other links keep their full
-    margin before the rest, then those with a clear pose; among them the deepest, or with rank
-    ``opposition`` those in force closure and then the one whose worse angle is least. Depths that
-    differ by less than 10 µm are equal; then the better opposed comes first.
+    Candidates with a clear pose and path come first, those with full margins before those with
+    reduced ones; then those with a clear pose. Among equals, the deepest comes first, or by rank
+    ``opposition`` those in force closure and then the one with the least worse angle. Depths that
+    differ by less than 10 µm are equal, in which case the better opposed comes first.
 
     Args:
         hand: The hand.
         candidates: The candidates.
-        rank: What makes one better than another.
+        rank: Criterion among equally clear candidates.
     """
     lower, upper = real_limits(hand)
     kept: list[Candidate] = []

@@ -61,7 +61,7 @@ _EXPLAINED: Final = {
 }
 
 CLOSE_SHARE: Final = 0.4
-"""How much of a picture's width and height a close-up covers."""
+"""Size of a close-up, as a share of a picture's width and height."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Shot:
         image: A WebP file.
         close_up: A WebP file of the contact, if there is one.
         caption: The text below it.
-        corner: Where in the picture the close-up covers least.
+        corner: Corner of the picture in which the close-up hides least.
     """
 
     image: bytes
@@ -86,11 +86,11 @@ class Card:
     """One action.
 
     Attributes:
-        title: Its elements, or its name.
-        fingers: The fingers it moves.
-        shots: Its pictures.
-        posture: Its set-points.
-        evidence: What was found at its posture.
+        title: Elements or name of the action.
+        fingers: Fingers that the action moves.
+        shots: Pictures of the action.
+        posture: Set-points of the action.
+        evidence: Evidence of its posture, in short texts.
         description: One sentence for people.
     """
 
@@ -117,13 +117,13 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """How one action did with one object.
+    """Result of a trial of an action on an object.
 
     Attributes:
-        action: The action with its elements, in words.
+        action: Name of the action with its elements.
         object: The object, as on the command line.
-        held: It was lifted, held and shaken, and stayed in the hand.
-        note: What else there is to say: how far it slipped, or why it was lost.
+        held: Whether the object stayed in the hand when lifted and shaken.
+        note: The slip, or the reason for the loss.
     """
 
     action: str
@@ -161,12 +161,12 @@ def make_report(
 
     Args:
         hand: The hand.
-        extraction: What was extracted from it.
-        actions: Its actions (a library is some), for the composed, timed and generic ones.
-        trials: What became of its actions when they were tried in simulation.
+        extraction: Result of the extraction.
+        actions: Its actions, such as a library, for the composed, timed and generic ones.
+        trials: Results of trials of its actions in simulation.
         size: Width and height of the pictures of the whole hand [pixels].
-        jobs: Processes that take pictures; 0 for one per processor.
-        progress: Called with the pictures taken and those there are.
+        jobs: Number of processes that take pictures; 0 for one per processor.
+        progress: Called with the number of pictures taken and the total.
 
     Raises:
         ConfigError: The extra ``plot`` is not installed.
@@ -179,12 +179,12 @@ def make_report(
     rest = _View(hand.rest, hand.finger_names)
 
     def shoot(view: _View) -> Shot:
-        # By identity: the rest posture gets one plain picture, at the top of the page.
+        # Compare by identity, since the rest posture gets a plain picture at the top of the page.
         if view is rest:
             return Shot(renderer.picture(hand.rest, file_format="WEBP"))
         return _shot(renderer, view)
 
-    # Before any page is written: pictures take most of the time, and all processors.
+    # All pictures at once, since they take most of the time and use all processors.
     shots = parallel_map(
         shoot, [rest, *every], jobs or processors(), progress or (lambda done, total: None)
     )
@@ -233,8 +233,8 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
         tips = tuple(tip for f in fingers if (tip := hand.finger(f).tip) is not None)
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
-    said = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
-    return Card(title, fingers, (), primitive.posture, evidence, said), (view,)
+    summary = sideways_words(hand, primitive, common_prefix(hand.actuator_names))
+    return Card(title, fingers, (), primitive.posture, evidence, summary), (view,)
 
 
 def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
@@ -250,13 +250,13 @@ def _custom(hand: Hand, actions: Iterable[Action]) -> dict[str, list[_Plan]]:
             case _:
                 fingers = _moved(hand, action.posture)
                 view = _View(_position(hand, action.posture), fingers)
-                said = _said(action)
-                plan = Card(action.name, fingers, (), action.posture, None, said), (view,)
+                summary = _summary(action)
+                plan = Card(action.name, fingers, (), action.posture, None, summary), (view,)
         groups.setdefault(action.action_kind, []).append(plan)
     return {kind.capitalize(): groups[kind] for kind in ActionKind if kind in groups}
 
 
-def _said(action: CustomAction) -> str:
+def _summary(action: CustomAction) -> str:
     if action.description or not action.uses:
         return action.description
     parts = (
@@ -267,11 +267,11 @@ def _said(action: CustomAction) -> str:
 
 
 def _timed(hand: Hand, action: Timed) -> _Plan:
-    """Plan a picture after every step; actuators that a step leaves alone stay where they are."""
+    """Plan a picture after every step; actuators that a step does not move keep their position."""
     u = np.array(hand.rest)
     views = []
     for i, step in enumerate(action.steps, 1):
-        # Each view keeps its own posture: the next step starts from this one.
+        # A copy, since each view keeps its posture and the next step starts from this one.
         u = u.copy()
         for name in step.posture.involved:
             u[hand.actuator_index(name)] = step.posture.position[name]
@@ -293,16 +293,16 @@ def _moved(hand: Hand, posture: Posture) -> tuple[str, ...]:
 
 
 def _load_template() -> Template:
-    """Return the template that `_page` fills in; raises `MissingExtra` without Jinja."""
+    """Return the template of the page; raise `MissingExtra` without Jinja."""
     with needing_extra("a report", "plot"):
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     environment = Environment(
         loader=FileSystemLoader(_TEMPLATE.parent),
-        # Names come from files: they are text, never markup.
+        # Names come from files and are text, never markup.
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
-        # A misspelt name in the template is an error, not an empty place in the report.
+        # A misspelt name in the template is an error instead of an empty place in the report.
         undefined=StrictUndefined,
     )
     environment.filters |= {
@@ -353,7 +353,7 @@ def _page(
 
 
 def _source(image: bytes) -> str:
-    """Return a WebP file as the address of an image."""
+    """Return a WebP file as a data URL."""
     return "data:image/webp;base64," + base64.b64encode(image).decode()
 
 
@@ -392,7 +392,7 @@ def _law(mimic: UrdfMimic) -> str:
 
 
 def _size(name: str) -> tuple[str, str]:
-    """Return the kind of an object and its size [mm]; an object without a size is all kind."""
+    """Return the kind of an object and its size [mm]; empty for an object without a size."""
     kind, _, size = name.partition(":")
     try:
         return kind, "×".join(f"{float(part) * 1e3:g}" for part in size.split("x"))
@@ -401,7 +401,7 @@ def _size(name: str) -> tuple[str, str]:
 
 
 def _tags(evidence: Evidence) -> list[str]:
-    """Return what was found at a posture, in a few words each."""
+    """Return the evidence of a posture as short texts."""
     tags = []
     if evidence.depth > 0:
         tags.append(f"depth {evidence.depth * 1e3:.1f} mm")

@@ -1,11 +1,10 @@
 """The resolution of a search in coordinates, values and slopes.
 
-The functions that searches minimise have kinks, and a descent ends on one: the last digit would
-decide which of two faces is measured there, and with it every later step. So a search has a
-resolution: it stays on the points of a lattice, and rounds what it measures there. Another
-processor's last digits, or a joint origin that is off by a nanometre, are far below the resolution
-and lead to the same points, except where a number lies within that nanometre of a rounding
-boundary.
+The functions that searches minimise have kinks, on which descents end. There, the last digit would
+decide which of two faces is measured, and with it every later step. A search therefore stays on the
+points of a lattice and rounds its measurements. Differences in last digits between processors, or a
+nanometre in a joint's origin, are far below this resolution and lead to the same points, except if
+a number lies within that nanometre of a rounding boundary.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ import numpy as np
 from rtee.sample import FloatArray
 
 _GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0
-"""The golden section, whose multiples modulo 1 are the most evenly spread ones."""
+"""The golden section, whose multiples modulo 1 are spread most evenly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """Units that a search rounds to; powers of two, so that rounding to them is exact.
+    """Units of rounding in a search, which as powers of two are exact.
 
     Attributes:
-        coordinate: Of coordinates, as a part of an actuator's range.
-        value: Of values [m].
-        slope: Of derivatives by coordinates [m].
+        coordinate: Unit of coordinates, as a share of an actuator's range.
+        value: Unit of values [m].
+        slope: Unit of derivatives by coordinates [m].
     """
 
     coordinate: float
@@ -38,13 +37,13 @@ class Resolution:
 
     def snap(self, y: FloatArray) -> FloatArray:
         """Return the point of the lattice next to coordinates ``(k,)``."""
-        # All factors are powers of two: scaling by them is exact.
+        # Scaling is exact, since all factors are powers of two.
         shift, unit = _shifts(len(y)), self.coordinate
         point: FloatArray = (np.rint(y * (1.0 / unit) - shift) + shift) * unit
         return point
 
     def snap_box(self, bounds: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
-        """Return the outermost points of the lattice in a box; its corners where it holds none.
+        """Return the outermost points of the lattice in a box; its corners if it contains none.
 
         Args:
             bounds: Lower and upper corner of the box ``(k,)``.
@@ -68,12 +67,12 @@ class Resolution:
 
 @lru_cache(maxsize=64)
 def _shifts(size: int) -> FloatArray:
-    """Return where the lattice's points lie between whole multiples of the unit ``(k,)``.
+    """Return the offsets of the lattice from whole multiples of the unit ``(k,)``.
 
-    Where all fingers have the same posture, at a limit or half-way, surfaces are parallel, and the
-    last digit decides which of two equal normals is found. Shifts that are multiples of the golden
-    section, of which no two are alike, keep the lattice off such postures. They are multiples of
-    1/64, so that points are exact.
+    If all fingers have the same posture, at a limit or half-way, surfaces are parallel, and the
+    last digit decides which of two equal normals is found. Different offsets, multiples of the
+    golden section, keep the lattice off such postures. They are rounded to 1/64, so that points
+    are exact.
     """
     shifts: FloatArray = np.floor(np.arange(1, size + 1) * _GOLDEN % 1.0 * 64.0) / 64.0
     shifts.flags.writeable = False
@@ -81,10 +80,10 @@ def _shifts(size: int) -> FloatArray:
 
 
 COARSE: Final = Resolution(2.0**-11, 2.0**-16, 2.0**-10)
-"""To explore: a fingertip moves by about 0.1 mm from point to point; values to 15 µm."""
+"""Resolution of exploration: about 0.1 mm at a fingertip, values to 15 µm."""
 
 MEDIUM: Final = Resolution(2.0**-13, 2.0**-18, 2.0**-10)
-"""To improve poses among constraints: about 10 µm from point to point, values to 4 µm."""
+"""Resolution of improvements under constraints: about 10 µm at a fingertip, values to 4 µm."""
 
 FINE: Final = Resolution(2.0**-17, 2.0**-27, 2.0**-20)
-"""To polish: about 1 µm from point to point, values to 7 nm."""
+"""Resolution of polishing: about 1 µm at a fingertip, values to 7 nm."""

@@ -1,4 +1,4 @@
-"""The hand's links in a posture: signed distances with gradients, and exact contact."""
+"""The hand's links at a posture, with signed distances, their gradients, and exact contact."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind
 
 _BATCH: Final = 3
-"""From this many derivatives on, adding them up before the last products is faster."""
+"""Number of derivatives from which summing them before the last products is faster."""
 
 _MOST_STACKS: Final = 1024
-"""Sets of pairs whose `LinkPair.moved_by` are kept stacked; a search has some dozens."""
+"""Most sets of pairs whose stacked `LinkPair.moved_by` are cached; a search has some dozens."""
 
 _COLLIDE: Final = 1
 _DISTANCE: Final = 6
-"""What a query of two meshes costs: whether they touch, and how far apart they are; about 2 and
-12 ms for meshes of some thousand triangles."""
+"""Costs of queries of two meshes, for contact and for distance: about 2 and 12 ms for some thousand
+triangles."""
 
 
 class Scene:
     """A hand's links at a posture.
 
-    `place` moves everything to a posture, at which all other methods measure.
+    `place` moves all links to a posture, at which all other methods measure.
 
-    Distances and derivatives are those of drafts, which lie some 0.1 mm within the convex parts of
-    cylinders and finely meshed links; `fine` measures the full ones. Contact, witnesses and
-    everything that is stored is always measured on the full ones.
+    Distances and derivatives are those of drafts, which lie some 0.1 mm inside the convex parts of
+    cylinders and finely meshed links; `fine` measures the full parts. Contact, witnesses and all
+    stored values are always those of the full parts.
 
     The signed distance of two links is the least over the pairs of their convex parts: the
     distance of the parts, or minus the depth, the shortest translation that separates them. Its
@@ -59,8 +59,7 @@ class Scene:
         pairs: All pairs of links that have geometry and move against each other, by names in the
             order of the URDF's tree.
         joints: Joint positions at the posture ``(m,)`` [rad | m].
-        query_cost: What queries of meshes as given have cost so far, in units of one whether two
-            touch.
+        query_cost: Cost of queries of original meshes so far, in units of a contact query.
         tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
     """
 
@@ -110,12 +109,12 @@ class Scene:
         moved_by = support(bodies[1]) - support(bodies[0])
         moves = [self.hand.transmission.moves(j) for j in np.flatnonzero(moved_by).tolist()]
         actuators = frozenset(i for i in moves if i is not None)
-        # Pairs are known by number: a clipped pair has the names of the whole one.
+        # Pairs are identified by number, since a clipped pair has the names of the whole one.
         self._couples += 1
         return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
     def _tip_pairs(self) -> dict[tuple[str, str], LinkPair]:
-        """Return the pairs of fingertips; of joined ones, only what can show a pinch."""
+        """Return the pairs of fingertips, with joined ones clipped to parts that can pinch."""
         tips = [finger.tip for finger in self.hand.fingers if finger.tip]
         found: dict[tuple[str, str], LinkPair] = {}
         for first, second in combinations(dict.fromkeys(tips), 2):
@@ -133,7 +132,7 @@ class Scene:
 
     def _clipped(self, pair: LinkPair) -> LinkPair | None:
         moving = max(pair.bodies)
-        # The jaws of a slide have no axis to measure distances from.
+        # The jaws of a slide have no axis.
         if self.hand.joints[moving - 1].kind is JointKind.PRISMATIC:
             return None
         placement = self._data.oMi[moving]
@@ -156,7 +155,7 @@ class Scene:
         return self._couple(pair.links, shapes)
 
     def pair(self, first: str, second: str) -> LinkPair | None:
-        """Return a pair of links in the order asked for; ``None`` if they never move apart."""
+        """Return a pair of links in this order; ``None`` if they do not move against each other."""
         if (first, second) in self.pairs:
             return self.pairs[first, second]
         pair = self.pairs.get((second, first))
@@ -170,7 +169,7 @@ class Scene:
         """
         self.joints = self.couplings.joints(u)
         pin.forwardKinematics(self._model, self._data, self.joints)
-        # Everything that was measured before belongs to an older stamp.
+        # Invalidate all measurements at the previous posture.
         self._stamp += 1
         self._at = u
 
@@ -236,7 +235,7 @@ class Scene:
     def _moved_by(
         self, key: tuple[tuple[int, bool], ...], terms: Sequence[tuple[LinkPair, float]]
     ) -> FloatArray:
-        """Return `LinkPair.moved_by` of some pairs ``(p, m)``; kept for each set of them."""
+        """Return the stacked `LinkPair.moved_by` of pairs ``(p, m)``, cached by set of pairs."""
         known = self._stacks.get(key)
         if known is None:
             if len(self._stacks) >= _MOST_STACKS:
@@ -245,9 +244,9 @@ class Scene:
         return known
 
     def exact_slope(self, pair: LinkPair, space: Space) -> tuple[float, FloatArray]:
-        """Return the distance of two links' geometry as given and its derivative.
+        """Return the distance of two links' original geometry and its derivative.
 
-        Both are 0 where they touch.
+        Both are 0 in contact.
 
         Returns:
             The distance [m] and its derivative by the coordinates of the space ``(k,)`` [m].
@@ -260,8 +259,8 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
-        # n · (velocity of a point p) = n · v + (p x n) · w, so that one row times the joints'
-        # Jacobian is enough; either witness point will do, since they lie on one line along n.
+        # n · (velocity of a point p) = n · v + (p x n) · w, hence one row times the joints'
+        # Jacobian; either witness point gives the same, since both are on a line along n.
         x, y, z = normal.tolist()
         a, b, c = point.tolist()
         row = np.array([x, y, z, b * z - c * y, c * x - a * z, a * y - b * x])
@@ -274,14 +273,14 @@ class Scene:
             pin.computeJointJacobians(self._model, self._data)
             if not self.couplings.linear:
                 self._slope = self.couplings.slope(self._at)
-            # Computed once for each posture, and only if a derivative is asked for.
+            # Computed once per posture, and only for a derivative.
             self._jacobian_stamp = self._stamp
             self._joints = self._data.J.reshape(6, -1)
         return self._joints
 
     def _levers(self, pair: LinkPair, space: Space) -> FloatArray:
-        """Return how the coordinates move the joints between two links ``(m, k)``."""
-        # Constant for linear couplings, so computed once for each pair and space.
+        """Return the derivative of the joints between two links by the coordinates ``(m, k)``."""
+        # Constant for linear couplings, and cached for each pair and space.
         key = (pair.number, pair.turned)
         known = space.levers.get(key)
         if known is None or not self.couplings.linear:
@@ -289,35 +288,34 @@ class Scene:
         return known
 
     def _moved(self, space: Space) -> FloatArray:
-        """Return how the coordinates move all joints ``(m, k)``."""
+        """Return the derivative of all joints by the coordinates ``(m, k)``."""
         known = space.levers.get(None)
         if known is None or not self.couplings.linear:
             known = space.levers[None] = self._slope[:, space.index] * space.extent
         return known
 
     def witness(self, pair: LinkPair) -> Witness:
-        """Return where two links' convex parts are closest or deepest in each other."""
+        """Return the points of two links' convex parts that are closest or deepest."""
         queries = self._queries(pair, self._convex)
-        # Evidence must not depend on what was measured before: new queries have no memory.
+        # New queries have no memory, so that evidence does not depend on earlier measurements.
         if queries.remembers:
             queries = self._undrafted(pair, convex=True)
         return _witness(pair, queries, self._stamp)
 
     def forget(self) -> None:
-        """Drop what Coal remembers of earlier queries, which moves later results by some 10 nm."""
+        """Drop Coal's memory of earlier queries, which changes later results by some 10 nm."""
         for known in (self._rough, self._convex):
             for number in [number for number, queries in known.items() if queries.remembers]:
                 del known[number]
 
     def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
-        """Return whether two links touch: their geometry as given, meshes not convexified.
+        """Return whether the original geometry of two links touches.
 
-        Meshes touch where their surfaces meet or one lies within the other; primitives are solid.
+        Meshes touch if their surfaces meet or one is inside the other; primitives are solid.
 
         Args:
             pair: The links.
-            surfaces: Whether their surfaces may meet; if it is known that they do not, they are not
-                looked at.
+            surfaces: Whether their surfaces may meet; false skips this check.
         """
         return self.nearer(pair, TOUCH, surfaces=surfaces)
 
@@ -350,7 +348,7 @@ class Scene:
         *,
         surfaces: bool = True,
     ) -> bool:
-        """Return whether a couple of shapes is nearer than a margin whose convex parts are.
+        """Return whether two shapes are nearer than a margin, given that their convex parts are.
 
         Args:
             pair: The links.
@@ -367,8 +365,8 @@ class Scene:
         self.query_cost += _COLLIDE
         if surfaces and self._queries(pair, self._exact).collide(k, self._stamp, margin):
             return True
-        # One mesh may lie within the other, whose surface it does not meet. It would overlap by its
-        # whole width then, so that few pairs need the expensive test.
+        # One mesh may be inside the other without meeting its surface. It then overlaps by its
+        # whole width, so that few pairs need the expensive test.
         overlap = -self._queries(pair, self._convex).results[k].min_distance
         if overlap < min(self._width(i), self._width(j)):
             return False
@@ -376,7 +374,7 @@ class Scene:
         return encloses(a, b, to_a) or encloses(b, a, to_a.inverse())
 
     def exact_distance(self, pair: LinkPair) -> float:
-        """Return the distance of two links' geometry as given, 0 where they touch [m]."""
+        """Return the distance of two links' original geometry, 0 in contact [m]."""
         exact = self._queries(pair, self._exact)
         if exact.measures_meshes:
             self.query_cost += _DISTANCE
@@ -384,7 +382,7 @@ class Scene:
         return 0.0 if self.touching(pair, surfaces=least <= TOUCH) else max(0.0, least)
 
     def exact_witness(self, pair: LinkPair) -> Witness:
-        """Return where two links that do not touch are closest, in their geometry as given."""
+        """Return the closest points of the original geometry of two links that do not touch."""
         found = _witness(pair, self._queries(pair, self._exact), self._stamp)
         gap = found.second - found.first
         length = norm(gap)
@@ -428,14 +426,14 @@ class Scene:
             self._searched = before
 
     def _draft(self, shape: int) -> Draft:
-        """Return the draft of a shape; shapes of the same mesh share it."""
+        """Return the draft of a shape, which shapes with the same mesh share."""
         exact = id(self.shapes[shape].exact)
         if exact not in self._drafts:
             self._drafts[exact] = draft(self.shapes[shape])
         return self._drafts[exact]
 
     def _outer(self, link: tuple[int, ...]) -> tuple[int, ...]:
-        """Return those shapes of a link that do not lie within another one."""
+        """Return the shapes of a link that are not inside another one."""
         if link not in self._outers:
             self._outers[link] = outer(self.shapes, {i: self._draft(i) for i in link}, link)
         return self._outers[link]
@@ -447,7 +445,7 @@ class Scene:
         return self._widths[shape]
 
     def _queries(self, pair: LinkPair, known: dict[int, DistanceQueries]) -> DistanceQueries:
-        """Return the queries of two links from one of the three sets; new ones if it has none."""
+        """Return the queries of two links from one of the three sets, made if it has none."""
         queries = known.get(pair.number)
         if queries is None:
             made = self._drafted(pair) if known is self._rough else None

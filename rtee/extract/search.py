@@ -1,4 +1,4 @@
-"""Find all local minima of a signed distance that are worth knowing."""
+"""Search for the relevant local minima of a signed distance."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from rtee.sample import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SearchEffort:
-    """How much a search tries.
+    """Limits of a search.
 
     Attributes:
-        screened: Points of the low-discrepancy sequence at which the function is evaluated.
-        starts: How many of them, the best, a descent starts from.
-        quick: Most evaluations of these descents.
-        rounds: How often starts are put together from minima that were found.
-        parents: How many minima, the deepest, these are put together from.
-        children: How many of these starts, the best, a descent is tried from.
-        places: At how many places a finger is tried at the deepest minimum, the others as they are.
-        moved: How many of these poses, the best, a descent is tried from.
-        kept: How many of their ends, distinct ones, are polished.
-        polish: Most evaluations of the polishing of one.
-        again: How often the deepest end is polished again where that did not suffice.
+        screened: Number of points of the low-discrepancy sequence evaluated first.
+        starts: Number of the best of them from which descents start.
+        quick: Most evaluations of each of these descents.
+        rounds: Number of rounds that combine starts from minima.
+        parents: Number of the deepest minima that they are combined from.
+        children: Number of the best combined starts from which descents start.
+        places: Number of places at which one finger is tried at the deepest minimum.
+        moved: Number of the best of these poses from which descents start.
+        kept: Number of distinct ends that are polished.
+        polish: Most evaluations of polishing one of them.
+        again: Most further polishings of the deepest end, if the first did not suffice.
     """
 
     screened: int = 192
@@ -53,32 +53,32 @@ class SearchEffort:
 PAIR: Final = SearchEffort()
 SEVERAL: Final = SearchEffort(screened=32, starts=3, rounds=2, places=16, kept=2, again=1)
 MANY: Final = SearchEffort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=2, polish=40)
-"""Of several tips that more than `FEW` actuators move."""
+"""Limits for several tips moved by more than `FEW` actuators."""
 
 FEW: Final = 9
-"""Up to so many actuators a short descent comes near enough to its minimum."""
+"""Most actuators with which a short descent comes near enough to its minimum."""
 
 _SAME: Final = 0.02
-"""Minima that differ by less in every coordinate, as a part of its range, are one."""
+"""Difference in every coordinate, as a share of its range, below which minima are equal."""
 
 _LITTLE: Final = 0.002
-"""A polish that gains less than this part of the value is the last one."""
+"""Share of the value that a polish must gain for another one to follow."""
 
 _LAST: Final = 8
 """Evaluations of the last polish, on the full convex parts and with the finest resolution."""
 
 _ALIKE: Final = 2
-"""Decimals to which starts put together from minima are compared: 1 % of a range."""
+"""Decimals for comparing combined starts: 1 % of a range."""
 
 _LINE: Final = 257
 """Points of the grid over a single actuator; minima of the hands in the tests are wider."""
 
 _LINE_PRECISION: Final = 1e-8
-"""Where golden sections end, as a part of the range; postures are stored to 1e-6."""
+"""Precision of golden sections, as a share of the range; postures are stored to 1e-6."""
 
 
 Block = NDArray[np.intp]
-"""Numbers of coordinates that go together: those of a finger, or those that move several."""
+"""Indices of related coordinates: those of a finger, or those that move several fingers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +86,9 @@ class Minima:
     """Distinct local minima.
 
     Attributes:
-        polished: The deepest first, the best of them polished.
-        explored: As the descents left them, the deepest first. Other searches start from these:
-            polished coordinates depend on digits that the descents do not look at.
+        polished: Minima with the best ones polished, the deepest first.
+        explored: Minima before polishing, the deepest first, from which other searches start:
+            polished coordinates depend on digits that descents ignore.
     """
 
     polished: Sequence[Minimum]
@@ -105,9 +105,9 @@ def minima(
 
     Args:
         function: The function to minimise over its space.
-        warm: Starts that are known, coordinates ``(k,)``.
-        effort: How much to try.
-        blocks: Which coordinates go together when starts are put together from minima.
+        warm: Coordinates ``(k,)`` of known starts.
+        effort: Limits of the search.
+        blocks: Related coordinates, for combining starts from minima.
     """
     space = function.space
     if space.size == 0:
@@ -126,14 +126,14 @@ def minima(
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     if effort.places:
         new = moved_blocks(distinct(first)[0], blocks, effort.places)
-        # One evaluation each, to choose which ones are worth a descent.
+        # One evaluation each, to choose the starts of descents.
         best = _best(function, new, effort.moved)
         first += [descend(function, y, evaluations=effort.quick) for y in best]
     deep = distinct(first)[: effort.kept]
     done = [_polished(function, m, effort.polish) for m in deep]
     deepest = min(done, key=lambda m: m.value)
     for _ in range(effort.again):
-        # It ended by itself: a minimum, which another polish would not change.
+        # A polish that ended by itself is at a minimum, which another one would not change.
         if deepest.evaluations < effort.polish:
             break
         before, deepest = deepest, _polished(function, deepest, effort.polish)
@@ -141,7 +141,7 @@ def minima(
         if before.value - deepest.value < _LITTLE * abs(deepest.value):
             break
     deepest = min(done, key=lambda m: m.value)
-    # The last steps on the full parts: drafts are up to 0.1 mm thinner.
+    # The last steps on the full parts, since drafts are up to 0.1 mm thinner.
     with function.fine():
         done.append(polish(function, deepest.y, evaluations=_LAST, resolution=FINE))
     return Minima(distinct([*done, *first]), distinct(first))
@@ -158,8 +158,8 @@ def _screened(function: GoalFunction, effort: SearchEffort) -> list[FloatArray]:
 
 
 def _best(function: GoalFunction, points: Sequence[FloatArray], count: int) -> list[FloatArray]:
-    """Return those points at which the function is least, the best first."""
-    # Rounded and sorted stably: the order must not depend on last digits.
+    """Return the points with the least values of the function, the best first."""
+    # Rounded and sorted stably, so that the order does not depend on last digits.
     values = [COARSE.rounded_value(function.value(y)) for y in points]
     return [points[i] for i in np.argsort(values, kind="stable")[:count]]
 
@@ -171,7 +171,7 @@ def _landmarks(space: Space) -> FloatArray:
 
 
 def distinct(found: Sequence[Minimum]) -> list[Minimum]:
-    """Return the minima that lie apart from each other, the deepest first."""
+    """Return distinct minima, the deepest first."""
     kept: list[Minimum] = []
     for minimum in sorted(found, key=lambda m: m.value):
         if all(np.abs(minimum.y - other.y).max() > _SAME for other in kept):
@@ -184,14 +184,13 @@ def recombined(
 ) -> list[FloatArray]:
     """Return poses in which one block of coordinates is another minimum's.
 
-    What is pressed together is a sum, and each of its terms depends on few coordinates: those of
-    two fingers and what moves all of them. So minima of the sum are often made of parts that were
-    found apart from each other.
+    The goal is a sum whose terms depend on few coordinates: those of two fingers and those that
+    move all of them. Minima of the sum therefore often combine parts of different minima.
 
     Args:
         found: Minima.
-        blocks: Which coordinates go together; each finger's, and the others.
-        seen: What was returned before, roughly: not returned again, and added to.
+        blocks: Related coordinates: each finger's, and the others.
+        seen: Rounded poses returned before, which are skipped; the new ones are added.
 
     Returns:
         Coordinates ``(k,)``.
@@ -211,15 +210,15 @@ def recombined(
 
 
 def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list[FloatArray]:
-    """Return poses in which one block of coordinates is elsewhere than at a minimum.
+    """Return poses that differ from a minimum in one block of coordinates.
 
-    A descent moves all fingers at once and stops at the first kink that none can leave alone; a
-    finger's own coordinates are so few that a few points cover them.
+    A descent moves all fingers at once and stops at the first kink that no finger can leave alone.
+    A finger has so few coordinates that a few points cover them.
 
     Args:
         minimum: The minimum.
-        blocks: Which coordinates go together; each finger's, and the others.
-        places: Points of the low-discrepancy sequence for each block.
+        blocks: Related coordinates: each finger's, and the others.
+        places: Number of points of the low-discrepancy sequence for each block.
 
     Returns:
         Coordinates ``(k,)``.
@@ -247,7 +246,7 @@ def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) 
     for i, here in enumerate(values):
         left = values[i - 1] if i else np.inf
         right = values[i + 1] if i + 1 < _LINE else np.inf
-        # "<" on one side only: of equal neighbours, the first one counts once.
+        # "<" on one side only, so that equal neighbours count once.
         if here < left and here <= right:
             a, b = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, _LINE - 1)])
             found.append(_golden(function, (a, b), float(grid[i]), here))

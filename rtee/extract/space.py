@@ -1,4 +1,4 @@
-"""The box of postures that a search moves in."""
+"""The box of postures of a search."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.sample import FloatArray
 from rtee.types import JointKind
 
 DECIMALS: Final = 6
-"""Postures are stored rounded to a millionth of a radian or metre."""
+"""Decimals of stored postures: a millionth of a radian or metre."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Space:
         index: The actuators that vary.
         lower: Their lower bounds [rad | m].
         extent: Their upper bounds minus the lower ones [rad | m].
-        levers: How the coordinates move the joints between links, kept by the scene.
+        levers: Cache of the scene for derivatives of joints by coordinates.
     """
 
     base: FloatArray
@@ -55,14 +55,14 @@ class Space:
         return u
 
     def coordinates(self, u: FloatArray) -> FloatArray:
-        """Return the coordinates ``(k,)`` of a posture, clamped into the box."""
+        """Return the coordinates ``(k,)`` of a posture, clamped to the box."""
         scaled = (u[self.index] - self.lower) / self.extent
         clamped: FloatArray = np.clip(scaled, 0.0, 1.0)
         return clamped
 
 
 def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Return the bounds of all actuators within their limits; a turn for continuous ones."""
+    """Return the bounds of all actuators: their limits, or a full turn for continuous ones."""
     lower, upper = hand.lower.copy(), hand.upper.copy()
     for i, actuator in enumerate(hand.actuators):
         if not math.isfinite(lower[i]):
@@ -73,7 +73,7 @@ def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
 
 
 def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Return bounds that ask whether tips could meet at all.
+    """Return bounds for checking whether tips could meet at all.
 
     Revolute actuators get ±π, prismatic ones twice their limits; never less than the real limits.
     """
@@ -89,14 +89,14 @@ def widened_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
 def make_space(
     hand: Hand, actuators: Sequence[int], bounds: tuple[FloatArray, FloatArray]
 ) -> Space:
-    """Return the space in which some actuators vary; those that cannot move are left out."""
+    """Return the space in which actuators vary, without those that cannot move."""
     lower, upper = bounds
     index = np.array([i for i in sorted(actuators) if upper[i] > lower[i]], dtype=np.intp)
     return Space(hand.rest, index, lower[index], upper[index] - lower[index])
 
 
 def rounded(hand: Hand, u: FloatArray) -> FloatArray:
-    """Return a posture as it is stored: rounded, but never out of the limits."""
+    """Return a posture rounded as stored, but never beyond the limits."""
     # Adding 0 turns -0.0 into 0.0.
     result = np.round(u, DECIMALS) + 0.0
     for i, spec in enumerate(hand.actuators):

@@ -1,4 +1,4 @@
-"""Decide whether one shape lies within another one's surface."""
+"""Test whether one shape is inside another one's surface."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ _sum = np.add.reduce
 def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
     """Return whether a mesh encloses a shape whose surface it does not meet.
 
-    One point of the inner shape decides, since surfaces that do not meet have all of it on one
-    side.
+    One point of the inner shape decides, since all of it is on one side of the surface.
 
     Args:
         outer: The enclosing shape; a solid primitive encloses nothing that it does not meet.
@@ -29,7 +28,7 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
     start = inner.exact.vertices()[0] if inner.is_mesh else np.zeros(3)
     point = inner_in_outer.act(np.asarray(start))
     low, high = outer.box
-    # Cheap tests first: the box, then the faces of the hull; the winding number is exact.
+    # The cheap tests first: the box, the faces of the hull, and then the exact winding number.
     if (point < low).any() or (point > high).any():
         return False
     normals, levels = outer.faces
@@ -39,10 +38,10 @@ def encloses(outer: Shape, inner: Shape, inner_in_outer: pin.SE3) -> bool:
 
 
 def winding_number(point: FloatArray, vertices: FloatArray, faces: NDArray[np.int64]) -> float:
-    """Return how often a surface winds around a point: 1 inside a closed one, 0 outside.
+    """Return the winding number of a surface around a point: 1 inside a closed one, 0 outside.
 
-    Solid angles by Van Oosterom and Strackee (1983), summed as in Jacobson et al. (2013), so that
-    surfaces with holes give a sensible answer too.
+    Sums solid angles (Van Oosterom and Strackee, 1983) as in Jacobson et al. (2013), which gives
+    sensible results for surfaces with holes, too.
 
     Args:
         point: The point ``(3,)`` [m].

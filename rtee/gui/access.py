@@ -1,12 +1,12 @@
-"""Who may open the GUI: tokens, host names, origins and roles, and what a browser is told.
+"""Access to the GUI: tokens, host names, origins and roles, and the headers of its responses.
 
 A browser sends its user's cookies with the requests of any page, and lets any page open a
-WebSocket to this computer. So three things are asked of every request, and all must hold:
+WebSocket to this computer. Every request must therefore pass three checks:
 
-- its ``Host`` is a name by which this GUI is reached, so that a foreign name that was made to
-  point here (DNS rebinding) is refused;
-- a WebSocket comes from a page of this GUI, by its ``Origin``;
-- it has the token that `rtee gui` printed, first in the address, then in a cookie.
+- ``Host`` is a name of this GUI, which refuses a foreign name that was made to point here (DNS
+  rebinding);
+- ``Origin``, for a WebSocket, is that of this GUI's pages;
+- the token that `rtee gui` printed is in the address, later in a cookie.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _TOKEN_BYTES: Final = 24
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 
 _DIVERTING: Final = ("websocket", "playbackPath")
-"""Parameters by which an address has viser's page show what another server sends."""
+"""Query parameters that make viser's page show the content of another server."""
 
 _POLICY: Final = "; ".join(
     (
         "default-src 'none'",
-        # viser's page unpacks its script from one that is part of it, and that compiles others.
+        # viser's page unpacks its script from an inline one, and that compiles others.
         "script-src 'unsafe-inline' 'unsafe-eval'",
         "script-src-attr 'none'",  # so that HTML in a panel cannot run anything
         "style-src 'unsafe-inline'",
@@ -62,28 +62,29 @@ HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Headers of every answer: the page is not framed, embedded or stored, and calls nobody else."""
+"""Headers of every response: nobody may frame, embed or store the page; it connects only here."""
 
 _COOKIE: Final = "rtee_"
-"""The port follows, as browsers share cookies among all ports of a host."""
+"""Prefix of the cookie's name; the port follows, since all ports of a host share cookies."""
 
 _ASK: Final = "Open the address that `rtee gui` printed, with its token."
+"""Remedy in the refusal of a request without a valid token."""
 
 
 class Role(StrEnum):
-    """What a person at a page may do."""
+    """Role of the person at a page."""
 
     OPERATOR = "operator"
-    """Everything."""
+    """May do everything."""
     OBSERVER = "observer"
-    """Watch and stop."""
+    """May watch and stop."""
 
 
 def addresses_of(host: str) -> list[str]:
-    """Return the addresses of a host, which must be this computer's.
+    """Return the IP addresses of a host name of this computer.
 
     Raises:
-        ConfigError: if there are none, or this computer cannot listen on the first.
+        ConfigError: if it has none, or this computer cannot listen on the first.
     """
     if not host.strip():
         raise ConfigError("--host is empty; give an address of this computer, such as 127.0.0.1")
@@ -109,11 +110,11 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
     """Return the TLS settings of a server.
 
     Args:
-        certificate: PEM file of the certificate, and of those between it and its authority.
-        key: PEM file of its private key, without a passphrase.
+        certificate: PEM file of the certificate and the intermediate ones.
+        key: PEM file of the private key, without a passphrase.
 
     Raises:
-        ConfigError: if they cannot be read, or do not belong together.
+        ConfigError: if a file cannot be read, or the key is not that of the certificate.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -123,7 +124,7 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
         except OSError as error:
             raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
     try:
-        # An empty passphrase, as OpenSSL would otherwise ask the terminal for one.
+        # Without an empty passphrase, OpenSSL would ask for one on the terminal.
         context.load_cert_chain(certificate, key, password="")
     except (ssl.SSLError, ValueError) as error:
         words = getattr(error, "reason", None) or str(error)
@@ -137,28 +138,28 @@ def public_origin(text: str) -> str:
     """Return the origin of a reverse proxy as browsers send it: ``https://hand.example.org``.
 
     Raises:
-        ConfigError: if it is something else.
+        ConfigError: if the text is not an HTTPS origin.
     """
     try:
-        found = urlsplit(text)
-        port = found.port
+        url = urlsplit(text)
+        port = url.port
     except ValueError:
-        found, port = urlsplit(""), None
-    if found.scheme != "https" or not found.hostname or found.path not in ("", "/") or found.query:
+        url, port = urlsplit(""), None
+    if url.scheme != "https" or not url.hostname or url.path not in ("", "/") or url.query:
         raise ConfigError(
             f"--behind-proxy {text} is not an origin; give the proxy's address as browsers see it, "
             "such as https://hand.example.org"
         )
-    name = f"[{found.hostname}]" if ":" in found.hostname else found.hostname
+    name = f"[{url.hostname}]" if ":" in url.hostname else url.hostname
     return f"https://{name}" + (f":{port}" if port not in (None, 443) else "")
 
 
 class Access:
-    """Who may open the GUI, and how it is reached.
+    """Tokens, address and encryption of the GUI.
 
     Attributes:
-        address: The address on which it listens.
-        tls: Its TLS settings, if it encrypts by itself.
+        address: IP address on which the GUI listens.
+        tls: TLS settings, if the GUI encrypts by itself.
     """
 
     def __init__(
@@ -174,11 +175,11 @@ class Access:
         Args:
             host: Address or name of this computer to listen on.
             tls: TLS settings; needed beyond loopback, unless a proxy encrypts.
-            behind: Origin of the reverse proxy by which browsers reach the GUI.
-            observers: Whether there is a token for observers, too.
+            behind: Origin of the reverse proxy through which browsers reach the GUI.
+            observers: Whether to make a token for observers, too.
 
         Raises:
-            ConfigError: if the host is none, or would be reached without encryption.
+            ConfigError: if the host has no address here, or would be open without encryption.
         """
         found = addresses_of(host)
         numbers = [ipaddress.ip_address(each.partition("%")[0]) for each in found]
@@ -199,10 +200,10 @@ class Access:
 
     @property
     def behind_proxy(self) -> bool:
-        """Whether browsers reach it through a proxy."""
+        """Whether browsers reach the GUI through a proxy."""
         return self._public is not None
 
-    # --- what is printed
+    # --- addresses
 
     def links(self, port: int) -> dict[Role, str]:
         """Return the addresses to open, with their tokens, by role."""
@@ -218,17 +219,14 @@ class Access:
     def _scheme(self) -> str:
         return "http" if self.tls is None else "https"
 
-    # --- what is asked of a request
+    # --- checks of a request
 
     def judge(self, request: Request, port: int) -> Role | Response:
-        """Judge a request.
+        """Return the role of the person who sends a request, or the response that refuses it.
 
         Args:
-            request: From a browser, or whatever else connects.
-            port: The port on which it came.
-
-        Returns:
-            The role of the person, or what is answered instead of the page.
+            request: A request from a browser or any other program.
+            port: The port that received the request.
         """
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_reached_by(hosts[0]):
@@ -238,7 +236,7 @@ class Access:
         is_socket = bool(request.headers.get_all("Upgrade"))
         if is_socket and request.headers.get_all("Origin") != [self._origin(hosts[0])]:
             return _refusal(http.HTTPStatus.FORBIDDEN, "Only pages of this GUI may connect.")
-        # Not `urlsplit`, which takes the path "//[" for a host, and a broken one.
+        # `urlsplit` would take the path "//[" for a malformed host.
         query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
         if not is_socket and (given := dict(query).get("token")) is not None:
             if self._role(given) is None:
@@ -253,39 +251,42 @@ class Access:
 
     def _is_reached_by(self, host: str) -> bool:
         try:
-            found = urlsplit(f"//{host}")
-            name = (found.hostname or "").lower()
+            url = urlsplit(f"//{host}")
+            name = (url.hostname or "").lower()
         except ValueError:
             return False
-        if not name or found.netloc != host or "@" in host:
+        if not name or url.netloc != host or "@" in host:
             return False
         if self._public is not None and f"https://{host.lower()}" == self._public:
             return True
         if name in (*_LOOPBACK, self._host.lower(), self.address):
-            return True  # at any port: that of a tunnel may be another one
-        # With TLS the certificate decides by which names browsers believe to have reached it.
+            return True  # at any port, since a tunnel may have another one
+        # With TLS, browsers check the name against the certificate.
         return self.tls is not None
 
     def _origin(self, host: str) -> str:
-        """Return the origin of this GUI's pages when it is reached by a host."""
+        """Return the origin of this GUI's pages when browsers reach it by this host name."""
         return self._public or f"{self._scheme}://{host.lower()}"
 
     def _role(self, *given: str) -> Role | None:
         for token, role in self._tokens.items():
-            # In constant time, so that answers do not tell how much of a token is right. Encoded,
-            # since a cookie may hold more than ASCII, which compare_digest refuses as text; such
-            # bytes come as lone surrogates.
+            # Compare in constant time, so that the time of a response does not reveal how much of
+            # a token is right; as bytes, since compare_digest refuses text beyond ASCII, which a
+            # cookie may hold as lone surrogates.
             sent = (each.encode(errors="surrogateescape") for each in given)
             if any(secrets.compare_digest(token.encode(), each) for each in sent):
                 return role
         return None
 
     def _welcome(self, request: Request, token: str, path: str, port: int) -> Response:
-        """Have the browser keep the token, and open the page without it in the address."""
+        """Return a response that stores the token and reopens the page without it in the address.
+
+        A cookie that is set after a link on another site is sent only by pages of this GUI, so
+        that an HTML page takes the place of a redirection.
+        """
         secure = "; Secure" if self._public is not None or self.tls is not None else ""
         cookie = f"{_COOKIE}{port}={token}; Path=/; HttpOnly; SameSite=Strict{secure}"
         if request.headers.get_all("Sec-Fetch-Site") == ["cross-site"]:
-            # After a link elsewhere, as in a chat, the cookie is sent only by pages of this GUI.
             page = f'<!doctype html><meta http-equiv="refresh" content="0;url={path}">'
             return _answer(http.HTTPStatus.OK, page, "text/html", {"Set-Cookie": cookie})
         return _refusal(http.HTTPStatus.SEE_OTHER, "", Location=path, **{"Set-Cookie": cookie})
@@ -299,7 +300,7 @@ def _cookies(headers: Iterable[str]) -> Iterator[str]:
 
 
 def _kept(query: Iterable[tuple[str, str]]) -> str:
-    """Return the path of the page with what is harmless of a query."""
+    """Return the path of the page with the harmless parameters of a query."""
     rest = urlencode([(k, v) for k, v in query if k not in ("token", *_DIVERTING)])
     return f"/?{rest}" if rest else "/"
 

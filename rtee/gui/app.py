@@ -1,4 +1,4 @@
-"""The GUI: finds a running hand, shows it, reports when it goes, and looks for the next one."""
+"""The GUI's main loop: find a running hand, show it until it ends, and look for the next one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rtee.remote.find import hands_running
 from rtee.remote.model import model_of
 
 _POLL_PERIOD = 0.5
-"""Time between two searches for running hands [s]: a person who starts one sees it at once."""
+"""Time between two searches for running hands [s]: short enough to look immediate."""
 
 # Keeps the group that contains the banner in sight when the panel is scrolled.
 _STICKY: Final = """<style>
@@ -45,12 +45,12 @@ def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
 
 
 class App:
-    """Serves one browser page, in any number of windows.
+    """One page of the GUI, open in any number of browser windows.
 
     Attributes:
-        server: The browser's server.
+        server: The viser server of the page.
         session: The session with the hand that is shown, if there is one.
-        said: Text of the banner.
+        message: Text of the banner.
     """
 
     def __init__(
@@ -60,20 +60,19 @@ class App:
         endpoint: str | None,
         visitors: Visitors | None = None,
     ) -> None:
-        """Prepare the page; call it from the event loop.
+        """Prepare the page; must be called in the event loop.
 
         Args:
-            server: The browser's server.
+            server: The viser server of the page.
             hand: The hand to show; ``None`` for the one chosen in the page, at first any.
-            endpoint: Its address, if it is not on this computer.
-            visitors: Who has the page open, if not only operators.
+            endpoint: Address of the hand, if it is not on this computer.
+            visitors: The visitors of the page, if there may be observers.
         """
         self.server = server
         self.session: Session | None = None
-        self.said = ""
+        self.message = ""
         self._endpoint = endpoint
         self._wanted = hand
-        self._fixed = hand is not None
         self._bridge = Bridge(server, visitors)
         server.gui.configure_theme(
             control_width="medium",
@@ -97,14 +96,14 @@ class App:
         self.choose(str(self._hands.value))
 
     def choose(self, name: str) -> None:
-        """Show another hand; call it from the event loop."""
+        """Show another hand; must be called in the event loop."""
         if self._endpoint is None and name not in ("–", self._wanted):
             self._wanted = name
             if self._leave is not None:
                 self._leave.cancel()
 
     def _say(self, text: str, colour: str) -> None:
-        self.said = text
+        self.message = text
         self._banner.content = (
             f'{_STICKY}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
             f'font-weight:600;color:{colour}">{escape(text)}</div>'
@@ -151,7 +150,7 @@ class App:
     def _offer(self) -> None:
         if self._endpoint is not None:
             return
-        # The chosen hand stays in the list while it is away: it is shown when it returns.
+        # The chosen hand stays in the list while it is away, since it is shown when it returns.
         names = tuple(sorted({*hands_running(), *([self._wanted] if self._wanted else [])}))
         if self._wanted is None and names:
             self._wanted = names[0]
@@ -174,9 +173,9 @@ class App:
                 await session.run()
             finally:
                 self.session = None
-                # Ending the GUI or choosing another hand does not count as losing a client.
+                # Leave properly: the hand treats a client that just vanishes as lost.
                 with anyio.CancelScope(shield=True):
-                    # First: what clicks have begun would go on with controls that are removed.
+                    # First, since the work of clicks would go on with controls that are removed.
                     await self._bridge.close()
                     await session.leave()
                     await remote.leave()
@@ -194,17 +193,17 @@ async def serve(
 
     Args:
         hand: The hand to show; ``None`` for any that runs.
-        access: Who may open it, and the address to listen on.
-        port: Port to listen on; if it is in use, the next free one, unless a proxy leads there.
+        access: Tokens, and the address to listen on.
+        port: Port to listen on; if it is in use, the next free one, unless a proxy forwards to it.
         endpoint: Address of the hand, if it is not on this computer.
 
     Raises:
-        ConfigError: if the port to which a proxy leads is in use.
-        LoopError: if the installed viser cannot be guarded.
+        ConfigError: if the port to which a proxy forwards is in use.
+        LoopError: if the access checks cannot be added to the installed viser.
     """
     visitors = Visitors(access)
     server = visitors.open_server(port)
-    # viser takes the next free port, but the proxy would lead to what listens on this one.
+    # viser takes the next free port, but the proxy would forward to the program on this one.
     if access.behind_proxy and server.get_port() != port:
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
@@ -214,8 +213,8 @@ async def serve(
             if port
             else "--behind-proxy needs a --port, to which the proxy leads"
         )
-    # A full collection waits until a quarter of all objects are new. Without those of the imports
-    # it comes every few minutes, not hours, and looks at less.
+    # Python collects fully once a quarter of all objects are new. Without the objects of the
+    # imports, it does so every few minutes instead of hours, and has fewer to examine.
     gc.collect()
     gc.freeze()
     give_memory_back()

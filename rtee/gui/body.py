@@ -1,4 +1,4 @@
-"""A hand as a tree of frames in the browser's scene; a moving joint changes one frame."""
+"""A hand as a tree of frames in the browser's scene, so that a moving joint sends one frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.hand.urdf import Urdf, UrdfGeometry, UrdfJoint
 from rtee.sample import FloatArray
 
 _UNSEEN = 1e-4
-"""Motion of a joint that cannot be seen on the screen [rad | m], and so is not sent."""
+"""Largest motion of a joint that is not sent [rad | m]: it would not show on the screen."""
 
 
 class HandBody:
@@ -44,10 +44,10 @@ class HandBody:
             scene: The browser's scene.
             root: Name of the root frame.
             hand: The hand.
-            triangles: Returns the triangles of links with meshes.
-            colours: Colour per link.
+            triangles: Function that returns the triangles of a link with meshes.
+            colours: Colour of each link.
             opacity: Opacity of a ghost; ``None`` for a solid body.
-            visible: Whether it is visible at first.
+            visible: Whether the body is visible at first.
         """
         self.root = root
         self._scene = scene
@@ -124,27 +124,27 @@ class HandBody:
 
     @property
     def visible(self) -> bool:
-        """Whether it is visible."""
+        """Whether the body is visible."""
         return bool(self._frame.visible)
 
     @visible.setter
     def visible(self, shown: bool) -> None:
-        # Each assignment is sent to every window.
+        # viser sends each assignment to every window.
         if shown != self._frame.visible:
             self._frame.visible = shown
 
     def moved(self, position: FloatArray) -> list[int]:
-        """Return which joints would visibly move to positions ``(m,)`` [rad | m]."""
-        # "Not less", since NaN, where nothing was drawn yet, must count as a motion.
+        """Return the indices of joints that would visibly move to positions ``(m,)`` [rad | m]."""
+        # "Not less", so that NaN, before the first drawing, counts as a motion.
         seen = np.isfinite(position) & ~(np.abs(position - self._last) < _UNSEEN)
-        found: list[int] = np.flatnonzero(seen).tolist()
-        return found
+        indices: list[int] = np.flatnonzero(seen).tolist()
+        return indices
 
     def set_joints(self, position: FloatArray) -> None:
-        """Move to joint positions ``(m,)`` [rad | m]; joints that do not move are not sent."""
+        """Move to joint positions ``(m,)`` [rad | m]; send only joints that visibly move."""
         for index in self.moved(position):
             frame, axis, slides = self._moving[index]
-            # Kept only for what is sent, so that slow motion adds up until it is seen.
+            # The last position sent, not measured: a slow motion adds up until it shows.
             value = self._last[index] = float(position[index])
             if slides:
                 frame.position = value * axis
@@ -160,5 +160,5 @@ class HandBody:
             handle.color = colour
 
     def remove(self) -> None:
-        """Remove it from the scene."""
+        """Remove the body from the scene."""
         self._frame.remove()

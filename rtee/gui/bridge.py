@@ -1,4 +1,4 @@
-"""Carries clicks from the browser's threads into the event loop of the hand's client."""
+"""Bridge from the threads of the browser's server to the event loop of the hand's client."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _SECONDS: Final = 6.0
 
 
 class Bridge:
-    """Carries clicks into the event loop, and refusals back as notifications.
+    """Runs the work of clicks in the event loop, and shows errors as notifications.
 
     Attributes:
-        server: The browser's server.
-        role: What the hand lets this GUI do.
+        server: The viser server of the page.
+        role: Role that the hand grants this GUI.
     """
 
     def __init__(self, server: viser.ViserServer, visitors: Visitors | None = None) -> None:
-        """Use the running event loop; must be called there.
+        """Use the running event loop; must be called in it.
 
         Args:
-            server: The browser's server.
-            visitors: Who has the page open, if observers may.
+            server: The viser server of the page.
+            visitors: The visitors of the page, if there may be observers.
         """
         self.server = server
         self.role = Role.MAINTAINER
@@ -43,14 +43,14 @@ class Bridge:
         self._working: set[asyncio.Task[None]] = set()
 
     def call(self, work: Work) -> None:
-        """Run something in the event loop; may be called from any thread."""
+        """Run a function in the event loop; may be called from any thread."""
         self._loop.call_soon_threadsafe(self._start, work)
 
     def clicked(self, work: Work) -> Callable[[object], Coroutine[None, None, None]]:
-        """Return a callback for a control that runs something in the event loop.
+        """Return a callback for a control that runs a function in the event loop.
 
-        It is a coroutine function, which the browser's server calls at once; a plain function it
-        would have called by a thread.
+        The callback is a coroutine function, which viser calls at once; for a plain function it
+        would start a thread.
         """
 
         async def follow(_: object) -> None:
@@ -75,16 +75,16 @@ class Bridge:
             self.notify("Failed", f"{type(error).__name__}: {error}", "red")
 
     def leave_to_everybody(self, *controls: object) -> None:
-        """Let observers, too, use these controls, and no others."""
+        """Let observers use these controls and no others."""
         if self._visitors is not None:
             self._visitors.leave_to_everybody(*controls)
 
     def may(self, role: Role) -> bool:
-        """Return whether the hand lets this GUI do what needs a role."""
+        """Return whether the hand grants this GUI at least a role."""
         return self.role >= role
 
     def need(self, role: Role, *controls: Any) -> None:
-        """Disable controls unless the hand lets this GUI do what they are for."""
+        """Disable controls unless the hand grants this GUI at least a role."""
         for control in () if self.may(role) else controls:
             if isinstance(control, viser.GuiButtonGroupHandle):  # viser cannot disable one
                 control.visible = False
@@ -102,8 +102,8 @@ class Bridge:
             client.add_notification(title, text, color=colour, auto_close_seconds=_SECONDS)
 
     async def close(self) -> None:
-        """Cancel what clicks have begun; a click before this is sent to the hand all the same."""
-        # A task that is cancelled before its first step would never begin.
+        """Cancel the work of clicks; requests of earlier clicks still reach the hand."""
+        # Let new tasks take their first step; cancelled before it, they would send nothing.
         await asyncio.sleep(0)
         working = list(self._working)
         for task in working:

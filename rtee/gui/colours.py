@@ -1,4 +1,4 @@
-"""Colours for the browser's scene; those of the fingers are the same as in reports and plots."""
+"""Colours of the browser's scene; fingers have the same colours as in reports and plots."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ REFERENCE: Final[Colour] = (120, 120, 130)
 PREVIEW: Final = rgb("#56b4e9")
 CONTACT: Final = rgb("#d55e00")
 OBJECT: Final[Colour] = (189, 153, 112)
-"""What is grasped: the same as in the pictures of trials."""
+"""The grasped object: the same as in the pictures of trials."""
 
 FORCE: Final = rgb("#a3195b")
 """Contact forces: unlike any other colour of the scene."""
 
 STRAINED: Final[Colour] = (75, 0, 20)
-"""A finger at its effort limit: dark, to be visible with any colour vision."""
+"""A finger at its effort limit: dark, which people with any colour vision can see."""
 
 STOP: Final[Colour] = (201, 42, 42)
 BAR: Final = rgb("#0072b2")
@@ -36,8 +36,9 @@ BAR: Final = rgb("#0072b2")
 GOOD: Final = "#00795c"
 WARN: Final = "#a35200"
 BAD: Final = "#c92a2a"
-"""Colours of words; the meaning never depends on the colour alone."""
+"""Colours of text; the words alone carry the meaning, too."""
 
+# Five samples of the colour map viridis, which is uniform to the eye and safe for colour blindness.
 _RAMP: Final[tuple[Colour, ...]] = (
     (68, 1, 84),
     (59, 82, 139),
@@ -48,7 +49,7 @@ _RAMP: Final[tuple[Colour, ...]] = (
 
 
 def line_colour(index: int) -> str:
-    """Return the colour ``#rrggbb`` of the line at an index; they repeat after the seventh."""
+    """Return the colour ``#rrggbb`` of a plot's line by index; colours repeat after the seventh."""
     return colours.PALETTE[index % len(colours.PALETTE)]
 
 
@@ -58,7 +59,7 @@ def line_dash(index: int) -> tuple[int, ...]:
 
 
 def link_colours(hand: Hand) -> dict[str, Colour]:
-    """Return a colour per link: that of its finger, or the palm's."""
+    """Return the colour of each link: that of its finger, or the palm's."""
     of_finger = colours.finger_colours(hand)
     owner = colours.finger_of_link(hand)
     return {

@@ -1,4 +1,4 @@
-"""The data of the plots: the newest states, in memory that does not grow."""
+"""Ring buffer of the newest states, the data of the plots."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ JOINT_QUANTITIES: Final = ("joint_position", "joint_velocity")
 """Quantities of all joints, computed from those of the actuators."""
 
 LONGEST: Final = 60.0
-"""Longest time that can be shown [s]."""
+"""Longest time that the plots can show [s]."""
 
 POINTS: Final = 400
-"""Most points of a line; it is not much wider on the screen [pixels]."""
+"""Most points of a line: a plot is about as many pixels wide."""
 
 
 class Source(Protocol):
@@ -31,11 +31,16 @@ class Source(Protocol):
         """Return times relative to now [s] and the columns of a quantity, thinned for display."""
 
 
+def stride(count: int) -> int:
+    """Return the step that thins ``count`` points to at most `POINTS`."""
+    return max(1, -(-count // POINTS))
+
+
 class History:
-    """The newest states, in memory that does not grow."""
+    """Ring buffer of the newest states."""
 
     def __init__(self, actuators: int, joints: int, rate: float = 100.0) -> None:
-        """Make room for the longest time that is shown.
+        """Allocate memory for the longest time that the plots can show.
 
         Args:
             actuators: Number of actuators.
@@ -47,14 +52,14 @@ class History:
         sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
         sizes |= dict.fromkeys(JOINT_QUANTITIES, joints)
         self._values = {
-            # Half the memory, and far finer than a pixel.
+            # Single precision is far finer than a pixel, and halves the memory.
             name: np.full((self._capacity, size), np.nan, dtype=np.float32)
             for name, size in sizes.items()
         }
         self._count = 0
 
     def add(self, state: State, joint_velocity: FloatArray) -> None:
-        """Add a state and the velocities of the joints that follow from it [rad/s | m/s]."""
+        """Add a state and the joint velocities ``(m,)`` computed from it [rad/s | m/s]."""
         row = self._count % self._capacity
         self._time[row] = state.stamp
         for name in QUANTITIES:
@@ -73,9 +78,9 @@ class History:
         time = self._time[numbers % self._capacity]
         now = time[-1]
         numbers = numbers[time >= now - length]
-        # Points at multiples of the step, counted from the start, keep the picture from flickering.
-        step = max(1, -(-len(numbers) // POINTS))
-        rows = numbers[numbers % step == 0] % self._capacity
+        # Multiples of the step, counted from the first state, select the same points each time;
+        # otherwise the lines would flicker.
+        rows = numbers[numbers % stride(len(numbers)) == 0] % self._capacity
         values = self._values[name][rows].astype(np.float64)
         return (self._time[rows] - now, *(values[:, column] for column in columns))
 
@@ -95,7 +100,7 @@ def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]
     span = max(high - low, least)
     step = 10.0 ** math.floor(math.log10(span))
     step *= next(factor for factor in (0.25, 0.5, 1.0, 2.5) if span <= 4.0 * factor * step)
-    # The small number keeps rounding from adding a step to a range that already fits.
+    # The margin of 1e-9 steps keeps rounding errors from adding a step to a range that fits.
     low, high = math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step
     lacking = max(0, math.ceil((least - (high - low)) / (2.0 * step) - 1e-9))
     return low - lacking * step, high + lacking * step

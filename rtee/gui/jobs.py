@@ -1,4 +1,4 @@
-"""Runs trials and plans for the page: one at a time, in a process beside the GUI."""
+"""Trials and grasp plans of the page, run one at a time in a process beside the GUI."""
 
 from __future__ import annotations
 
@@ -10,60 +10,56 @@ from typing import Any, Final
 from rtee.errors import RequestRejected
 from rtee.trials.apart import LONGEST_LINE, Job, command, read_line
 
-Tell = Callable[[dict[str, Any]], None]
-"""Called with what the process says: ``progress`` and ``text``, ``result`` or ``ranking``."""
+Report = Callable[[dict[str, Any]], None]
+"""Receives a line of the process: ``progress`` and ``text``, ``result`` or ``ranking``."""
 
 _PIPE: Final = asyncio.subprocess.PIPE
 _NOTHING: Final = asyncio.subprocess.DEVNULL
 
 
 class Jobs:
-    """Does one job at a time, for all windows; its methods are called in the event loop."""
+    """Runs one job at a time for all windows; call its methods in the event loop.
+
+    Attributes:
+        running: Title of the running job; empty if there is none.
+    """
 
     def __init__(self) -> None:
+        self.running = ""
         self._process: asyncio.subprocess.Process | None = None
-        self._doing = ""
         self._cancelled = False
 
-    @property
-    def doing(self) -> str:
-        """What is under way, in words; empty if nothing is."""
-        return self._doing
-
     def check_free(self) -> None:
-        """Raise `RequestRejected` if something is under way."""
-        if self._doing:
-            raise RequestRejected(f"{self._doing} is under way; wait for its end, or cancel it")
+        """Raise `RequestRejected` if a job is running."""
+        if self.running:
+            raise RequestRejected(f"{self.running} is under way; wait for its end, or cancel it")
 
-    async def do(self, job: Job, what: str, tell: Tell) -> bool:
-        """Do a job to its end.
+    async def run(self, job: Job, title: str, report: Report) -> bool:
+        """Run a job to its end; return whether it was not cancelled.
 
         Args:
             job: The job.
-            what: What it is, in words.
-            tell: Called with what comes of it.
-
-        Returns:
-            Whether it was not cancelled.
+            title: Name of the job in messages.
+            report: Receives progress and results.
 
         Raises:
-            RequestRejected: if another one is under way, or it cannot be done, with the reason.
-            ConfigError: if it makes no sense.
+            RequestRejected: if another job is running, or this one fails, with the reason.
+            ConfigError: if an argument of the job is out of range.
         """
         self.check_free()
         job.check()
-        self._doing, self._cancelled = what, False
+        self.running, self._cancelled = title, False
         try:
-            return await self._run(job, tell)
+            return await self._run(job, report)
         finally:
-            self._doing = ""
-            # When the GUI ends, this task is cancelled while the process still works.
+            self.running = ""
+            # When the GUI ends, it cancels this task while the process still works.
             process, self._process = self._process, None
             if process is not None and process.returncode is None:
                 process.kill()
                 await process.wait()
 
-    async def _run(self, job: Job, tell: Tell) -> bool:
+    async def _run(self, job: Job, report: Report) -> bool:
         arguments, environment = command()
         process = self._process = await asyncio.create_subprocess_exec(
             *arguments,
@@ -76,22 +72,22 @@ class Jobs:
         assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018
         process.stdin.write(job.to_json().encode() + b"\n")
         while not self._cancelled and (line := await process.stdout.readline()):
-            said = read_line(line)
-            if "error" in said:
-                raise RequestRejected(str(said["error"]))
-            if "done" in said:
+            message = read_line(line)
+            if "error" in message:
+                raise RequestRejected(str(message["error"]))
+            if "done" in message:
                 return True
-            tell(said)
+            report(message)
         if self._cancelled:
             return False
-        # Its output has ended without a last word: it crashed or was killed.
+        # The output has ended without "done": the process crashed or was killed.
         status = await process.wait()
         raise RequestRejected(
-            f"{self._doing} ended with exit status {status}; see rtee try or rtee grasp-plan"
+            f"{self.running} ended with exit status {status}; see rtee try or rtee grasp-plan"
         )
 
     def cancel(self) -> None:
-        """End what is under way at once; nothing if nothing is."""
+        """Kill the process of the running job, if there is one."""
         self._cancelled = True
         if self._process is not None and self._process.returncode is None:
             self._process.kill()

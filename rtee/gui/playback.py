@@ -1,24 +1,26 @@
-"""A recording in the GUI: its state at any time, and the lines of the plots up to it."""
+"""Playback of a recording: the state at any time, and the lines of the plots up to that time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 
 import numpy as np
 
 from rtee.errors import LogError
-from rtee.gui.history import JOINT_QUANTITIES, POINTS
+from rtee.gui.history import JOINT_QUANTITIES, stride
 from rtee.hand.model import Hand
-from rtee.log import Recording, Span, read
+from rtee.log import Recording, Span
 from rtee.messages.state import ACTUATOR_COLUMNS, State
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor, TouchState
 
 _OUTCOMES = {"reached": "#009e73", "grasped": "#009e73", "aborted": "#d55e00"}
+"""Colours of the bars of a timeline by outcome of the action."""
+
 _OTHER = "#e69f00"
+"""Colour of any other outcome."""
 
 
 class Playback:
@@ -30,10 +32,10 @@ class Playback:
     """
 
     def __init__(self, recording: Recording, hand: Hand) -> None:
-        """Prepare a recording of a hand.
+        """Prepare a recording of a hand for playback.
 
         Raises:
-            LogError: if it is of another hand, or contains no measurements.
+            LogError: if the recording is of another hand, or contains no measurements.
         """
         self.recording = recording
         self._hand = hand
@@ -57,7 +59,7 @@ class Playback:
 
     @property
     def object_description(self) -> ObjectDescription | None:
-        """What was grasped, in a simulation."""
+        """The simulated object in the hand, if the recording has one."""
         return self.recording.object_description
 
     @property
@@ -112,7 +114,7 @@ class Playback:
         )
 
     def touch(self) -> list[TouchState]:
-        """Return what touch sensors had measured last at the time shown."""
+        """Return the last readings of the touch sensors at the time shown."""
         series = self.recording.touch.values()
         known = [each for each in series if len(each) and each.t[0] <= self.time]
         return [each.state(self._row(each.t, self.time)) for each in known]
@@ -120,26 +122,25 @@ class Playback:
     def touch_windows(
         self, length: float
     ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
-        """Return the sums of touch sensors up to the time shown, thinned; see `TouchPanel`.
+        """Return the sums of touch sensors by device, thinned; see `TouchPanel`.
 
         Args:
-            length: For how long before [s].
+            length: Length of the window that ends at the time shown [s].
         """
-        found = {}
+        windows = {}
         for device, each in self.recording.touch.items():
             begin, end = np.searchsorted(each.t, [self.time - length, self.time], side="right")
-            step = max(1, -(-int(end - begin) // POINTS))
-            rows = np.arange(begin, end, step)
-            found[device] = (each.sensors, each.t[rows] - self.time, each.totals[rows])
-        return found
+            rows = np.arange(begin, end, stride(int(end - begin)))
+            windows[device] = (each.sensors, each.t[rows] - self.time, each.totals[rows])
+        return windows
 
     def window(self, name: str, columns: Sequence[int], length: float) -> tuple[FloatArray, ...]:
         """Return times relative to the time shown [s] and the columns of a quantity, thinned."""
         states = self.recording.actuator_states
         end = self._row(states.t, self.time) + 1
         start = int(np.searchsorted(states.t, self.time - length))
-        step = max(1, -(-(end - start) // POINTS))
-        # At multiples of the step, counted from the start, so that the lines do not flicker.
+        step = stride(end - start)
+        # Multiples of the step, counted from the first state, so that the lines do not flicker.
         rows = np.arange(start + (-start) % step, end, step)
         time = states.t[rows] - self.time
         if name == "reference":
@@ -163,15 +164,6 @@ class Playback:
         return (time, *(values[rows, self._order[c]] for c in columns))
 
 
-def open_playback(path: Path, hand: Hand) -> Playback:
-    """Read a recording; blocks while reading.
-
-    Raises:
-        LogError: if it cannot be read, or is of another hand.
-    """
-    return Playback(read(path), hand)
-
-
 def _bar(span: Span, duration: float, top: int, height: int) -> str:
     x, width = 100.0 * span.start / duration, 100.0 * (span.end - span.start) / duration
     text = f"{span.name}: {span.start:.1f} s to {span.end:.1f} s, {span.outcome}"
@@ -183,7 +175,7 @@ def _bar(span: Span, duration: float, top: int, height: int) -> str:
 
 
 def timeline(playback: Playback) -> str:
-    """Return a picture (SVG) of the recording: actions, inner actions, marks, the time shown."""
+    """Return an SVG of the recording with actions, inner actions, marks and the time shown."""
     duration = playback.duration
     shapes = []
     for span in playback.recording.spans:

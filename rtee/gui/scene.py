@@ -1,4 +1,4 @@
-"""The 3D view: the measured hand, reference and preview as ghosts, contacts, effort, pressure."""
+"""The 3D view: the measured hand, ghosts of reference and preview, contacts, effort, pressure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Contact = tuple[tuple[float, float, float], tuple[float, float, float]]
 """A point [m] and a unit normal in the base frame."""
 
 _GHOST = 0.35
-"""Opacity of a ghost: the hand stays visible through it."""
+"""Opacity of a ghost, through which the hand stays visible."""
 
 
 class HandScene:
@@ -38,7 +38,7 @@ class HandScene:
 
     Attributes:
         hand: The hand shown.
-        seen: The object and the contact forces in it.
+        seen: The object and the contact forces.
         taxels: The taxels on the measured hand.
     """
 
@@ -50,16 +50,16 @@ class HandScene:
         self._triangles = link_triangles(hand)
         self._colours = link_colours(hand)
         ghost = dict.fromkeys(hand.urdf.links, REFERENCE)
-        wish = dict.fromkeys(hand.urdf.links, PREVIEW)
+        preview = dict.fromkeys(hand.urdf.links, PREVIEW)
         scene.set_up_direction("+z")
-        # Shadows would take most of the frame rate without a graphics card.
+        # Without a graphics card, shadows would cost most of the frame rate.
         scene.configure_default_lights(cast_shadow=False)
         self._body = HandBody(scene, "/hand", hand, self._triangles, self._colours)
         self._reference = HandBody(
             scene, "/reference", hand, self._triangles, ghost, opacity=_GHOST, visible=False
         )
         self._preview = HandBody(
-            scene, "/preview", hand, self._triangles, wish, opacity=_GHOST, visible=False
+            scene, "/preview", hand, self._triangles, preview, opacity=_GHOST, visible=False
         )
         rest = hand.transmission.joints(hand.rest)
         for body in (self._body, self._reference, self._preview):
@@ -85,7 +85,7 @@ class HandScene:
         camera = self._server.initial_camera
         camera.look_at = tuple(middle)
         camera.position = tuple(middle + size * np.array([0.68, 0.59, 0.4]))
-        # In proportion to the hand: a small one must not be cut off when it is looked at closely.
+        # In proportion to the hand, so that a close look at a small one is not clipped.
         camera.near = 0.01 * size
         self._server.scene.add_grid(
             "/floor",
@@ -125,14 +125,14 @@ class HandScene:
         """Darken fingers by their effort, given by finger name as a share of its limit."""
         for finger in self.hand.fingers:
             strength = share.get(finger.name, 0.0)
-            # In ten steps, because each change of colour is sent to the browser.
+            # Ten steps, since each change of colour is sent to the browser.
             strength = 0.0 if not math.isfinite(strength) else round(min(abs(strength), 1.0), 1)
             if strength == self._strained.get(finger.name, 0.0):
                 continue
             self._strained[finger.name] = strength
             for link in finger.links:
                 own = self._colours[link]
-                # The palm's colour marks links of no single finger, whose effort they could show.
+                # A link in the palm's colour belongs to no single finger with an effort to show.
                 if own != PALM:
                     self._body.set_colour(link, blend(own, STRAINED, strength))
 

@@ -1,4 +1,4 @@
-"""The object that a simulated hand grasps, and contact forces, in the browser's scene."""
+"""The object in a simulated hand, and the contact forces, in the browser's scene."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from rtee.object_description import (
 from rtee.sample import FloatArray
 
 _UNSEEN: Final = 1e-4
-"""Motion of the object that cannot be seen on the screen [m, or parts of a turn]."""
+"""Largest motion of the object that is not drawn [m, and per component of the quaternion]."""
 
 _LONGEST: Final = 0.35
-"""Length of the longest arrow, as a share of the hand's size."""
+"""Length that arrows approach at large forces, as a share of the hand's size."""
 
 _HALF: Final = 10.0
-"""Force of an arrow of half that length [N]: light touches are seen, and crushing ones fit."""
+"""Force of an arrow of half that length [N]: light touches show, and crushing ones fit."""
 
 _CLEAR: Final = 0.6
-"""Opacity of the object: the arrows of the forces on it are inside."""
+"""Opacity of the object, which lets the arrows of the forces inside it show."""
 
 _SHARP: Final = 0.25
-"""Change of forces that is drawn at least [N], or of points [mm]: others would flicker."""
+"""Least change of forces [N] or points [mm] that is drawn: smaller ones would only flicker."""
 
 
 class ObjectView:
-    """Draws the object where the channels of the states put it, relative to the hand.
+    """The object at its pose relative to the hand, both taken from the channels of the states.
 
     Args:
         scene: The browser's scene.
@@ -53,41 +53,41 @@ class ObjectView:
 
     @property
     def described(self) -> ObjectDescription | None:
-        """What is drawn."""
+        """The object that is drawn."""
         return self._described
 
-    def describe(self, thing: ObjectDescription | None) -> None:
-        """Draw another object from now on, or none; it appears with the next channels."""
-        if thing is self._described:
+    def describe(self, description: ObjectDescription | None) -> None:
+        """Draw another object, or none; it appears with the next channels."""
+        if description is self._described:
             return
         if self._frame is not None:
             self._frame.remove()
             self._frame = None
-        self._described = thing
+        self._described = description
         self._pose = np.full(7, np.nan)
-        if thing is not None:
+        if description is not None:
             self._frame = self._scene.add_frame("/object", show_axes=False, visible=False)
-            for index, part in enumerate(thing.parts):
+            for index, part in enumerate(description.parts):
                 _add(self._scene, f"/object/{index}", part, OBJECT)
 
     def show(self, channels: Mapping[str, FloatArray], *, forces: bool) -> None:
-        """Put the object where it is, and draw the contact forces.
+        """Move the object to its pose, and draw the contact forces.
 
         Args:
             channels: The further channels of a state.
-            forces: Whether forces are drawn.
+            forces: Whether to draw the forces.
         """
-        found = {name.rpartition("/")[2]: values for name, values in channels.items()}
-        pose = pose_in_hand(found)
+        by_kind = {name.rpartition("/")[2]: values for name, values in channels.items()}
+        pose = pose_in_hand(by_kind)
         if self._frame is not None:
             self._place(self._frame, pose)
-        rows = contact_rows(found.get(CONTACTS, np.zeros(0))) if forces else self._drawn[:0]
+        rows = contact_rows(by_kind.get(CONTACTS, np.zeros(0))) if forces else self._drawn[:0]
         self._draw_forces(rows)
 
     def _place(self, frame: viser.FrameHandle, pose: FloatArray | None) -> None:
         if frame.visible != (pose is not None):
             frame.visible = pose is not None
-        # At first the pose drawn is NaN, which compares as false: the object is placed.
+        # The pose drawn is NaN at first, for which the comparison is false.
         if pose is None or np.abs(pose - self._pose).max() < _UNSEEN:
             return
         self._pose = pose
@@ -113,20 +113,20 @@ class ObjectView:
                 head_length=0.045 * self._size,
             )
 
-    def said(self, links: Sequence[str]) -> str:
-        """Return the strongest contacts that are drawn, in words; see `strongest`."""
+    def summary(self, links: Sequence[str]) -> str:
+        """Return the strongest drawn contacts as text; see `strongest`."""
         return strongest(self._drawn, links)
 
     def remove(self) -> None:
-        """Remove it from the scene."""
+        """Remove object and forces from the scene."""
         self.describe(None)
         self._draw_forces(self._drawn[:0])
 
 
 def arrows_of(rows: FloatArray, size: float) -> FloatArray:
-    """Return arrows ``(k, 2, 3)`` that begin at the contact points [m].
+    """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
 
-    An arrow's length grows with its force, less and less.
+    The length of an arrow grows with the force F as F / (F + 10 N).
 
     Args:
         rows: The contacts; see `rtee.object_description.CONTACTS`.
@@ -135,18 +135,18 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     points, forces = rows[:, :3], rows[:, 3:6]
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
     length = _LONGEST * size * strength / (strength + _HALF)
-    # A contact without force has no direction either: 0/0 would be NaN.
-    ways = forces / np.maximum(strength, math.ulp(1.0)) * length
-    return np.stack([points, points + ways], axis=1)
+    # The least divisor keeps 0/0 from becoming NaN for a contact without force.
+    shafts = forces / np.maximum(strength, math.ulp(1.0)) * length
+    return np.stack([points, points + shafts], axis=1)
 
 
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
-    """Return the strongest contacts in words: ``index_tip 3.2 N, thumb_tip 3.1 N``.
+    """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
     Args:
         rows: The contacts; see `rtee.object_description.CONTACTS`.
         links: Names of the links, in the order of the URDF.
-        most: How many links are named.
+        most: Largest number of links named.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:

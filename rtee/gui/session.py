@@ -1,4 +1,4 @@
-"""One hand in the GUI: its panels, and the streams that update them."""
+"""A running hand in the GUI: its panels, and the tasks that update them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from rtee.gui.history import LONGEST
 from rtee.gui.panels.action_editor import MakingPanel
 from rtee.gui.panels.actions import ActionsPanel
 from rtee.gui.panels.cards import Card
-from rtee.gui.panels.execution import last_posture
 from rtee.gui.panels.header import Header
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.recordings import RecordingsPanel
@@ -47,16 +46,16 @@ _STATE_RATE = 100.0
 """States received per second [Hz]: enough for smooth lines in the plots."""
 
 _SCENE_PERIOD = 1 / 30
-"""Time between two updates of the 3D view [s]: as fluent as a film."""
+"""Time between two updates of the 3D view [s]: 30 pictures per second look fluent."""
 
 _UNWATCHED_PERIOD = 0.25
-"""The same while no window is open [s]: only the history of the plots is filled."""
+"""Time between two updates while no window is open [s]: they only fill the plots' history."""
 
 _UNWATCHED_STEP = 5
-"""Of this many states one goes into the history while no window is open."""
+"""While no window is open, every fifth state goes into the history."""
 
 _PLOT_PERIOD = 1 / 8
-"""Time between two updates of the plots [s]: each takes the browser some milliseconds."""
+"""Time between two updates of the plots [s]: each costs the browser some milliseconds."""
 
 _TABLE_PERIOD = 1 / 4
 """Time between two updates of the tables [s]: numbers that change faster cannot be read."""
@@ -68,10 +67,22 @@ _PANEL_WIDTH = 330
 """Width of the panel with plots and tables [pixels]: a third of a small laptop's screen."""
 
 _COLOURS = {"info": "blue", "warning": "orange", "error": "red"}
+"""Colours of notifications by severity of the event."""
+
+_VIEWS = {
+    "Reference": (False, "Show the set-points sent as a grey ghost"),
+    "Effort": (True, "Darken fingers by the effort they exert, as a share of limits"),
+    "Contacts": (True, "Mark where the tips of the current action touch"),
+    "Pressure": (True, "Show the pressure at the tips, where the hand measures it"),
+    "Touch": (True, "Colour the taxels on the hand by what they measure"),
+    "Object": (True, "Show the object that a simulated hand grasps"),
+    "Contact forces": (True, "Show by arrows how hard links press on things"),
+}
+"""Check boxes of the 3D view: by label, whether ticked at first, and the hint."""
 
 
 class Session:
-    """Shows one running hand until it goes."""
+    """A running hand in the GUI, until it ends or another hand is chosen."""
 
     def __init__(
         self, bridge: Bridge, remote: RemoteHand, hand: Hand, top: viser.GuiFolderHandle
@@ -81,8 +92,8 @@ class Session:
         Args:
             bridge: Carries clicks into the event loop.
             remote: The running hand.
-            hand: Its model.
-            top: The folder that always stays in sight.
+            hand: Model of the hand.
+            top: Folder that stays visible when the panel is scrolled.
         """
         self._bridge = bridge
         self._remote = remote
@@ -94,7 +105,7 @@ class Session:
         self._pressed = False
         self._plots_due = self._table_due = 0.0
         self._playback: Playback | None = None
-        self._thing: ObjectDescription | None = None
+        self._object: ObjectDescription | None = None
         self._known: list[Action] = []
         self._touched: dict[str, TouchState] = {}
         with top:
@@ -103,34 +114,17 @@ class Session:
         with self._tabs.add_tab("Actions"):
             self._actions = ActionsPanel(bridge, remote, self._show, partial(sideways_words, hand))
         with self._tabs.add_tab("Make"):
-            self._making = MakingPanel(bridge, remote, hand, self._refresh)
+            self._making = MakingPanel(bridge, remote, hand)
         with self._tabs.add_tab("Try"):
             self._trying = TryPanel(bridge, remote, hand, self._actions.add_trial, self._show_grasp)
         with self._tabs.add_tab("Log"):
             self._recordings = RecordingsPanel(bridge, remote, hand, self._look_at)
         with self._tabs.add_tab("View"):
-            self._ghost = gui.add_checkbox(
-                "Reference", False, hint="Show the set-points sent as a grey ghost"
-            )
-            self._strain = gui.add_checkbox(
-                "Effort", True, hint="Darken fingers by the effort they exert, as a share of limits"
-            )
-            self._touch = gui.add_checkbox(
-                "Contacts", True, hint="Mark where the tips of the current action touch"
-            )
-            self._press = gui.add_checkbox(
-                "Pressure", True, hint="Show the pressure at the tips, where the hand measures it"
-            )
-            self._taxels = gui.add_checkbox(
-                "Touch", True, hint="Colour the taxels on the hand by what they measure"
-            )
-            self._object = gui.add_checkbox(
-                "Object", True, hint="Show the object that a simulated hand grasps"
-            )
-            self._forces = gui.add_checkbox(
-                "Contact forces", True, hint="Show by arrows how hard links press on things"
-            )
-            self._felt = gui.add_html("")
+            self._views = {
+                label: gui.add_checkbox(label, ticked, hint=hint)
+                for label, (ticked, hint) in _VIEWS.items()
+            }
+            self._forces = gui.add_html("")
         self._panel = gui.add_panel()
         with self._panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = PlotsPanel(gui, hand)
@@ -147,29 +141,28 @@ class Session:
         return self._actions.cards
 
     def _show(self, posture: Posture | None, intensity: float, evidence: Evidence | None) -> None:
-        if posture is None:
-            self._scene.show_preview(None)
-        else:
-            self._scene.show_preview(self._target(posture, intensity))
+        self._scene.show_preview(None if posture is None else self._target(posture, intensity))
         contact: list[Contact] = []
         if evidence is not None and evidence.point is not None and evidence.normal is not None:
             contact.append((evidence.point, evidence.normal))
-        self._scene.show_contacts(contact if self._touch.value else ())
+        self._show_contacts(contact)
+
+    def _show_contacts(self, contacts: Sequence[Contact]) -> None:
+        self._scene.show_contacts(contacts if self._views["Contacts"].value else ())
 
     def _show_grasp(self, plan: GraspPlan | None) -> None:
-        """Show a planned grasp as a ghost, with its contacts."""
+        """Show a planned grasp as a ghost, with its contacts; ``None`` hides both."""
         if plan is None:
             self._show(None, 0.0, None)
             return
-        found = [a for a in self._known if key_of(a) == (plan.action, plan.elements)]
-        self._scene.show_preview(
-            self._target(last_posture(found[0]), plan.intensity) if found else None
-        )
-        contacts = [(contact.point, contact.normal) for contact in plan.contacts]
-        self._scene.show_contacts(contacts if self._touch.value else ())
+        # A grasp composed for the object is no action of the hand yet, and has no ghost.
+        matches = [a for a in self._known if key_of(a) == (plan.action, plan.elements)]
+        target = self._target(matches[0].waypoints[-1], plan.intensity) if matches else None
+        self._scene.show_preview(target)
+        self._show_contacts([(contact.point, contact.normal) for contact in plan.contacts])
 
     def _target(self, posture: Posture, intensity: float) -> FloatArray:
-        # What an action leaves out stays at its reference, so that the ghost shows it there.
+        # Actuators that an action does not involve stay at their reference.
         start = self._hand.rest if self._state is None else self._state.reference_position
         target = np.array(start)
         for name in posture.involved:
@@ -181,22 +174,19 @@ class Session:
         self._playback = playback
         self._plots.follow(playback)
 
-    async def _refresh(self) -> list[Action]:
-        actions = await self._actions.refresh()
-        self._known = actions
-        self._making.show_actions(actions)
-        self._trying.show_actions(actions)
-        return actions
+    async def _refresh(self) -> None:
+        self._known = await self._actions.refresh()
+        self._making.show_actions(self._known)
+        self._trying.show_actions(self._known)
 
     async def run(self) -> None:
-        """Update all panels until the hand goes.
+        """Update all panels until the hand ends.
 
         Raises:
-            NoHand: when the hand goes.
+            NoHand: when the hand has ended.
         """
-        events = (
-            self._remote.events()
-        )  # subscribed first, so that no change of the actions is missed
+        # Subscribed first, so that no change of the actions is missed.
+        events = self._remote.events()
         await self._refresh()
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(self._follow_events, events)
@@ -204,28 +194,25 @@ class Session:
             tasks.start_soon(self._follow_states)
             tasks.start_soon(self._follow_object)
             tasks.start_soon(self._follow_touch)
-            await self._ask_trials()
+            await self._request_trials()
 
     async def _follow_object(self) -> None:
-        """Ask what is grasped once there is something: a simulation appears after its hand."""
-        with contextlib.suppress(RteeError):  # an older hand cannot tell
-            while self._thing is None:
+        """Request the simulated object once its pose is among the channels of the states."""
+        with contextlib.suppress(RteeError):  # a hand of an earlier version has no such request
+            while self._object is None:
                 await anyio.sleep(_STATUS_PERIOD)
-                if self._state is not None and self._has_object(self._state):
-                    self._thing = await self._remote.object_description()
+                channels = () if self._state is None else self._state.channels
+                if any(name.endswith(f"/{OBJECT_POSE}") for name in channels):
+                    self._object = await self._remote.object_description()
 
     async def _follow_touch(self) -> None:
-        with contextlib.suppress(RequestRejected):  # an older hand cannot tell
+        with contextlib.suppress(RequestRejected):  # refused by a hand of an earlier version
             async for state in self._remote.touch_states():
                 self._touched[state.device] = state
                 self._touch_panel.add(state)
 
-    @staticmethod
-    def _has_object(state: State) -> bool:
-        return any(name.endswith(f"/{OBJECT_POSE}") for name in state.channels)
-
-    async def _ask_trials(self) -> None:
-        # An older hand cannot tell, and a damaged file of trials must not end the session.
+    async def _request_trials(self) -> None:
+        # Refused by a hand of an earlier version; a damaged file must not end the session either.
         with contextlib.suppress(RequestRejected, ConfigError):
             text = await self._remote.trials()
             self._actions.show_trials(await anyio.to_thread.run_sync(tried_in, text))
@@ -237,7 +224,8 @@ class Session:
     async def _on_event(self, event: Event) -> None:
         if event.kind == "actions_changed":
             await self._refresh()
-            await self._ask_trials()
+            await self._request_trials()
+        # These two occur with many goals, and the state shows them.
         elif event.kind not in ("limited", "at_rest"):
             title = event.kind.replace("_", " ")
             self._bridge.notify(title, event.text, _COLOURS.get(event.severity, "blue"))
@@ -252,8 +240,8 @@ class Session:
             await anyio.sleep(_STATUS_PERIOD)
 
     async def _follow_states(self) -> None:
-        """Draw the states received meanwhile, 30 times a second while a window is open."""
-        # As many as the plots show, should drawing be held up for that long.
+        """Draw the states received meanwhile, 30 times per second while a window is open."""
+        # As many states as the plots show are kept, even if drawing is delayed for that long.
         most = round(_STATE_RATE * LONGEST)
         async with self._remote.collected_states(_STATE_RATE, most) as states:
             while True:
@@ -262,13 +250,16 @@ class Session:
                 for state in states.drain(1 if watched else _UNWATCHED_STEP):
                     self._receive(state)
                 if watched:
-                    # In one go, which costs less, and no window shows half of a state.
+                    # In one message, which costs less and leaves no window with half a state.
                     with self._bridge.server.atomic():
                         self._draw(time.monotonic())
 
     def _receive(self, state: State) -> None:
-        if state.joint_names != self._hand.joint_names:  # the model here has another order
-            state = self._in_order(state)
+        names = self._hand.joint_names
+        if state.joint_names != names:  # the hand sends them in another order than the model here
+            by_name = state.joints
+            position = np.array([by_name.get(name, math.nan) for name in names])
+            state = replace(state, joint_names=names, joint_position=position)
         self._state = state
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
         self._plots.history.add(state, speeds)
@@ -290,30 +281,29 @@ class Session:
             self._table_due = now + _TABLE_PERIOD
             self._table.show_state(state)
             self._touch_panel.show(self._touch_now())
-            self._felt.content = small(escape(self._scene.seen.said(tuple(self._hand.urdf.links))))
+            contacts = self._scene.seen.summary(tuple(self._hand.urdf.links))
+            self._forces.content = small(escape(contacts))
             if playback is None:
                 self._making.show_state(state)
 
     def _draw_hand(self, state: State) -> None:
+        view = {label: box.value for label, box in self._views.items()}
         self._scene.show(state.joint_position)
-        self._scene.show_reference(state.reference_position if self._ghost.value else None)
-        self._scene.show_effort(self._efforts(state) if self._strain.value else {})
-        self._scene.taxels.show(self._touch_now() if self._taxels.value else ())
-        pressure = self._pressures(state) if self._press.value else {}
+        self._scene.show_reference(state.reference_position if view["Reference"] else None)
+        self._scene.show_effort(self._efforts(state) if view["Effort"] else {})
+        self._scene.taxels.show(self._touch_now() if view["Touch"] else ())
+        pressure = self._pressures(state) if view["Pressure"] else {}
         if pressure or self._pressed:  # once more after the last contact, to hide the spheres
             self._pressed = bool(pressure)
             self._scene.show_pressure(pressure)
             self._scene.place_pressures(state.position)
-        thing = self._thing if self._playback is None else self._playback.object_description
-        self._scene.seen.describe(thing if self._object.value else None)
-        self._scene.seen.show(state.channels, forces=self._forces.value)
-
-    def _in_order(self, state: State) -> State:
-        by_name, names = state.joints, self._hand.joint_names
-        position = np.array([by_name.get(name, math.nan) for name in names])
-        return replace(state, joint_names=names, joint_position=position)
+        playback = self._playback
+        held = self._object if playback is None else playback.object_description
+        self._scene.seen.describe(held if view["Object"] else None)
+        self._scene.seen.show(state.channels, forces=view["Contact forces"])
 
     def _efforts(self, state: State) -> dict[str, float]:
+        """Return the largest effort of each finger's actuators, as a share of their limits."""
         share: dict[str, float] = {}
         for i, actuator in enumerate(self._hand.actuators):
             if math.isfinite(actuator.effort) and actuator.effort > 0.0:
@@ -324,23 +314,24 @@ class Session:
         return share
 
     def _touch_now(self) -> Sequence[TouchState]:
-        """Return what touch sensors measure, or had measured at the time of a recording."""
+        """Return the last readings of the touch sensors, live or at the time of a recording."""
         return list(self._touched.values()) if self._playback is None else self._playback.touch()
 
     def _pressures(self, state: State) -> dict[str, float]:
+        """Return the pressure of each finger without taxels, as a share of the largest."""
         fingers = self._hand.finger_names
         for name, values in state.channels.items():
             if name.endswith(("/pressure", "/contact_force")) and len(values) % len(fingers) == 0:
                 by_finger = np.nan_to_num(values).reshape(len(fingers), -1).max(axis=1)
                 most = max(float(by_finger.max()), 1.0)  # weak pressures stay pale
                 shares = dict(zip(fingers, (by_finger / most).tolist(), strict=True))
-                # Taxels show the same in more detail.
+                # Taxels show the same pressures in more detail.
                 drawn = self._scene.taxels.fingers
                 return {f: share for f, share in shares.items() if f not in drawn}
         return {}
 
     async def leave(self) -> None:
-        """Give the hand back if it is held for jogging; the hand goes on, or has gone."""
+        """Release the lease if it is held for jogging."""
         await self._making.leave()
 
     def remove(self) -> None:

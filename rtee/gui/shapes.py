@@ -61,7 +61,7 @@ def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
         return cylinder(shape.radius, shape.length)
     path = check_mesh(shape, hand.urdf, hand.package_dirs)
     try:
-        # Unprocessed: merging vertices takes seconds and does not show.
+        # Unprocessed, since merging vertices takes seconds and does not show.
         mesh = trimesh.load_mesh(str(path), process=False)
         points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # each reader of trimesh raises its own exceptions

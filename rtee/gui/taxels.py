@@ -21,25 +21,25 @@ _SHADES: Final = 32
 _COLOURS: Final = np.array([ramp(k / (_SHADES - 1)) for k in range(_SHADES)], dtype=np.uint8)
 
 _STALE: Final = np.array((150, 150, 150), dtype=np.uint8)
-"""Taxels that have gone silent: grey is not the colour of any measured value."""
+"""Taxels without fresh values: grey is not the colour of any measured value."""
 
 _LIFT: Final = 0.0006
-"""Height of the points over the surface [m]: in it they would flicker."""
+"""Height of the points above the surface [m], in which they would flicker."""
 
 _LEAST: Final[Mapping[str, float]] = {NEWTON: 0.5}
-"""Least value of the brightest colour by unit: noise should stay dark."""
+"""Least value of the brightest colour by unit, so that noise stays dark."""
 
 _POINT: Final = 0.6
-"""Size of a point as a share of the distance to the next."""
+"""Size of a point as a share of the distance to the next one, so that points stay apart."""
 
 _ALONE: Final = 0.02
-"""Size of the only taxel of a link, as a share of the hand's size."""
+"""Size of the only taxel of a link, as a share of the hand's size: about that of a fingertip."""
 
 Bytes = NDArray[np.uint8]
 
 
 class TaxelView:
-    """Draws the taxels of a hand's touch sensors where they are on its links.
+    """The taxels of a hand's touch sensors, as coloured points on its links.
 
     Args:
         scene: The browser's scene.
@@ -67,13 +67,13 @@ class TaxelView:
         return {sensor.finger for sensor in placed if sensor.finger}
 
     def show(self, states: Iterable[TouchState]) -> None:
-        """Colour the taxels by what they measure; nothing hides them."""
+        """Colour the taxels by their values; without states, remove them."""
         states = tuple(states)
         names = [state.device for state in states]
         for device in [name for name in self._sensors if name not in names]:
             self._forget(device)
         for state in states:
-            # By identity: a device's states share their sensors until it is another device.
+            # Compare by identity: the states of one device share their tuple of sensors.
             if self._sensors.get(state.device) is not state.sensors:
                 self._forget(state.device)
                 self._add(state)
@@ -116,7 +116,7 @@ class TaxelView:
         unit = sensor.unit
         largest = float(np.nanmax(values, initial=0.0))
         least = _LEAST.get(unit, 0.05 * sensor.full if math.isfinite(sensor.full) else 1.0)
-        # One scale for all sensors of a unit. It never shrinks: taxels that are let go turn dark.
+        # One scale for all sensors of a unit. It never shrinks, so that released taxels turn dark.
         most = self._most[unit] = max(self._most.get(unit, least), largest)
         return most
 
@@ -128,15 +128,15 @@ class TaxelView:
                 cloud.remove()
 
     def remove(self) -> None:
-        """Remove all from the scene."""
+        """Remove all taxels from the scene."""
         self.show(())
 
 
 def shades(values: FloatArray, most: float) -> NDArray[np.intp]:
-    """Return the number of the colour of each value, the last for ``most`` and above.
+    """Return the index of the colour of each value ``(n,)``, the last one from ``most`` on.
 
     Args:
-        values: Values ``(n,)``; ``NaN`` counts as nothing.
+        values: Values ``(n,)``; ``NaN`` counts as 0.
         most: The value of the brightest colour.
     """
     share = np.clip(np.nan_to_num(values) / most, 0.0, 1.0)
@@ -144,10 +144,10 @@ def shades(values: FloatArray, most: float) -> NDArray[np.intp]:
 
 
 def _size(points: FloatArray, alone: float) -> float:
-    """Return how large the points of a sensor are drawn [m]."""
+    """Return the size of a sensor's points [m]."""
     if len(points) < 2:
         return alone
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(apart, np.inf)
-    # The median: a few taxels that are close together must not shrink all points.
+    # The median, so that a few taxels close together do not shrink all points.
     return _POINT * float(np.median(apart.min(axis=1)))

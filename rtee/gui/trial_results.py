@@ -23,10 +23,10 @@ class Tried:
     """Results of trials.
 
     Attributes:
-        results: The results by action.
+        results: The stored results by action.
         outdated: Keys of the trials since which the hand, the action or how trials are made has
             changed.
-        own: The results of trials of this page, by action; the newest last.
+        own: The results of trials started in this page, by action; the newest last.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class Tried:
     own: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
 
     def with_own(self, result: TrialResult) -> Tried:
-        """Return the same with a result of a trial of this page, instead of one of its object."""
+        """Return a copy with a result of this page, which replaces an earlier one of its object."""
         trial = result.trial
         key = (trial.action, trial.elements)
         others = [one for one in self.own.get(key, ()) if one.trial.object != trial.object]
@@ -60,14 +60,14 @@ def tried_in(text: str) -> Tried:
 
 
 def object_name(text: str) -> str:
-    """Return the name of an object, of a mesh without its folder."""
+    """Return the name of an object; that of a mesh without its folder."""
     return text.rpartition("/")[2]
 
 
 def rate(result: TrialResult) -> str:
-    """Return in how many variations an object was held; empty if there were none.
+    """Return the rate of variations held, such as ``18 of 20 variations (95 %: 70 to 97 %)``.
 
-    ``18 of 20 variations (95 %: 70 to 97 %)``.
+    Empty if there were no variations.
     """
     tries = result.trial.variations
     if not (tries and result.held):
@@ -77,7 +77,7 @@ def rate(result: TrialResult) -> str:
 
 
 def verdict(result: TrialResult) -> str:
-    """Return how a trial ended: held, with the rate of its variations, or why not."""
+    """Return the outcome of a trial as text: held, with the rate of variations, or the reason."""
     if not result.held:
         return result.reason or "lost"
     return ", ".join(filter(None, ("held", rate(result))))

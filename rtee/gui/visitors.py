@@ -1,8 +1,8 @@
-"""The browser's server with a door: who connects, and which messages a page may send.
+"""Access control for the viser server: who may connect, and which messages a page may send.
 
-viser 1.1 has no option for origins, hosts, tokens or TLS: it passes all that it knows to
-`websockets.asyncio.server.serve`, which has them. While viser starts its server, that function is
-replaced by one that adds them; `open_server` fails if viser did not call it.
+viser 1.1 has no option for origins, hosts, tokens or TLS, but the function that it calls,
+`websockets.asyncio.server.serve`, has them. While viser starts its server, a wrapper that adds them
+replaces that function; `open_server` fails if viser did not call the wrapper.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from rtee.gui.colours import STOP
 _LARGEST: Final = 2**20
 """Longest message that a page may send [bytes]; a text that a person typed has some hundred."""
 
+# Types of viser's messages.
+
 _CAMERA: Final = "ViewerCameraMessage"
 _UPDATE: Final = "GuiUpdateMessage"
 _COMMAND: Final = "CommandTriggerMessage"
 
 _USED: Final = frozenset({_CAMERA, _UPDATE, _COMMAND})
-"""What this GUI's page sends: where it looks from, controls that are used, and keys.
+"""Messages that this GUI's page needs: the camera's pose, changes of controls, and keys.
 
-viser's server takes more: uploads, and requests for a public tunnel to this computer
+viser's server accepts more: uploads, and requests for a public tunnel to this computer
 (``ShareUrlRequest``), which would open the hand to anybody.
 """
 
 _STOP_BUTTON: Final = f'.mantine-Paper-root button[style*="#{bytes(STOP).hex()}"]'
-"""How the page's style finds STOP: by its colour, which no other button has."""
+"""CSS selector of STOP by its colour, which no other button has: viser sets no id or class."""
 
 _WATCHING: Final = f"""<style>
 .mantine-Paper-root :is(button, input, label, .mantine-Slider-root, .mantine-Input-wrapper)
@@ -54,22 +56,22 @@ Process = Callable[[ServerConnection, Request], Response | None]
 
 
 class _Message(msgspec.Struct):
-    """What tells about a message whether it is passed on; other fields are skipped."""
+    """The fields of a message that decide whether the server receives it."""
 
     type: str
     uuid: str = ""
 
 
 class Visitors:
-    """Those who have the page open, and what they may do.
+    """The people who have the page open, and their permissions.
 
     Attributes:
-        met: Whether viser opened its server by way of this; `open_server` checks it.
+        guarded: Whether viser called the wrapper that checks access.
     """
 
     def __init__(self, access: Access) -> None:
-        """Take who may open the page."""
-        self.met = False
+        """Admit the holders of the tokens of ``access``."""
+        self.guarded = False
         self._access = access
         self._for_everybody: frozenset[str] = frozenset()
 
@@ -90,7 +92,7 @@ class Visitors:
             process_request: Process | None = None,
             **options: Any,
         ) -> Any:
-            self.met = True
+            self.guarded = True
             options |= {"max_size": _LARGEST, "ssl": self._access.tls}
             return serve(
                 _in_role(handler),
@@ -106,7 +108,7 @@ class Visitors:
                 server = viser.ViserServer(host=self._access.address, port=port, verbose=False)
         finally:
             websockets.asyncio.server.serve = serve  # type: ignore[misc]
-        if not self.met:
+        if not self.guarded:
             server.stop()
             raise LoopError(
                 f"viser {viser.__version__} opens its server in a way that cannot be guarded; "
@@ -116,22 +118,22 @@ class Visitors:
         return server
 
     def leave_to_everybody(self, *controls: Any) -> None:
-        """Let observers, too, use these buttons and commands, and no others."""
-        # viser has no public name for what identifies a control in the messages of a page.
+        """Let observers use these buttons and commands and no others."""
+        # viser has no public name for the id of a control in the messages of a page.
         self._for_everybody = frozenset(control._impl.uuid for control in controls)  # noqa: SLF001
 
     def admits(self, role: Role | None, message: str | bytes) -> bool:
-        """Return whether a message of a page is passed on."""
+        """Return whether the server may receive a message of a page."""
         try:
-            # viser's page sends binary messages only, so that a text is nothing that it sent.
-            found = msgspec.msgpack.decode(
+            # viser's page sends only binary messages, so that a text is not from it.
+            header = msgspec.msgpack.decode(
                 message if isinstance(message, bytes) else b"", type=_Message
             )
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
             return False
-        if role is None or found.type not in _USED:
+        if role is None or header.type not in _USED:
             return False
-        return role is Role.OPERATOR or found.type == _CAMERA or found.uuid in self._for_everybody
+        return role is Role.OPERATOR or header.type == _CAMERA or header.uuid in self._for_everybody
 
     def _judged(self, process: Process | None) -> Process:
         def judge(connection: ServerConnection, request: Request) -> Response | None:
@@ -157,10 +159,10 @@ class Visitors:
 
 
 class Visitor(ServerConnection):
-    """A page's connection, which receives what the person may do only.
+    """The connection of a page, which drops messages that the person may not send.
 
     Attributes:
-        role: The person's role, once it is known.
+        role: Role of the person, once it is known.
     """
 
     visitors: Visitors
@@ -176,8 +178,8 @@ class Visitor(ServerConnection):
 
 def _in_role(handler: Handler) -> Handler:
     async def handle(connection: ServerConnection) -> None:
-        # What viser calls for this connection runs in this task or its children: `_greet`.
-        # Without a known role, a page is told only what everybody may do.
+        # viser calls `_greet` for this connection in this task or a child of it, which inherits
+        # the context variable. Without a known role, a page counts as an observer's.
         _role.set(getattr(connection, "role", None) or Role.OBSERVER)
         await handler(connection)
 
@@ -185,13 +187,13 @@ def _in_role(handler: Handler) -> Handler:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
-    """Show an observer what does not work."""
+    """Disable and dim the controls in an observer's page, all but STOP."""
     if _role.get(Role.OBSERVER) is Role.OBSERVER:
         client.gui.add_html(_WATCHING, order=-2)
 
 
 class _NoRefusals(logging.Filter):
-    """Leaves out what websockets logs of every request that is answered without a WebSocket."""
+    """Drops the log records that websockets writes for each request refused before a WebSocket."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         return not record.getMessage().startswith(
@@ -204,5 +206,5 @@ _NO_REFUSALS: Final = _NoRefusals()
 
 def _be_quiet(connection: ServerConnection) -> None:
     logger = connection.logger
-    # Called for every request: a logger keeps the same filter only once.
+    # Called for every request, but a logger keeps the same filter only once.
     (logger.logger if isinstance(logger, logging.LoggerAdapter) else logger).addFilter(_NO_REFUSALS)

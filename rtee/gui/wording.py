@@ -1,14 +1,15 @@
-"""Texts of the GUI: results, uses of actions, small print, short names, units, choices."""
+"""Texts of the GUI: results, uses of actions, small print, legends, short names, units, choices."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from html import escape
 from typing import Final
 
 import viser
 
 from rtee.actions.types import ActionReference
-from rtee.gui.colours import BAD, GOOD, WARN
+from rtee.gui.colours import BAD, GOOD, WARN, line_colour, line_dash
 from rtee.hand.names import common_prefix
 from rtee.sample import MEASURED
 from rtee.types import Result
@@ -18,12 +19,12 @@ NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
 
 
-def said(result: Result, *, width: bool = False) -> tuple[str, str]:
-    """Return how a goal ended, in words, and the colour of these words.
+def outcome(result: Result, *, width: bool = False) -> tuple[str, str]:
+    """Return the outcome of a goal as a sentence, and the colour of that sentence.
 
     Args:
-        result: The result.
-        width: Whether the goal was to hold an object of some width.
+        result: The result of the goal.
+        width: Whether the goal was to hold an object of a given width.
     """
     at = "" if result.opening is None else f" at {grip_words(result)}"
     if width and result.grasped and not result.within:
@@ -48,7 +49,7 @@ def said(result: Result, *, width: bool = False) -> tuple[str, str]:
 
 
 def described(use: ActionReference) -> str:
-    """Return a use of an action as people write it: ``Trig thumb × 0.3``."""
+    """Return a use of an action as text: ``Trig thumb × 0.3``."""
     name = " ".join((use.action, *use.elements))
     return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
@@ -58,14 +59,39 @@ def small(html: str) -> str:
     return f'<div style="font-size:0.8em;padding:0 0.75em">{html}</div>'
 
 
+def coloured(text: str, colour: str) -> str:
+    """Return a text, escaped, in small print of a colour ``#rrggbb``."""
+    return small(f'<span style="color:{colour}">{escape(text)}</span>')
+
+
+def legend(names: Mapping[int, str], hint: str = "") -> str:
+    """Return the HTML legend of the lines of a plot.
+
+    Args:
+        names: Name of each line by the index that selects its colour and dashes.
+        hint: HTML of a hint at the end.
+    """
+    items = "".join(
+        '<span style="white-space:nowrap;margin-right:0.8em">'
+        '<span style="display:inline-block;width:1.3em;vertical-align:middle;'
+        f'border-top:3px {"dashed" if line_dash(i) else "solid"} {line_colour(i)}"></span> '
+        f"{escape(name)}</span>"
+        for i, name in names.items()
+    )
+    return (
+        f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
+        f'<span style="color:#7a7f87">{hint}</span></div>'
+    )
+
+
 def short_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names without their `common_prefix`: ``left_hand_Pinky`` becomes ``Pinky``."""
+    """Return names without the prefix that all share: ``left_hand_Pinky`` becomes ``Pinky``."""
     prefix = common_prefix(names)
     return tuple(name.removeprefix(prefix) for name in names)
 
 
 def units(quantity: str, kinds: Collection[str]) -> str:
-    """Return the unit of a quantity of actuators or joints of some kinds."""
+    """Return the unit of a quantity for actuators or joints of these kinds."""
     return MEASURED[quantity].unit_for(kinds)
 
 

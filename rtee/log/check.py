@@ -29,15 +29,15 @@ _QUANTITIES = ("position", "velocity", "effort")
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Where a computed reference differs from the recorded one.
+    """The first computed reference that differs from the recorded one.
 
     Attributes:
-        tick: The first tick at which it does.
-        t: Its time since the recording's start [s].
+        tick: The tick.
+        t: Time of the tick since the recording's start [s].
         actuator: The actuator.
         quantity: ``position``, ``velocity`` or ``effort``.
-        recorded: What was sent.
-        computed: What comes out now.
+        recorded: The recorded value, which was sent to the device.
+        computed: The value computed now.
     """
 
     tick: int
@@ -58,10 +58,10 @@ class Check:
         values: Numbers compared.
         different: Numbers that differ in at least one bit.
         largest: Largest difference of a position [rad | m].
-        first: Where the first difference is.
+        first: The first difference.
         results: Whether the goals ended as recorded.
         missing: Ticks missing in the recording.
-        damage: What is not as it was written, such as a part that fails its checksum.
+        damage: Sentences about damage, such as a part that fails its checksum.
     """
 
     ticks: int
@@ -76,22 +76,22 @@ class Check:
 
     @property
     def same(self) -> bool:
-        """Whether everything is as recorded, bit for bit, and the recording as it was written."""
+        """Whether all references equal the recorded ones bit for bit, and nothing is damaged."""
         return not self.different and self.results and not self.damage
 
 
 def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
-    """Return the hand of a recording with the actuators' limits as they were used.
+    """Return the hand of a recording with the actuators' limits used at the time.
 
     Raises:
-        LogError: if its model is missing.
+        LogError: if the recording lacks the hand's model.
     """
     with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
         urdf = Path(folder, "hand.urdf")
         text = recording.urdf or _attached(recording, ".urdf")
         if not text:
             raise LogError("holds no URDF", path=recording.paths[0])
-        # The model is loaded from files, as for a run: no second way to make one.
+        # Write files, since a model is only loaded from files, here as for a run.
         urdf.write_text(text)
         srdf: Path | None = None
         attached = _attached(recording, ".srdf")
@@ -118,7 +118,7 @@ def check(recording: Recording) -> Check:
         recording: A recording from the loop's start on, with every tick.
 
     Raises:
-        LogError: if something is missing without which nothing can be computed, or makes no sense.
+        LogError: if the recording lacks data needed for the computation, or has invalid data.
     """
     replayable = _replayable(recording)
     try:
@@ -179,10 +179,10 @@ def _replayable(recording: Recording) -> Replayable:
 
 
 def _measured(recording: Recording) -> Iterator[Measured]:
-    """Yield what the controller was given at every tick.
+    """Yield the controller's input at every tick.
 
-    It yields one object, as the live loop uses: commands that the controller gets before its
-    step find the measurements of the same tick in it.
+    Yields the same object each time, like the live loop: commands that the controller receives
+    before its step find the measurements of the same tick in it.
     """
     states = recording.actuator_states
     measured = Measured((), (), (), (), ())
@@ -197,7 +197,7 @@ def _measured(recording: Recording) -> Iterator[Measured]:
 
 
 def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
-    """Return what gives the forces at the fingertips at a time [s]; only changes are recorded."""
+    """Return a function of time [s] that returns the recorded forces at the fingertips [N]."""
     channels = [c for name, c in recording.channels.items() if name.endswith(f"/{TIP_FORCE}")]
     rows = [-1] * len(channels)
 
@@ -214,7 +214,7 @@ def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
 
 
 def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | CommandRecord]]:
-    """Return what gives the plans and commands that are due at a tick, in their order."""
+    """Return a function that yields the plans and commands due at a tick, in their order."""
     entries: list[Entry[Plan] | Entry[CommandRecord]] = [
         *recording.plans,
         *recording.commands,
@@ -225,11 +225,11 @@ def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Co
     def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:
         while waiting and waiting[0].stamp <= stamp:
             what = waiting[0].value
-            # A command that came between two ticks has the stamp of the one before, but took effect
-            # later.
+            # A command between two ticks has the stamp of the earlier one, but took effect at the
+            # later one.
             if isinstance(what, CommandRecord) and what.tick > tick:
                 break
-            # Removed only afterwards: `due` is a generator, and its caller may stop in the middle.
+            # Removed only after the yield, since the caller of the generator may stop there.
             yield what
             waiting.popleft()
 
@@ -264,7 +264,7 @@ def _compared(
         different=sum(int(each.sum()) for each in unequal.values()),
         largest=float(largest),
         first=first,
-        # The end of the loop may have given one more result, after the last recorded tick.
+        # When the loop ended, it may have published one more result after the last recorded tick.
         results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
         missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
         damage=recording.damage,

@@ -16,10 +16,10 @@ from mcap.records import Chunk, McapRecord
 from numpy.typing import NDArray
 
 MESSAGE = struct.Struct("<BQHIQQ")
-"""Head of a message record: opcode, length, channel, sequence, log time and publish time [ns]."""
+"""Layout of the head of a message record: opcode, length, channel, sequence, two times [ns]."""
 
 INDEX = struct.Struct("<BQHI")
-"""Head of a message index record: opcode, length, channel, bytes of entries."""
+"""Layout of the head of a message index record: opcode, length, channel, bytes of entries."""
 
 INDEX_ENTRY = 16
 """Bytes of an entry of a message index: log time and offset."""
@@ -71,7 +71,7 @@ class PackedChunk:
         end: Latest log time [ns since 1970].
         compressed_size: Bytes of messages, compressed.
         uncompressed_size: Bytes of messages.
-        compression: How: ``zstd``, ``lz4`` or empty.
+        compression: ``zstd``, ``lz4`` or empty.
     """
 
     record: bytes | memoryview
@@ -86,12 +86,12 @@ class PackedChunk:
 
     @property
     def size(self) -> int:
-        """Bytes it takes in a file."""
+        """Size of the chunk and its index in a file [bytes]."""
         return len(self.record) + len(self.index)
 
     @property
     def messages(self) -> int:
-        """Number of its messages."""
+        """Number of messages in the chunk."""
         return sum(self.counts.values())
 
 
@@ -115,10 +115,11 @@ def index_records(entries: Entries) -> tuple[bytes, dict[int, int]]:
 
 
 class ChunkBuilder:
-    """Collects messages until they are packed.
+    """Collects messages and packs them into chunks.
 
-    Besides single messages it takes blocks: the same messages on the same channels every time, as
-    the recorder writes them at every tick; their index is made when the chunk is packed.
+    Besides single messages it accepts blocks, which hold the same messages on the same channels
+    every time, as the recorder writes them at every tick. Their index is computed when the chunk
+    is packed.
 
     Args:
         block: Channel and offset of each message record in a block.
@@ -128,7 +129,7 @@ class ChunkBuilder:
     def __init__(self, block: Sequence[tuple[int, int]] = (), level: int = 3) -> None:
         self._block = tuple(block)
         self._compressor = zstandard.ZstdCompressor(level=level, write_content_size=True)
-        # Used again for every chunk: a new one each time, grown bit by bit, leaves holes in memory.
+        # Reused for every chunk, since buffers that grow bit by bit would fragment the memory.
         self._room = _memory(_LEAST_ROOM)
         self._clear()
 
@@ -141,12 +142,12 @@ class ChunkBuilder:
 
     @property
     def size(self) -> int:
-        """Bytes collected."""
+        """Size of the collected messages [bytes]."""
         return self._size
 
     @property
     def blocks(self) -> int:
-        """Blocks collected."""
+        """Number of collected blocks."""
         return len(self._block_times)
 
     def add(self, channel: int, sequence: int, time: int, data: bytes) -> None:
@@ -172,7 +173,7 @@ class ChunkBuilder:
         room[begin:end] = data
 
     def pack(self) -> PackedChunk | None:
-        """Return what was collected as a chunk, ``None`` if nothing was, and start a new one."""
+        """Return the collected messages as a chunk, ``None`` if there are none, and start anew."""
         if not self._size:
             return None
         entries = {
@@ -183,8 +184,8 @@ class ChunkBuilder:
             times = _array(self._block_times)
             offsets = _array(self._block_offsets)
             for channel, begin in self._block:
-                # A block has the same layout each time, so a channel's index is that of the blocks,
-                # shifted.
+                # All blocks have the same layout, so that the index of a channel is that of the
+                # blocks, shifted.
                 entries[channel] = (times, offsets + np.uint64(begin))
         # Views, not copies; both are released before the buffer may grow again.
         size = self._size
@@ -207,9 +208,10 @@ def pack(
     Args:
         data: The records, one after the other.
         entries: Channel to log times [ns] and offsets of its messages in ``data``.
-        compressor: What compresses them.
+        compressor: The compressor.
     """
-    # In pieces of 128 kB: in one, room for the longest possible outcome would be taken first.
+    # As a stream in pieces of 128 kB: one-shot compression would first allocate memory for the
+    # longest possible result.
     stream = compressor.compressobj(size=len(data))
     compressed = stream.compress(data) + stream.flush()
     start = min(int(times.min()) for times, _ in entries.values())

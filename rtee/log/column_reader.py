@@ -21,7 +21,7 @@ _LENGTH = struct.Struct("<Q")
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _SEQUENCE = 11  # offset of the sequence number in a record: opcode, length, channel
 _LOG_TIME = 15  # offset of the log time, behind the sequence number
-_LEAST_ROOM = 16  # rows that columns have room for at least: fewer would soon be grown
+_LEAST_ROOM = 16  # least number of rows allocated: fewer would have to grow soon
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
@@ -44,7 +44,7 @@ def walk(data: bytes) -> dict[int, list[int]]:
 
 def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
     """Return ``size`` bytes from each start ``(k, size)``; all must be within the data."""
-    # Overlapping windows over the same memory: one indexing copies all messages at once.
+    # Overlapping windows over the same memory let one indexing copy all messages.
     windows = np.lib.stride_tricks.as_strided(
         data, shape=(max(0, data.size - size + 1), size), strides=(1, 1), writeable=False
     )
@@ -70,13 +70,13 @@ def sequences(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
 
 
 def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
-    """Whether an index is right: messages of the channel begin at all starts."""
+    """Return whether messages of the channel begin at all starts of an index."""
     if not starts.size:
         return True
     if starts.min() < 0 or starts.max() + MESSAGE.size > data.size:
         return False
     heads = gather(data, starts, 11)
-    # The index comes from a file: what it says is checked before it is used as an offset.
+    # The index comes from a file, so that it is checked before its use as offsets.
     if not (heads[:, 0] == 5).all():
         return False
     if not (np.ascontiguousarray(heads[:, 9:11]).view("<u2") == channel).all():
@@ -88,7 +88,7 @@ def valid(data: Bytes, starts: Offsets, channel: int) -> bool:
 def starts_of(
     place: ChunkPlace, stream: BinaryIO, data: Bytes, channels: Iterable[int]
 ) -> dict[int, Offsets] | None:
-    """Return where the messages of the channels begin; ``None`` if the index cannot be trusted."""
+    """Return the offsets of the messages by channel; ``None`` if an index is wrong."""
     if not place.indexes:
         return None
     found: dict[int, Offsets] = {}
@@ -109,7 +109,7 @@ def starts_of(
 
 
 def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Return what sorts by time; nothing is copied when the times are sorted already."""
+    """Return the index that sorts by time; a slice, which copies nothing, for sorted times."""
     if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
         return slice(None)
     return np.argsort(times, kind="stable")
@@ -118,15 +118,15 @@ def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
 class Rows:
     """Collects messages of one type and layout into arrays, one row per message.
 
-    The first message fixes the layout: the names and the lengths of its arrays. Messages that have
-    another one are left out and counted.
+    The first message fixes the layout: the names and the lengths of its arrays. Messages with
+    another layout are skipped and counted.
 
     Args:
-        expected: How many there probably are.
+        expected: Expected number of messages.
 
     Attributes:
         names: The names in the messages.
-        skipped: Messages left out.
+        skipped: Number of skipped messages.
     """
 
     def __init__(self, expected: int) -> None:
@@ -156,8 +156,8 @@ class Rows:
                 return
         rows = gather(data, starts + MESSAGE.size, self._first.size)
         same = np.ones(len(rows), dtype=bool)
-        # What lies between the arrays (names, lengths) must be as in the first message, or the
-        # columns would mean something else.
+        # The bytes between the arrays (names, lengths) must equal those of the first message, or
+        # the columns would have another meaning.
         for begin, end in self._constant:
             same &= (rows[:, begin:end] == self._first[begin:end]).all(axis=1)
         if not same.all():
@@ -168,7 +168,7 @@ class Rows:
     def _fix(
         self, kind: MessageType, data: Bytes, starts: Offsets, sizes: NDArray[np.int64]
     ) -> bool:
-        """Take the layout from the first message that is one."""
+        """Take the layout from the first valid message."""
         for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
             begin = start + MESSAGE.size
             message = data[begin : begin + size].tobytes()
@@ -221,15 +221,15 @@ class Rows:
         return self._times[: self._count]
 
     def column(self, name: str, default: float = 0) -> NDArray[Any]:
-        """Return an array of all messages ``(k, n)``.
+        """Return a field of all messages ``(k, n)``, with the default for messages without it.
 
-        Messages that were recorded before the field was defined have the default value in it.
+        Recordings of earlier versions may lack the field.
         """
         if name in self._columns:
             return self._columns[name][: self._count]
         return np.full((self._count, len(self.names)), default)
 
     def scalars(self, name: str) -> NDArray[Any]:
-        """Return a scalar field of all messages ``(k,)``; 0 where there was none."""
+        """Return a scalar field of all messages ``(k,)``; 0 for messages without it."""
         found = self._columns.get(name)
         return np.zeros(self._count) if found is None else found[: self._count, 0]

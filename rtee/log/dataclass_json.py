@@ -1,4 +1,4 @@
-"""Convert plain dataclasses to JSON and back; every number stays exact."""
+"""Convert dataclasses to JSON and back without loss of precision."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def to_json(value: object) -> str:
-    """Return a dataclass, or lists and mappings of such, as JSON; infinities become strings."""
+    """Return a dataclass, or lists and mappings of dataclasses, as JSON; infinities as strings."""
     return json.dumps(_plain(value), indent=1)
 
 
@@ -38,10 +38,10 @@ def _plain(value: Any) -> Any:
 
 
 def from_json(text: str | bytes, kind: type[T]) -> T:
-    """Return the dataclass of a kind that `to_json` wrote.
+    """Return the dataclass in a text that `to_json` wrote.
 
     Raises:
-        LogError: if the text does not fit the kind.
+        LogError: if the text does not fit the dataclass.
     """
     try:
         made = _made(json.loads(text), kind)
@@ -63,7 +63,7 @@ def _made(value: Any, kind: Any) -> Any:
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         known = {field.name for field in dataclasses.fields(kind)}
-        # Older recordings use former names; fields that no longer exist are dropped.
+        # Older recordings use former names, and may have fields that no longer exist.
         present = {key if key in known else FORMER_NAMES.get(key, key): value[key] for key in value}
         return typing.cast("Any", kind)(
             **{key: _made(item, hints[key]) for key, item in present.items() if key in known}

@@ -18,7 +18,7 @@ from rtee.log.recording import Recording
 from rtee.log.sink import reason
 from rtee.log.tables import Table, tables
 
-_ROWS = 10_000  # rows converted to Python numbers at a time: some megabytes
+_ROWS = 10_000  # rows converted to Python numbers at a time, which take some megabytes
 
 
 class Format(StrEnum):
@@ -31,10 +31,10 @@ class Format(StrEnum):
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, which replaces it once it is written completely.
+    """Yield a temporary path; at the end of the context, move its file to ``path``.
 
     Raises:
-        LogError: if it cannot be written; nothing of it is left then.
+        LogError: if the file cannot be written; the temporary file is then removed.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -42,7 +42,7 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary = Path(folder, path.name)
             yield temporary
             with temporary.open("rb") as stream:
-                # Before the rename: after a power cut, the name must not lead to an empty file.
+                # Before the rename, so that a power cut cannot leave an empty file at the path.
                 os.fsync(stream.fileno())
             os.replace(temporary, path)
     except OSError as error:
@@ -67,7 +67,7 @@ def export(
         The files written.
 
     Raises:
-        LogError: if there is nothing to export, or it cannot be written.
+        LogError: if there is nothing to export, or a file cannot be written.
     """
     found = tables(recording, only)
     if not found:
@@ -76,7 +76,7 @@ def export(
         _write_npz(output, found)
         return [output]
     if kind is Format.PARQUET:
-        # Asked for now, before the first file is written, so that a missing extra leaves nothing.
+        # Imported before the first file is written, so that a missing extra leaves no files.
         _parquet()
     written = []
     for name, table in found.items():

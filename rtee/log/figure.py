@@ -15,7 +15,7 @@ from rtee.log.recording import JointSeries, Recording
 from rtee.sample import FloatArray
 
 MOST_POINTS = 4000
-"""Points of a line; more are thinned out so that every peak stays: twice a screen's pixels."""
+"""Most points of a line, twice a screen's width in pixels; thinning keeps every peak."""
 
 COLOURS = (
     "#1f77b4",
@@ -41,11 +41,11 @@ DRAWN = frozenset(
         "log_resumed",
     }
 )
-"""Kinds of events that are drawn."""
+"""Kinds of events that a plot shows."""
 
 
 class By(StrEnum):
-    """What gets a row of the plot."""
+    """Subject of a row of the plot."""
 
     ACTUATOR = "actuator"
     FINGER = "finger"
@@ -56,12 +56,12 @@ class Line:
     """A line of a panel.
 
     Attributes:
-        name: Its name.
+        name: Name of the line.
         t: Times [s].
         values: Values at those times.
-        colour: Its colour.
-        dashed: It is a reference.
-        group: Lines of one actuator share it.
+        colour: Colour of the line.
+        dashed: Whether the line is a reference.
+        group: Name that the lines of an actuator share.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Row:
         title: The actuator or finger, or the device with the touch sensors.
         positions: Lines of positions and references; of touch, the sums over the taxels.
         efforts: Lines of efforts or currents; of touch, the largest taxels.
-        unit: Unit of touch; empty: the row is none of touch.
+        unit: Unit of touch; empty for a row of actuators.
     """
 
     title: str
@@ -89,7 +89,7 @@ class Row:
     unit: str = ""
 
     def labels(self, effort_label: str) -> tuple[str, str]:
-        """Return what its two panels show, with units; ``effort_label`` for efforts."""
+        """Return the labels of the two panels, with units; ``effort_label`` for efforts."""
         if self.unit:
             return f"touch, sum [{self.unit}]", f"largest taxel [{self.unit}]"
         return "position [rad | m]", effort_label
@@ -100,12 +100,12 @@ class Figure:
     """A plot.
 
     Attributes:
-        title: Its title.
-        rows: Its rows.
+        title: Title of the plot.
+        rows: Rows of the plot.
         bands: Spans of actions.
         marks: Times of marks and events [s].
-        labels: Names of all of them, laid out so that they do not overlap.
-        effort_label: What the right column shows, with its unit.
+        labels: Names of spans, marks and events, laid out without overlap.
+        effort_label: Label of the right column, with its unit.
         start: Left end of the time axis [s].
         end: Right end of the time axis [s].
     """
@@ -121,7 +121,7 @@ class Figure:
 
     @property
     def lanes(self) -> int:
-        """Number of lanes that the labels take."""
+        """Number of lanes of the labels."""
         return max((label.lane + 1 for label in self.labels), default=0)
 
 
@@ -131,13 +131,13 @@ def thinned(
     """Return at most ``most`` points of a line: the lowest and the highest of every stretch."""
     if len(t) <= most:
         return t, values
-    # Two points for each stretch, and both ends: never more than `most`.
+    # Two points for each stretch and both ends of the line make at most `most`.
     stretch = -(-len(t) // max(1, most // 2 - 1))
     count = -(-len(t) // stretch)
-    # The last stretch is filled up: what it holds counts like the rest.
+    # The last stretch is padded with NaN to the length of the others.
     filled = np.full(count * stretch, np.nan)
     filled[: len(t)] = values
-    # argmin and argmax would return a NaN's place: infinities never win against a number.
+    # argmin and argmax would return the index of a NaN; an infinity never wins against a number.
     whole = np.where(np.isnan(filled), np.inf, filled).reshape(count, stretch)
     low = whole.argmin(axis=1)
     high = np.where(np.isinf(whole), -np.inf, whole).argmax(axis=1)
@@ -161,11 +161,11 @@ def figure(
 
     Args:
         recording: The recording.
-        by: What gets a row; unless given, a finger where there are more than six actuators.
+        by: Subject of a row; by default, fingers if there are more than six actuators.
         actuators: Actuators to show; all unless given.
-        start: Begin here, since the recording's start [s].
-        end: End here [s].
-        fingers: Finger to its actuators, for rows by finger.
+        start: Begin of the plot since the recording's start [s].
+        end: End of the plot [s].
+        fingers: Actuators by finger, for rows by finger.
 
     Raises:
         LogError: if there is nothing to show, or an actuator is unknown.
@@ -187,7 +187,7 @@ def figure(
         positions: list[Line] = []
         forces: list[Line] = []
         for name in names:
-            # By its place among all chosen ones, so that its colour is the same in every row.
+            # By the index among all chosen actuators, so that every row has the same colours.
             colour = COLOURS[chosen.index(name) % len(COLOURS)]
             column = states.index(name)
             positions += _position_lines(recording, name, colour, begin, until)
@@ -256,7 +256,7 @@ def _groups(
         own = [name for name in names if owners[name] == [finger]]
         if own:
             groups[finger] = own
-    # An actuator of several fingers would otherwise be drawn once in each of them.
+    # An actuator of several fingers gets a row of its own instead of one line per finger.
     shared = [name for name in names if len(owners[name]) != 1]
     if shared:
         groups["several fingers"] = shared
@@ -282,9 +282,9 @@ def _position_lines(
 
 
 def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
-    """Return the right column: efforts, or currents where only those are measured."""
+    """Return the values and label of the right column: efforts, or currents as a substitute."""
     states = recording.actuator_states
-    # A device may measure neither, or currents without a known torque constant.
+    # A device may measure neither, or only currents, without a known torque constant.
     if not np.isnan(states.effort[within]).all():
         return states.effort, "effort [N·m | N]"
     if not np.isnan(states.current[within]).all():

@@ -1,4 +1,4 @@
-"""Index the content of a file by walking over it once, without decompressing anything."""
+"""Index the content of a file in one pass, without decompressing anything."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ _INDEX_HEAD = struct.Struct("<HI")
 _CHUNK_TIMES = struct.Struct("<QQ")
 
 _LIBRARY = "rtee"
-"""How the name of what has written a file begins if it was this software."""
+"""Prefix of the library's name in files written by this software."""
 
 _LATEST = 2**63 - 1
-"""Latest log time that is believed [ns since 1970]: in the year 2262, as numpy's."""
+"""Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk is.
+    """Position and times of a chunk in a file.
 
     Attributes:
-        record: Its record.
-        start: Its earliest log time [ns since 1970].
-        end: Its latest log time [ns since 1970].
-        indexes: Channel to the record of its message index.
+        record: The record of the chunk.
+        start: Earliest log time [ns since 1970].
+        end: Latest log time [ns since 1970].
+        indexes: Records of the message indexes by channel.
     """
 
     record: Record
@@ -53,7 +53,7 @@ class ChunkPlace:
     indexes: dict[int, Record] = field(default_factory=dict)
 
     def count(self, channel: int) -> int:
-        """Return the number of its messages on a channel, according to its index."""
+        """Return the number of messages on a channel, according to the index."""
         index = self.indexes.get(channel)
         return 0 if index is None else (index.length - _INDEX_HEAD.size) // INDEX_ENTRY
 
@@ -64,18 +64,19 @@ class Survey:
 
     Attributes:
         path: The file.
-        size: Its size [bytes].
-        library: What wrote it.
-        finished: It has been closed; otherwise it is being written, or its writer was killed.
-        good: It is intact up to here [bytes].
+        size: Size of the file [bytes].
+        library: Name of the software that wrote it.
+        finished: Whether the file was closed; otherwise it is being written, or its writer was
+            killed.
+        good: Offset up to which the file is intact [bytes].
         metadata: Records of metadata by name.
         attachments: The attachments by name.
         schemas: The schemas by identifier.
         channels: The channels by identifier.
         chunks: The chunks in order.
-        loose: Messages outside chunks: foreign files only.
-        notes: What is wrong with it, one sentence each.
-        damage: Those notes that say that it is not as it was written.
+        loose: Number of messages outside chunks, which only other software writes.
+        notes: Sentences about problems of the file.
+        damage: Those notes that report damage.
     """
 
     path: Path
@@ -94,12 +95,12 @@ class Survey:
 
     @property
     def values(self) -> Mapping[str, str]:
-        """What rtee wrote about the recording; empty for foreign files."""
+        """The metadata that rtee wrote; empty for files of other software."""
         return self.metadata.get(METADATA, {})
 
     @property
     def hand(self) -> str:
-        """The hand's name: as recorded, or of the first topic with joint states."""
+        """Name of the hand in the metadata, or else in the first topic with joint states."""
         if "hand" in self.values:
             return self.values["hand"]
         for channel in self.channels.values():
@@ -165,15 +166,15 @@ class _Surveyor:
                     finished = stream.read(len(MAGIC)) == MAGIC
                 elif record.opcode == Opcode.DATA_END:
                     data = False
-                # Behind the data, a summary repeats the definitions; everything else is counted
-                # already.
+                # The summary after the data repeats the definitions; all other records have been
+                # counted.
                 elif data or record.opcode in _DEFINITIONS:
                     try:
                         self._take(record, stream)
                     except DamagedRecordError as error:
                         self._damage.append(str(error))
                     good = record.end if data else good
-            # Other writers put the definitions into the chunks alone.
+            # Other software may write the definitions only inside chunks.
             if not self._channels:
                 self._define_from_chunks(stream)
         if not finished:
@@ -201,7 +202,7 @@ class _Surveyor:
         )
 
     def _define_from_chunks(self, stream: BinaryIO) -> None:
-        """Take schemas and channels from within chunks, where other software puts them."""
+        """Read schemas and channels inside chunks, where other software writes them."""
         for chunk in self._chunks:
             try:
                 data, _ = messages_of(chunk.record.read(stream))
@@ -243,7 +244,7 @@ class _Surveyor:
                 content = record.read(stream)
                 attachment = parsed(Attachment, content)
                 if self._library.startswith(_LIBRARY) and not any(content[-4:]):
-                    # What is written here always has one.
+                    # Attachments written by rtee always have a checksum.
                     self._damage.append(f"attachment '{attachment.name}' has lost its checksum")
                 self._attachments[attachment.name] = attachment
             case Opcode.SCHEMA | Opcode.CHANNEL:

@@ -12,11 +12,11 @@ from rtee.messages.codec import SECOND
 
 
 class FlightRecorder:
-    """Keeps the newest chunks within a bound of time and of memory.
+    """Keeps the newest chunks within a limit of time and of memory.
 
     Args:
-        seconds: How much to keep [s].
-        size: Memory that it may take [bytes].
+        seconds: Length of time to keep [s].
+        size: Largest memory of the chunks [bytes].
     """
 
     def __init__(self, seconds: float, size: float) -> None:
@@ -27,7 +27,7 @@ class FlightRecorder:
 
     @property
     def size(self) -> int:
-        """Memory that the chunks take [bytes]."""
+        """Memory of the chunks [bytes]."""
         return self._size
 
     @property
@@ -39,11 +39,11 @@ class FlightRecorder:
 
     @property
     def start(self) -> int:
-        """Log time of the first message [ns since 1970]; 0 if there is none."""
+        """Log time of the first message [ns since 1970]; 0 without messages."""
         return self._chunks[0].start if self._chunks else 0
 
     def add(self, chunk: PackedChunk) -> None:
-        """Keep a chunk; forget those that are too old or too many."""
+        """Add a chunk; drop the oldest ones beyond the limits."""
         self._chunks.append(_in_memory_of_its_own(chunk))
         self._size += chunk.size
         oldest = chunk.end - int(self._seconds * SECOND)
@@ -56,9 +56,9 @@ class FlightRecorder:
 
 
 def _in_memory_of_its_own(chunk: PackedChunk) -> PackedChunk:
-    """Return a chunk whose memory goes back to the system when it is forgotten.
+    """Return a copy of a chunk in memory that returns to the system when the chunk is dropped.
 
-    Pieces of many sizes that live for a minute would leave permanent holes in the process's memory.
+    On the heap, blocks of many sizes that live for a minute would fragment the process's memory.
     """
     memory = mmap.mmap(-1, chunk.size)
     memory.write(chunk.record)

@@ -31,9 +31,9 @@ class TopicInfo:
     """A topic of a recording.
 
     Attributes:
-        topic: Its full name.
+        topic: Full name of the topic.
         kind: Type of its messages.
-        messages: Their number.
+        messages: Number of messages.
         rate: Messages per second.
     """
 
@@ -48,11 +48,11 @@ class Info:
     """Summary of a recording.
 
     Attributes:
-        files: The files it consists of, with their sizes [bytes].
-        library: What wrote it.
-        topics: Its topics that have messages.
+        files: The files with their sizes [bytes].
+        library: Name of the software that wrote them.
+        topics: The topics that have messages.
         attachments: Attached files with their sizes [bytes].
-        statistics: The last loop statistics in it.
+        statistics: The last loop statistics.
         recording: Goals, results and events.
     """
 
@@ -70,12 +70,12 @@ class Info:
 
     @property
     def size_per_minute(self) -> float:
-        """Size of a minute of it [bytes]; 0 for an empty one."""
+        """Average size per minute [bytes]; 0 for an empty recording."""
         duration = self.recording.duration
         return 60.0 * self.size / duration if duration else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON can hold it."""
+        """Return the summary as data for JSON."""
         recording = self.recording
         return {
             "hand": recording.hand,
@@ -118,10 +118,10 @@ def iso(wall_ns: int) -> str:
 
 
 def info(paths: Sequence[Path]) -> Info:
-    """Look at the files of a recording.
+    """Return the summary of a recording's files.
 
     Raises:
-        LogError: as `rtee.log.read`.
+        LogError: see `rtee.log.read`.
     """
     surveys = [survey(path) for path in paths]
     recording = read(paths, only=_FEW)
@@ -158,9 +158,9 @@ def _statistics(file: Survey) -> LoopStatistics | None:
     if number is None:
         return None
     with file.path.open("rb") as stream:
-        # The last ones count over the whole run; nothing else of the file is decompressed.
+        # The last ones cover the whole run, so that no other chunk need be decompressed.
         for place in reversed(file.chunks):
-            # Without an index (the last chunk of a killed writer), the chunk has to be looked into.
+            # The last chunk of a killed writer has no index and must be decompressed.
             if place.indexes and number not in place.indexes:
                 continue
             try:

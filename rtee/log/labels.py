@@ -1,4 +1,4 @@
-"""Spans and marks of a plot, and their names above it, laid out so that they do not overlap."""
+"""Spans and marks of a plot, and the layout of their names above it, without overlap."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _CHARACTER = 0.0098
 """Width of a character of a label, as a share of the left panels' width: estimated from the
 pictures."""
 _LONGEST = 40  # characters of a label; longer ones end in an ellipsis
-_LANES = 3  # rows of labels above the panels; what fits into none is not labelled
+_LANES = 3  # rows of labels above the panels; a name that fits into none is left out
 
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A span as it is drawn.
+    """A span with its appearance.
 
     Attributes:
         span: The span.
-        colour: Its colour.
-        inner: It is the inner action of a timed one.
+        colour: Colour of the span.
+        inner: Whether it is an inner action of a timed one.
     """
 
     span: Span
@@ -32,7 +32,7 @@ class Band:
 
     @property
     def text(self) -> str:
-        """Its name with how it ended, unless it was simply reached."""
+        """The name, with the outcome unless the goal was reached."""
         if self.span.outcome in ("reached", "ended"):
             return self.span.name
         return f"{self.span.name} ({self.span.outcome.replace('_', ' ')})"
@@ -43,10 +43,10 @@ class Label:
     """A text above the first row.
 
     Attributes:
-        t: Where it begins [s].
-        lane: Its height, counted from below.
-        text: What it says.
-        colour: Its colour.
+        t: Begin of the text [s].
+        lane: Number of its lane, counted from below.
+        text: The text.
+        colour: Colour of the text.
     """
 
     t: float
@@ -56,7 +56,7 @@ class Label:
 
 
 def bands_of(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...]:
-    """Return the spans that are visible, with colours by name."""
+    """Return the visible spans, with colours by name."""
     bands: list[Band] = []
     colours: dict[str, str] = {}
 
@@ -101,5 +101,5 @@ def labels_of(
                 continue
             free[lane:] = [at + width, *free[lane + 1 :]]
             yield Label(at, base + lane, shown, colour)
-        # The next kind begins above the lanes that this one took.
+        # The next kind begins above the lanes of this one.
         base += len(free)

@@ -1,4 +1,4 @@
-"""The layout of a recording: its channels, and what precedes the first message."""
+"""The layout of a recording: its channels, and the records before the first message."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ FORMAT = "1"
 """Version of the layout of recordings."""
 
 CHANNELS: Mapping[str, int] = {name: number for number, name in enumerate(TYPES, start=1)}
-"""Name of a topic to the identifier of its channel."""
+"""Identifiers of channels by name of the topic."""
 
 REPLAY = "replay.json"
-"""Name of the attachment from which the references can be recomputed."""
+"""Name of the attachment with the settings needed to recompute the references."""
 
 RUN_BEGINS = "run_begins"
-"""Kind of the event with which another run begins in a recording, with a controller of its own."""
+"""Kind of the event at which another run, with a new controller, begins in a recording."""
 
 MESHES = "meshes"
-"""Name of the metadata record that says which attachment is the mesh of which address."""
+"""Name of the metadata record that maps addresses of meshes to attachments."""
 
 _LATCHED = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1\n  deadline: {sec: 0, nsec: 0}\n"
@@ -53,11 +53,11 @@ _MEDIA_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Replayable:
-    """What is needed, besides its messages, to recompute the references of a recording.
+    """Settings needed, besides the messages, to recompute the references of a recording.
 
     Attributes:
         settings: The loop's settings.
-        actuators: The actuators with their limits and rest positions as they were used.
+        actuators: The actuators with the limits and rest positions used at the time.
     """
 
     settings: LoopSettings
@@ -77,15 +77,15 @@ def library_name() -> str:
 
 @dataclass(frozen=True)
 class Contents:
-    """What recordings of a hand have in common.
+    """Content common to all recordings of a hand.
 
     Attributes:
         hand: The hand.
         rate: Rate of its loop [Hz].
-        attachments: Files to attach, by name: hand.yaml, SRDF, actions. The URDF is always there.
+        attachments: Files to attach, by name: hand.yaml, SRDF, actions; the URDF always is.
         metadata: Further metadata.
-        meshes: The hand's meshes, to be carried along.
-        latched: Messages by topic that hold until others come: every file begins with them.
+        meshes: Meshes of the hand, to attach.
+        latched: Messages by topic that stay valid until the next one; every file begins with them.
     """
 
     hand: Hand
@@ -97,7 +97,7 @@ class Contents:
 
     @cached_property
     def _descriptions(self) -> Mapping[str, bytes]:
-        """The hand for viewers, by topic: with embedded meshes, and with paths to the meshes."""
+        """The robot's descriptions by topic: with embedded meshes, and with paths to meshes."""
         text, found = self.hand.urdf.text, self.meshes.meshes
         inside = {address: url for address, mesh in found.items() if (url := mesh.data_url)}
         paths = {address: mesh.path.as_uri() for address, mesh in found.items()}
@@ -115,7 +115,7 @@ class Contents:
         }
 
     def prepare(self) -> None:
-        """Prepare what takes long, before anything runs that must not wait for it."""
+        """Compute the slow parts in advance, before the loop runs."""
         _ = self._descriptions, self._files
 
     def _values(self, **more: str) -> dict[str, str]:
@@ -129,7 +129,7 @@ class Contents:
         }
 
     def preamble(self, wall_ns: int, **more: str) -> Preamble:
-        """Return what precedes the first chunk of a file.
+        """Return the records before the first chunk of a file.
 
         Args:
             wall_ns: The time [ns since 1970].
@@ -153,7 +153,7 @@ class Contents:
             for topic, kind in TYPES.items()
         ]
         metadata = {METADATA: self._values(**more)}
-        # Addresses of meshes are made for one machine; the attachments go with the file.
+        # Addresses of meshes hold on one computer only; the attachments move with the file.
         if self.meshes.meshes:
             metadata[MESHES] = {old: mesh.name for old, mesh in self.meshes.meshes.items()}
         return Preamble(
@@ -174,8 +174,8 @@ class Contents:
         )
 
     def description(self, wall_ns: int) -> PackedChunk:
-        """Return the chunk with the robot's description, the first one of every file."""
-        # Slow, but only once a file, and most of it is meshes.
+        """Return the first chunk of every file, with the robot's description."""
+        # The high level is slow, but used once per file, most of which are meshes.
         builder = ChunkBuilder(level=9)
         for topic, data in {**self._descriptions, **self.latched}.items():
             builder.add(CHANNELS[topic], 0, wall_ns, data)

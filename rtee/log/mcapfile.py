@@ -1,9 +1,9 @@
-"""Write an MCAP file so that at any moment everything before the last chunk can be read.
+"""Write an MCAP file that is readable at any time up to its last chunk.
 
-Whatever a reader needs (metadata, attachments, schemas, channels) precedes the first chunk.
-A chunk is written whole or not at all: after a failed write the file is cut back to the end of the
-chunk before. `mcap.writer` cannot do that, so this module lays out the file, with the
-records of `mcap.records`.
+All records that a reader needs (metadata, attachments, schemas, channels) precede the first chunk.
+A chunk is written whole or not at all: after a failed write, the file is truncated to the end of
+the chunk before. `mcap.writer` cannot do that, so this module lays out the file, with the records
+of `mcap.records`.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "ros2"
 
 _MODE = 0o640
-"""Mode of a recording: what a robot does concerns its user and group, and nobody else."""
+"""Mode of a recording, readable only for the robot's user and group."""
 
 
 @dataclass(frozen=True, slots=True)
 class Preamble:
-    """What precedes the first chunk of a file.
+    """The records before the first chunk of a file.
 
     Attributes:
-        library: Name and version of the software that writes it.
+        library: Name and version of the software that writes the file.
         metadata: Records of metadata by name.
         attachments: The attachments.
         schemas: The schemas.
@@ -64,7 +64,7 @@ class Preamble:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Flush the name of a new file to the disk, too."""
+    """Flush a folder to the disk, so that the name of a new file survives a power cut."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -73,13 +73,13 @@ def _sync_folder(folder: Path) -> None:
 
 
 def being_written(path: Path) -> bool:
-    """Whether a recorder has the file open."""
+    """Return whether a recorder has the file open."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:
-        # The recorder's lock ends with its process, however that ends; a lock file would not.
+        # The kernel drops the recorder's lock with its process, unlike a lock file.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
@@ -92,19 +92,19 @@ class McapFile:
     """An MCAP file being written.
 
     Args:
-        path: The file; it must not exist.
-        preamble: What precedes its first chunk.
-        sync: Flush every chunk to the disk, so that it also survives a power cut.
+        path: The file, which must not exist.
+        preamble: The records before its first chunk.
+        sync: Flush every chunk to the disk, so that it survives a power cut.
 
     Raises:
-        OSError: if the file cannot be made or written; it is removed again then.
+        OSError: if the file cannot be made or written; it is then removed.
     """
 
     def __init__(self, path: Path, preamble: Preamble, *, sync: bool = True) -> None:
         self.path = path
         self._sync = sync
         self._preamble = preamble
-        # One record after the other, as they will be in the summary: a file may have 100,000.
+        # Already encoded for the summary, which saves memory: a file may have 100,000 chunks.
         self._chunks = bytearray()
         self._chunk_count = 0
         self._counts: dict[int, int] = {}
@@ -127,29 +127,29 @@ class McapFile:
 
     @property
     def size(self) -> int:
-        """Bytes written."""
+        """Size of the file [bytes]."""
         return self._size
 
     @property
     def start(self) -> int:
-        """Earliest log time [ns since 1970]; 0 while there is no message."""
+        """Earliest log time [ns since 1970]; 0 without messages."""
         return self._start
 
     @property
     def end(self) -> int:
-        """Latest log time [ns since 1970]; 0 while there is no message."""
+        """Latest log time [ns since 1970]; 0 without messages."""
         return self._end
 
     @property
     def linked(self) -> bool:
-        """Whether the file still has its name: somebody may have removed or replaced it."""
+        """Whether the path still names this file, which somebody may have removed or replaced."""
         try:
             return os.path.samestat(self.path.stat(), os.fstat(self._descriptor))
         except FileNotFoundError:
             return False
 
     def _begin(self) -> list[bytes]:
-        """Return what a file begins with, in parts: some attachments are large."""
+        """Return the begin of the file in parts, which avoids copies of large attachments."""
         header = record_bytes(Header(profile=PROFILE, library=self._preamble.library))
         parts = [MAGIC, header]
         offset = len(MAGIC) + len(header)
@@ -182,13 +182,13 @@ class McapFile:
             for part in parts:
                 view = memoryview(part)
                 while view:
-                    # A write may be partial, as when the disk gets full.
+                    # A write may be partial, as on a disk that is nearly full.
                     view = view[os.write(self._descriptor, view) :]
             if self._sync:
                 os.fdatasync(self._descriptor)
         except OSError:
             with contextlib.suppress(OSError):
-                # Half a chunk would end the file for every reader, whatever came behind it.
+                # No reader could get past half a chunk.
                 os.ftruncate(self._descriptor, self._size)
             with contextlib.suppress(OSError):
                 os.lseek(self._descriptor, self._size, os.SEEK_SET)
@@ -199,7 +199,7 @@ class McapFile:
         """Append a chunk.
 
         Raises:
-            OSError: if it cannot be written; the file is as before, and the next one may fit.
+            OSError: if the chunk cannot be written; the file is unchanged, and the next may fit.
         """
         offset = self._size
         self._append(chunk.record, chunk.index)
@@ -224,11 +224,11 @@ class McapFile:
             self._counts[channel] = self._counts.get(channel, 0) + count
 
     def close(self) -> None:
-        """Write the summary and close the file; may be called again.
+        """Write the summary and close the file; further calls do nothing.
 
         Raises:
-            OSError: if the summary cannot be written; the file is closed all the same, without
-                it, and can be recovered.
+            OSError: if the summary cannot be written; the file is closed without it and can be
+                recovered.
         """
         if self._descriptor < 0:
             return

@@ -22,8 +22,8 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
     Args:
         plan: The plan.
         actuators: Names of the hand's actuators.
-        time: When the tick was due at which it took effect, CLOCK_MONOTONIC [s].
-        wall: The same since 1970 [ns].
+        time: Due time of the tick at which it took effect, CLOCK_MONOTONIC [s].
+        wall: The same time since 1970 [ns].
     """
     return _PLAN.encode(
         {
@@ -56,17 +56,17 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
 
     Args:
         fields: The fields.
-        goal: The goal it belongs to.
+        goal: The goal of the plan.
         actuators: Names of the hand's actuators.
 
     Raises:
-        MessageError: if it names an actuator that the hand does not have.
+        MessageError: if the plan names an actuator that the hand does not have.
     """
 
     def indexed(names: Sequence[str], values: Any) -> dict[int, float]:
         try:
             indices = [actuators.index(name) for name in names]
-            # Plans are recorded by name, since the order of actuators may change with the URDF.
+            # By name, since the order of actuators may change with the URDF.
             return dict(zip(indices, values.tolist(), strict=True))
         except ValueError as error:
             raise MessageError(f"a plan does not fit the hand: {error}") from None
@@ -89,7 +89,7 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
 
 
 _SIDES = -1
-"""Separates the fingers of the first side from those of the others: no finger has this index."""
+"""Separator, in a list of indices of fingers, between the first side and the others."""
 
 
 def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
     table: list[float] = []
     if sheet is not None:
         rows = zip(sheet.position or (0.0,), sheet.weakest, sheet.strongest, strict=True)
-        # One array of numbers: efforts, whether positions are given, then rows of three.
+        # One array: the efforts, 1 or 0 for positions, then rows of three numbers.
         table = [*sheet.effort, float(bool(sheet.position)), *(v for row in rows for v in row)]
     return {
         "actuator": [actuators[index] for index in grip.indices],
@@ -116,11 +116,11 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
 
 
 def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
-    """Return the grip in the fields of a ``rtee_msgs/GripMap``; raises `MessageError`."""
+    """Return the grip in the fields of a ``rtee_msgs/GripMap``; raise `MessageError` if invalid."""
     try:
         indices = tuple(actuators.index(name) for name in fields["actuator"])
         rows, columns = len(fields["intensity"]), len(indices)
-        # Messages have flat arrays only; the lengths of the others give its shape.
+        # Messages have flat arrays only; the shape follows from the lengths of the others.
         lever = fields["lever"].reshape(rows, columns).tolist()
         fingers = fields["finger"].tolist()
         between = fingers.index(_SIDES)

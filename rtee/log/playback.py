@@ -1,4 +1,4 @@
-"""Play a recording back: its states one after the other, and its hand as a folder."""
+"""Playback of a recording: its states one after another, and its hand as a folder."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rtee.sample import TickRecord
 
 
 def states(recording: Recording) -> Iterator[TickRecord]:
-    """Yield what was known at every tick, as the loop reported it.
+    """Yield the record of every tick, as the loop published it.
 
-    References that are not in the recording are ``NaN``.
+    References missing in the recording are ``NaN``.
     """
     measured, reference = recording.actuator_states, recording.reference
     rows = dict(zip(reference.wall.tolist(), range(len(reference)), strict=True))
     unknown = np.full(len(measured.names), np.nan)
     for row in range(len(measured)):
-        # Matched by time, not by row: a file may have lost some of either.
+        # Matched by time, since a file may have lost rows of either.
         sent = rows.get(int(measured.wall[row]))
         yield TickRecord(
             tick=int(measured.tick[row]),
@@ -42,7 +42,7 @@ def states(recording: Recording) -> Iterator[TickRecord]:
 
 
 def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
-    """Return the fingers with the actuators that move them; none if the recording lacks them."""
+    """Return the actuators of each finger; none if the recording lacks the fingers."""
     attached = recording.attachments.get(REPLAY)
     if attached is None:
         return {}
@@ -54,25 +54,22 @@ def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
 
 
 def write_hand(recording: Recording, folder: Path) -> Path:
-    """Write the hand of a recording as a folder that `rtee run` takes.
+    """Write the hand of a recording as a folder for `rtee run`, and return the folder.
 
-    Only what is needed to show it is written: a hand.yaml, the URDF with its meshes, the SRDF, the
-    actions. The URDF names its meshes by their absolute paths, as RViz needs them.
+    Writes only the files needed to show the hand: a hand.yaml, the URDF with its meshes, the SRDF,
+    the actions. The URDF has absolute paths of the meshes, which RViz needs.
 
     Args:
         recording: The recording.
-        folder: Where to make it; the hand's folder is made in it.
-
-    Returns:
-        The hand's folder.
+        folder: Parent of the hand's folder.
 
     Raises:
         LogError: if the recording holds no URDF.
-        ConfigError: if it cannot be written.
+        ConfigError: if the folder cannot be written.
     """
     if not recording.urdf:
         raise LogError("holds no URDF", path=recording.paths[0])
-    # From the file, so it may be anything: it becomes a folder only after this check.
+    # The name comes from a file and must be checked before it becomes part of a path.
     name = check_name(recording.hand, "hand", path=recording.paths[0])
     home = folder.absolute() / name
     meshes = _meshes(recording, home)
@@ -93,7 +90,7 @@ def write_hand(recording: Recording, folder: Path) -> Path:
 
 
 def _meshes(recording: Recording, home: Path) -> dict[str, tuple[Path, bytes]]:
-    """Return the attached meshes: address in the URDF to where each goes, and its content."""
+    """Return the attached meshes by address in the URDF: the path to write and the content."""
     found: dict[str, tuple[Path, bytes]] = {}
     for address, name in recording.meshes.items():
         data = recording.attachments.get(name)
@@ -104,11 +101,11 @@ def _meshes(recording: Recording, home: Path) -> dict[str, tuple[Path, bytes]]:
 
 
 def _actions(attachments: Mapping[str, bytes], home: Path) -> dict[Path, bytes]:
-    """Return the attached actions; names that leave their folder are passed over."""
+    """Return the attached actions by path; skip names that lead out of their folder."""
     found: dict[Path, bytes] = {}
     for file, data in attachments.items():
         parts = PurePosixPath(file).parts
-        # A recording may come from anywhere: a name must not lead out of the hand's folder.
+        # A recording may come from anywhere, so that its names must not leave the hand's folder.
         if len(parts) != 3 or parts[0] != "actions" or not parts[2].endswith(".yaml"):
             continue
         kind = check_name(parts[1], "folder of actions")

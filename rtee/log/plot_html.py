@@ -19,7 +19,7 @@ _HEAD = 90  # room for title and legend [pixels]
 
 
 def write_html(figure: Figure, path: Path) -> None:
-    """Write a plot as a page that needs nothing else, not even a network.
+    """Write a plot as a self-contained page, which needs no network.
 
     Raises:
         MissingExtra: if Plotly is missing.
@@ -67,7 +67,7 @@ def write_html(figure: Figure, path: Path) -> None:
         hovermode="x",
         legend={"groupclick": "togglegroup", "tracegroupgap": 2},
     )
-    # Plotly is embedded, some megabytes, so that the page opens without a network.
+    # Embedding Plotly adds some megabytes, but the page opens without a network.
     text = drawing.to_html(include_plotlyjs=True, full_html=True, config={"scrollZoom": True})
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -75,7 +75,7 @@ def write_html(figure: Figure, path: Path) -> None:
 
 def _trace(go: Any, line: Line, *, named: bool) -> Any:
     name = html.escape(line.name)
-    # WebGL: a dozen lines of 4,000 points as SVG make a browser slow.
+    # WebGL, since a dozen lines of 4,000 points as SVG make a browser slow.
     return go.Scattergl(
         x=np.round(line.t, 6),
         y=line.values,

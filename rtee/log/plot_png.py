@@ -29,7 +29,7 @@ def write_png(figure: Figure, path: Path) -> None:
     head = 0.8 + _LANE_HEIGHT * figure.lanes
     height = head + _ROW_HEIGHT * len(figure.rows) + 0.5
     drawing = Drawing(figsize=(_WIDTH, height), dpi=_DPI)
-    # Without pyplot, which would keep global state and look for a screen.
+    # Not by pyplot, which keeps global state and looks for a screen.
     FigureCanvasAgg(drawing)
     axes = drawing.subplots(
         len(figure.rows), 2, sharex=True, squeeze=False, gridspec_kw={"width_ratios": (3, 2)}

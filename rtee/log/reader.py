@@ -41,8 +41,8 @@ from rtee.types import Goal
 T = TypeVar("T")
 
 _AHEAD = 4
-"""Chunks that are decompressed in advance: two are enough to keep the thread busy, and chunks of
-half a second need little memory."""
+"""Number of chunks decompressed in advance: two keep the thread busy, and chunks of half a second
+need little memory."""
 
 _TABLES = (topics.JOINT_STATES, topics.ACTUATOR_STATES, topics.REFERENCE)
 
@@ -64,8 +64,8 @@ def read(
     Args:
         path: A file, several files of one hand, or a folder: its newest recording with all parts.
         series: With a file, read all parts of its recording.
-        only: Names of topics to read, such as ``reference``; all unless given. What is recorded
-            for viewers alone, the transforms, is not kept: it follows from the joint states.
+        only: Names of topics to read, such as ``reference``; all unless given. Transforms, which
+            are recorded for viewers and follow from the joint states, are never read.
 
     Raises:
         LogError: if a file cannot be opened, is not an MCAP file or holds no recording of a hand.
@@ -120,7 +120,7 @@ class _Collector:
         self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
         self._rows: dict[str, column_reader.Rows] = {}
         for name in _TABLES:
-            # Known from the indexes: the arrays are made once, in their final size.
+            # The indexes give the number of messages, and so the final size of the arrays.
             most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
             self._rows[name] = column_reader.Rows(most)
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
@@ -135,7 +135,7 @@ class _Collector:
         return None
 
     def _channels(self, file: Survey) -> dict[int, _Channel]:
-        """Return the wanted channels of a file whose types are ours."""
+        """Return the wanted channels of a file that have the types of rtee."""
         found = {}
         for number, channel in file.channels.items():
             name = self._name_of(channel.topic)
@@ -182,7 +182,7 @@ class _Collector:
     ) -> None:
         array = np.frombuffer(data, dtype=np.uint8)
         starts = column_reader.starts_of(place, stream, array, channels)
-        # Without an index that fits, every record of the chunk is walked over.
+        # Without a valid index, walk over every record of the chunk.
         if starts is None:
             walked = column_reader.walk(data)
             starts = {k: np.array(v, dtype=np.int64) for k, v in walked.items() if k in channels}
@@ -217,7 +217,7 @@ class _Collector:
                 self._damaged += 1
                 continue
             if kind is not ours:
-                # An older recording lacks fields: they get their default values.
+                # Fields that an older recording lacks get their default values.
                 fields = ours.completed(fields)
             self._messages[name].append((time, number, fields))
 
@@ -244,7 +244,7 @@ class _Collector:
         things = entries(topics.OBJECT, convert.OBJECT.of)
         attachments = {
             name: bytes(attachment.data)
-            # The first file's attachments win, as they are those at the recording's start.
+            # The attachments of the first file take precedence, being those of the start.
             for each in reversed(self._surveys)
             for name, attachment in each.attachments.items()
         }
@@ -279,7 +279,7 @@ class _Collector:
             self._note_damage(f"{self._damaged} messages make no sense and are left out")
         if skipped:
             self._notes.append(f"{skipped} messages with other joints are left out")
-        # Frozen, but not handed out yet: making the entries above has added notes.
+        # Making the entries above has added notes; the frozen object is not shared yet.
         object.__setattr__(recording, "notes", tuple(self._notes))
         object.__setattr__(recording, "damage", tuple(self._damage))
         return recording
@@ -289,7 +289,7 @@ class _Collector:
         self._damage.append(text)
 
     def _urdf(self, attachments: Mapping[str, bytes]) -> str:
-        """Return the URDF: the one attached, since the published one may have its meshes inside."""
+        """Return the attached URDF, since the published one may have embedded meshes."""
         attached = attachments.get(f"{self._hand}.urdf")
         if attached is not None:
             return attached.decode("utf-8", "replace")
@@ -350,16 +350,16 @@ class _Collector:
                 continue
             stamp = float(fields.get("time", 0.0))
             entries.append(Entry((time - start) / SECOND, time, stamp, value, number))
-        # The sort is stable: entries of the same time keep the order of the file.
+        # A stable sort keeps entries of the same time in the order of the file.
         return sorted(entries, key=lambda entry: entry.wall)
 
 
 def _chunks_ahead(
     path: Path, places: Sequence[ChunkPlace]
 ) -> Iterator[tuple[ChunkPlace, bytes | DamagedRecordError]]:
-    """Yield chunks with their uncompressed records, or with what is wrong with them.
+    """Yield chunks with their uncompressed records, or with the error of a damaged one.
 
-    A thread reads and decompresses the next chunks while the ones before are taken apart.
+    A thread reads and decompresses the next chunks while the caller parses the present one.
 
     Raises:
         OSError: if the file cannot be read.
@@ -384,7 +384,7 @@ def _chunks_ahead(
                 yield first, future.result()
         finally:
             for _, future in waiting:
-                # The caller may stop in the middle: what has not begun need not be decompressed.
+                # If the caller stops early, chunks that have not begun need no decompression.
                 future.cancel()
 
 

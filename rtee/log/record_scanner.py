@@ -1,4 +1,4 @@
-"""Walk through the records of an MCAP file, complete or truncated, without trusting any."""
+"""Walk through the records of an MCAP file, complete or truncated, with checks of each."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from rtee.log.mcapfile import MAGIC
 
 _HEAD = struct.Struct("<BQ")
 _LARGEST_CHUNK = 1 << 30
-"""Largest uncompressed size of a chunk that is accepted [byte]: 1 GiB, hundreds of times what is
-written; a forged size must not exhaust the memory."""
+"""Largest uncompressed size of a chunk accepted [bytes]: 1 GiB, hundreds of times that of rtee's
+chunks; a forged size must not exhaust the memory."""
 
 R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
@@ -32,12 +32,12 @@ class DamagedRecordError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Where a record is.
+    """Position of a record in a file.
 
     Attributes:
-        opcode: Its kind.
-        offset: Where its content begins in the file.
-        length: Bytes of its content.
+        opcode: Kind of the record.
+        offset: Offset of the content in the file [bytes].
+        length: Length of the content [bytes].
     """
 
     opcode: int
@@ -46,11 +46,11 @@ class Record:
 
     @property
     def end(self) -> int:
-        """Where it ends in the file."""
+        """Offset of the end in the file [bytes]."""
         return self.offset + self.length
 
     def read(self, stream: BinaryIO, most: int | None = None) -> bytes:
-        """Return its content, at most ``most`` bytes of it."""
+        """Return the content, or at most its first ``most`` bytes."""
         stream.seek(self.offset)
         length = self.length if most is None else min(most, self.length)
         data = stream.read(length)
@@ -60,7 +60,7 @@ class Record:
 
 
 def scan(stream: BinaryIO) -> Iterator[Record]:
-    """Yield the records of a file one after the other, up to the footer or where it is cut off."""
+    """Yield the records of a file in order, up to the footer or the end of a truncated file."""
     size = os.fstat(stream.fileno()).st_size
     position = len(MAGIC)
     while position + _HEAD.size <= size:
@@ -70,7 +70,7 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
             return
         opcode, length = _HEAD.unpack(head)
         record = Record(opcode, position + _HEAD.size, length)
-        # 0 is not an opcode: a power cut may leave zeros at the end of a file.
+        # 0 is no opcode, but a power cut may leave zeros at the end of a file.
         if record.end > size or opcode == 0:
             return
         yield record
@@ -80,19 +80,19 @@ def scan(stream: BinaryIO) -> Iterator[Record]:
 
 
 def parsed(kind: type[R], content: bytes) -> R:
-    """Return the record of a kind that a content is; raises `DamagedRecordError`."""
+    """Return the record of a kind in a content; raise `DamagedRecordError` if it is invalid."""
     try:
         record: R = kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, ValueError, OverflowError, struct.error, EOFError) as error:
         raise DamagedRecordError(f"damaged record: {error}") from error
-    # The checksum of a chunk does not cover attachments: they have their own.
+    # Only attachments have a checksum of their own; chunks are checked when decompressed.
     if isinstance(record, Attachment) and not _checked(content):
         raise DamagedRecordError(f"attachment '{record.name}' fails its checksum")
     return record
 
 
 def _checked(content: bytes) -> bool:
-    """Whether the checksum at the end of a content is right, or is 0: there is none."""
+    """Return whether the checksum at the end of a content is right, or 0, which means none."""
     return int.from_bytes(content[-4:], "little") in (0, zlib.crc32(content[:-4]))
 
 
@@ -125,7 +125,7 @@ def _decompressed(chunk: Chunk) -> bytes:
         return chunk.data
     if chunk.compression == "zstd":
         try:
-            # Checked before decompressing: a small frame may expand to any size.
+            # Checked before decompressing, since a small frame may expand to any size.
             if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
                 raise DamagedRecordError("a chunk has not the size it says")
             decompressor = zstandard.ZstdDecompressor()
@@ -136,7 +136,7 @@ def _decompressed(chunk: Chunk) -> bytes:
         import lz4.frame
 
         try:
-            # One byte more than it says shows that it is larger, without making all of it.
+            # One byte more than the given size reveals a larger content without expanding it.
             data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(
                 chunk.data, max_length=chunk.uncompressed_size + 1
             )

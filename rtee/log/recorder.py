@@ -1,4 +1,4 @@
-"""The recorder: observes the loop without ever delaying it."""
+"""The recorder, an observer of the loop that never delays it."""
 
 from __future__ import annotations
 
@@ -34,19 +34,18 @@ log = logging.getLogger(__name__)
 
 # Pause between two items while the queue is long [s], in which the loop gets the interpreter.
 _YIELD: Final = 50e-6
-_LEAST_QUEUE: Final = 200  # items that the queue holds at least, at slow rates, too
-_CLOSING: Final = 10.0  # longest wait for the thread to write what is queued [s]: a slow disk
+_LEAST_QUEUE: Final = 200  # least length of the queue [items], for loops of a low rate
+_CLOSING: Final = 10.0  # longest wait for the thread to write the queue to a slow disk [s]
 
 _GATHER: Final = 4e-3
-"""What the loop reports is written this often [s]; waking the thread at every tick would disturb
-the loop."""
+"""Time between two wake-ups of the writer [s]; waking it at every tick would disturb the loop."""
 
 _LONGEST_NAP: Final = 20e-3
 """Loops of a longer period than this [s] wake the writer."""
 
 _BEHIND: Final = 1.0
-"""With more waiting than this [s], the writer no longer avoids the loop's ticks: losing records
-would be worse than a late tick."""
+"""Length of the queue, as time [s], from which the writer no longer avoids the loop's ticks: losing
+records would be worse than a late tick."""
 
 _PACKED: Final = 0.1
 """With more waiting than this [s], ticks are packed: a backlog must not leave holes in memory."""
@@ -60,22 +59,22 @@ Work = TickRecord | PackedTicks | tuple[Item, float] | Callable[[], None] | None
 
 
 class Recorder:
-    """Records a hand: an observer of its loop with a writer of its own.
+    """Observer of a hand's loop that records it with a writer thread.
 
-    The loop's reports go into a bounded queue, and a thread that wakes up between the loop's ticks
-    writes them item by item, so that neither waits for the other. When the queue is full, ticks are
-    dropped and counted.
+    The loop's reports go into a bounded queue. A thread that wakes up between the loop's ticks
+    writes them item by item, so that neither waits for the other. A full queue drops and counts
+    ticks.
 
     Args:
         hand: The hand.
-        settings: How to record.
+        settings: Settings of the recorder.
         rate: Rate of the loop [Hz].
-        loop: The loop's settings; with them references can be recomputed from a recording.
+        loop: Settings of the loop, needed to recompute the references from a recording.
         attachments: Files to attach by name: ``hand.yaml``, SRDF, actions; the URDF always is.
         metadata: Further metadata: name to value.
-        notify: Receives lost and resumed recording and written flight files as events; called
-            in the writer's thread.
-        simulated: Stamps are those of a simulation that begins now, not of
+        notify: Called in the writer's thread with events: recording lost or resumed, flight file
+            written.
+        simulated: Whether stamps are those of a simulation that begins now instead of
             CLOCK_MONOTONIC.
     """
 
@@ -96,7 +95,7 @@ class Recorder:
         if loop is not None:
             files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
-        # Read now: files must not be opened once the loop runs.
+        # Read now, since opening files could delay the loop once it runs.
         meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})
         for address, why in meshes.left_out.items():
             log.warning("the mesh '%s' is not in the recording: %s", address, why)
@@ -110,7 +109,7 @@ class Recorder:
         self._backlog: PackedTicks | None = None
         self._period = 1.0 / rate
         self._stamp: float | None = 0.0 if simulated else None
-        # Simulated time runs ahead of the disk, and nothing waits for the end of a simulation.
+        # Simulated time runs ahead of the disk, so that closing waits without a limit.
         self._closing = None if simulated else _CLOSING
         self._dropped = 0
         self._failed = 0
@@ -123,7 +122,7 @@ class Recorder:
         """Begin to record.
 
         Raises:
-            LogError: if it is to record to the disk and the folder cannot be written.
+            LogError: if recording to the disk is on and the folder cannot be written.
         """
         if self._thread is not None:
             return
@@ -135,12 +134,12 @@ class Recorder:
                     f"no recording can be written here: {reason(error)}",
                     path=self._settings.folder,
                 ) from error
-        # A daemon: a disk that hangs must not keep the process from ending.
+        # A daemon, so that a disk that hangs cannot keep the process from ending.
         self._thread = threading.Thread(target=self._run, name="rtee-recorder", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Write what is queued, close the file and end; may be called again. Waits for the disk."""
+        """Write the queue, close the file and end; waits for the disk. Further calls do nothing."""
         thread, self._thread = self._thread, None
         if thread is not None:
             self._queue.put(None)
@@ -171,7 +170,7 @@ class Recorder:
         import anyio
         import anyio.to_thread
 
-        # The run is being cancelled: what is queued has to be written all the same.
+        # Shielded, so that the queue is written although the run is being cancelled.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(self.close)
 
@@ -204,7 +203,7 @@ class Recorder:
         return time.monotonic() if self._stamp is None else self._stamp
 
     def _put(self, item: Item, stamp: float) -> None:
-        # What is not a tick is rare and worth more: it may wait beyond the bound, to twice of it.
+        # Other items are rare and worth more than ticks, so that they may fill twice the limit.
         if self._queue.qsize() >= 2 * self._limit:
             self._dropped += 1
         else:
@@ -215,11 +214,11 @@ class Recorder:
         self._put(goal, stamp)
 
     def on_plan(self, plan: Plan, stamp: float) -> None:
-        """Record what a goal comes to."""
+        """Record the plan of a goal."""
         self._put(plan, stamp)
 
     def on_object(self, thing: ObjectDescription, stamp: float) -> None:
-        """Record what a simulated device grasps."""
+        """Record the object in a simulated hand."""
         self._put(thing, stamp)
 
     def on_command(self, record: CommandRecord) -> None:
@@ -227,20 +226,20 @@ class Recorder:
         self._put(record, record.stamp)
 
     def on_feedback(self, feedback: Feedback) -> None:
-        """Record a goal's progress."""
+        """Record the progress of a goal."""
         self._put(feedback, feedback.stamp)
 
     def on_result(self, result: Result) -> None:
-        """Record how a goal ended."""
+        """Record the result of a goal."""
         self._put(result, self._now())
 
     def on_event(self, event: Event) -> None:
         """Record an event; a fault makes the flight recorder write."""
-        if event.source != ITSELF:  # its own events come back from the loop; it has them already
+        if event.source != ITSELF:  # the loop returns the recorder's own events, already recorded
             self._put(event, event.stamp)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Record how devices and clock are doing."""
+        """Record the status of the devices and the statistics of the loop."""
         now = self._now()
         for status in statuses:
             self._put(status, now)
@@ -263,21 +262,21 @@ class Recorder:
         self._put(Event("mark", "user", text, now), now)
 
     def fault(self, cause: str) -> None:
-        """Make the flight recorder write what it holds; returns at once."""
+        """Have the flight recorder write its chunks; returns at once."""
         self._queue.put(lambda: self._writer.fault(cause))
 
     @property
     def dropped(self) -> int:
-        """Records dropped because the writer fell behind."""
+        """Number of records dropped because the writer fell behind."""
         return self._dropped
 
     @property
     def flight_folder(self) -> Path | None:
-        """Where the flight recorder writes; ``None`` if there is none."""
+        """Folder of the flight recorder's files; ``None`` without a flight recorder."""
         return None if self._writer.flight is None else self._settings.folder
 
     def status(self) -> RecorderStatus:
-        """Return how the recorder is doing."""
+        """Return the status of the recorder."""
         writer = self._writer
         return RecorderStatus(
             recording=writer.sink.wanted,
@@ -294,7 +293,7 @@ class Recorder:
     # --- the writer's thread -----------------------------------------------------------------
 
     def _run(self) -> None:
-        # A loop with real-time priority made this thread; recording must not compete with it.
+        # The thread inherits the loop's real-time priority, with which it must not compete.
         with contextlib.suppress(OSError, AttributeError):
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         writer = self._writer
@@ -320,7 +319,7 @@ class Recorder:
         self._do(writer.close)
 
     def _give_way(self) -> None:
-        """Sleep while the loop is at work, and until there is enough to do."""
+        """Sleep while the loop works, and until there is enough to write."""
         waiting, period = self._queue.qsize(), self._period
         if waiting * period > _BEHIND:
             time.sleep(_YIELD)
@@ -333,7 +332,7 @@ class Recorder:
                 time.sleep((begin - phase) % 1.0 * period)
 
     def _do(self, call: Callable[..., None], *arguments: object) -> None:
-        # One record that cannot be written must not end the recording of all others.
+        # An error with one record must not end the recording of all others.
         try:
             call(*arguments)
         except Exception as error:

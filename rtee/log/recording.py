@@ -62,13 +62,13 @@ class JointSeries:
 
 @dataclass(frozen=True)
 class ActuatorSeries(JointSeries, Measurements):
-    """What the actuators measured over time, as the loop received it.
+    """Measurements of the actuators over time, as the loop received them.
 
     Attributes:
         tick: Numbers of the ticks ``(k,)``; a gap is a missed or lost tick.
         time: CLOCK_MONOTONIC of the ticks ``(k,)`` [s].
-        grasped: What the devices report themselves ``(k, n)``: 1 holding, 0 not, -1 nothing.
-        fresh: Whether it was measured since the tick before ``(k, n)``.
+        grasped: Reports of the devices ``(k, n)``: 1 holding, 0 not holding, -1 no report.
+        fresh: Whether a value was measured since the tick before ``(k, n)``.
     """
 
     tick: NDArray[np.int64]
@@ -79,14 +79,14 @@ class ActuatorSeries(JointSeries, Measurements):
 
 @dataclass(frozen=True, slots=True)
 class Entry(Generic[T]):
-    """Something that happened.
+    """A message that is recorded once, such as a goal, result or event.
 
     Attributes:
-        t: When, since the recording's start [s].
-        wall: The same since 1970 [ns].
-        stamp: The same by CLOCK_MONOTONIC [s], where it is known, else 0.
-        value: What.
-        sequence: Orders entries of the same time, also of different topics.
+        t: Time since the recording's start [s].
+        wall: The same time since 1970 [ns].
+        stamp: The same time by CLOCK_MONOTONIC [s]; 0 if unknown.
+        value: Content of the message.
+        sequence: Number that orders entries of the same time, also those of different topics.
     """
 
     t: float
@@ -101,8 +101,8 @@ class Channel:
     """A further measured channel over time.
 
     Attributes:
-        name: Its name.
-        t: Times since the recording's start [s], of the changes only.
+        name: Name of the channel.
+        t: Times of the changes since the recording's start [s].
         values: Values at those times.
     """
 
@@ -113,15 +113,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class TouchSeries:
-    """What the touch sensors of a device measured over time.
+    """Readings of the touch sensors of a device over time.
 
     Attributes:
         device: The device.
         sensors: Its sensors.
-        t: Time since the recording's start at which the loop received it ``(k,)`` [s].
-        wall: The same since 1970 ``(k,)`` [ns].
-        time: When the oldest value was measured, CLOCK_MONOTONIC ``(k,)`` [s].
-        stale: Whether nothing newer had come for a while ``(k,)``.
+        t: Time of reception in the loop since the recording's start ``(k,)`` [s].
+        wall: The same time since 1970 ``(k,)`` [ns].
+        time: Time of the oldest value, CLOCK_MONOTONIC ``(k,)`` [s].
+        stale: Whether the readings had stopped for a while ``(k,)``.
         values: Values of all taxels, one sensor after the other, in their units ``(k, n)``.
     """
 
@@ -137,7 +137,7 @@ class TouchSeries:
         return len(self.t)
 
     def state(self, row: int) -> TouchState:
-        """Return one of them as a state."""
+        """Return the readings of a row as a state."""
         return TouchState(
             self.device,
             self.sensors,
@@ -155,7 +155,7 @@ class TouchSeries:
 def touch_series(
     found: Mapping[str, Sequence[tuple[int, TouchState]]], start: int
 ) -> tuple[dict[str, TouchSeries], int]:
-    """Return states of touch sensors as series by device, and how many fit none of them.
+    """Return states of touch sensors as series by device, and the number of states left out.
 
     Args:
         found: The states by device, each with its time since 1970 [ns], in order.
@@ -165,7 +165,7 @@ def touch_series(
     for device, states in found.items():
         last = states[-1][1]
         names = [(sensor.name, sensor.taxels) for sensor in last.sensors]
-        # A device may have been exchanged for one with other sensors: the last ones count.
+        # Keep the states of the last sensors, if the device was replaced by another one.
         same = [s for s in states if [(x.name, x.taxels) for x in s[1].sensors] == names]
         others += len(states) - len(same)
         wall = np.array([time for time, _ in same], dtype=np.int64)
@@ -187,9 +187,9 @@ class Span:
 
     Attributes:
         name: The action with its elements, or the inner action's name.
-        start: When it began, since the recording's start [s].
-        end: When it ended [s]; the recording's end if it still ran. Where a full disk took its
-            result: when the next one began, at the latest.
+        start: Time of its start since the recording's start [s].
+        end: Time of its end [s]; the recording's end if it was still running. If its result was
+            lost on a full disk, the start of the next one.
         outcome: ``reached``, ``grasped``, ``stalled``, ``preempted``, ``cancelled``,
             ``timed_out``, ``aborted``, ``running``, or ``unknown``.
         goal_id: The goal.
@@ -205,8 +205,8 @@ class Span:
 
 
 def outcome_of(result: Result) -> str:
-    """Return the word that describes best how a goal ended."""
-    # Why it ended goes before how far it came: several may be true at once.
+    """Return the word that best describes the outcome of a goal."""
+    # Several may be true; the reason for the end takes precedence over the progress.
     for word in ("aborted", "cancelled", "preempted", "timed_out", "grasped", "reached", "stalled"):
         if getattr(result, word):
             return word
@@ -218,32 +218,32 @@ class Recording:
     """A recording in memory.
 
     Attributes:
-        paths: The files it was read from, in order.
-        hand: The hand's name.
-        start: Time of its first message since 1970 [ns].
-        end: Time of its last message since 1970 [ns].
-        finished: All its files have been closed properly.
-        metadata: What was written about it: rate, actuators, session and so on.
+        paths: The files, in order.
+        hand: Name of the hand.
+        start: Time of the first message since 1970 [ns].
+        end: Time of the last message since 1970 [ns].
+        finished: Whether all files were closed properly.
+        metadata: Metadata of the files: rate, actuators, session and others.
         attachments: Attached files by name: URDF, hand.yaml, actions.
-        joint_states: All joints, those that follow included.
-        actuator_states: The actuators as measured.
-        reference: What was sent to the devices.
-        goals: Goals that were accepted.
-        plans: The plans made for the goals.
-        commands: Calls that steered the hand otherwise.
+        joint_states: States of all joints, including those that follow others.
+        actuator_states: Measurements of the actuators.
+        reference: Set-points sent to the devices.
+        goals: Accepted goals.
+        plans: Plans of the goals.
+        commands: Other commands to the hand.
         stream_samples: Samples of streams, as commands.
         feedback: Progress of the goals.
-        results: How they ended.
-        events: Events, marks among them.
-        device_status: Device status, about once a second.
-        loop_statistics: Loop statistics, about once a second.
+        results: Results of the goals.
+        events: Events, including marks.
+        device_status: Device status, about once per second.
+        loop_statistics: Loop statistics, about once per second.
         channels: Further measured channels by name.
-        touch: What touch sensors measured, by device.
-        object_description: What a simulated device grasped, if it did.
-        urdf: The URDF as it was read.
-        meshes: Address of a mesh in the URDF to the name of its attachment.
-        notes: What is wrong with the files, one sentence each.
-        damage: Those notes that say that something is not as it was written.
+        touch: Readings of touch sensors, by device.
+        object_description: Object in a simulated hand, if there was one.
+        urdf: Text of the URDF.
+        meshes: Names of attachments by address of a mesh in the URDF.
+        notes: Sentences about problems of the files.
+        damage: Those notes that report damage.
     """
 
     paths: tuple[Path, ...]
@@ -280,7 +280,7 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """Rate of the loop [Hz]; 0 if it is not known."""
+        """Rate of the loop [Hz]; 0 if unknown."""
         try:
             return float(self.metadata.get("rate", "0"))
         except ValueError:
@@ -288,19 +288,19 @@ class Recording:
 
     @property
     def marks(self) -> list[Entry[Event]]:
-        """The marks that the user set."""
+        """The marks set by users."""
         return [entry for entry in self.events if entry.value.kind == "mark"]
 
     @cached_property
     def spans(self) -> list[Span]:
-        """The time that every goal took, in order."""
+        """The spans of all goals, in order."""
         results = {entry.value.goal_id: entry for entry in self.results}
         feedback: dict[str, list[Entry[Feedback]]] = {}
         for entry in self.feedback:
             feedback.setdefault(entry.value.goal_id, []).append(entry)
         spans = []
         names = {plan.value.goal.goal_id: plan.value.action for plan in self.plans}
-        # Where a result is missing: the next goal preempted this one at the latest.
+        # A goal whose result is missing was preempted by the next one at the latest.
         ends = [(entry.t, "unknown") for entry in self.goals[1:]] + [(self.duration, "running")]
         for goal, (after, left) in zip(self.goals, ends, strict=False):
             action = names.get(goal.value.goal_id, goal.value.action)
@@ -325,6 +325,6 @@ def _inner_spans(
         if name:
             yield Span(name, start, entry.t, "reached", goal_id)
         name, start = entry.value.inner, entry.t
-    # Only the last inner action shares the outcome of the whole; the ones before were reached.
+    # The last inner action has the outcome of the whole; the earlier ones were reached.
     if name:
         yield Span(name, start, end, outcome, goal_id)

@@ -27,17 +27,17 @@ _RECORD_HEAD = 9  # bytes of a record's opcode and length
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was recovered.
+    """Report of a repair.
 
     Attributes:
         path: The repaired file.
-        untouched: The file was complete already: there was nothing to repair.
-        chunks: Chunks recovered.
-        messages: Messages recovered.
-        damaged: Chunks that were damaged and left out.
-        lost_bytes: Bytes at the end that could not be used.
+        untouched: Whether the file was complete and needed no repair.
+        chunks: Number of recovered chunks.
+        messages: Number of recovered messages.
+        damaged: Number of damaged chunks left out.
+        lost_bytes: Length of the unusable end of the file [bytes].
         seconds: Time from the first to the last message [s].
-        damage: What else was not as it was written, and cannot be repaired, one sentence each.
+        damage: Sentences about damage that cannot be repaired.
     """
 
     path: Path
@@ -53,16 +53,16 @@ class Recovery:
 def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     """Repair a recording that was never closed or has damaged chunks.
 
-    Every intact chunk is kept with a new index. The repaired file is written beside the old one
-    and replaces it only when it is complete.
+    Keeps every intact chunk with a new index. Writes the repaired file beside the old one and
+    replaces that only when the new file is complete.
 
     Args:
         path: The recording.
-        output: Where to write the repaired file; unless given it replaces the old one.
+        output: Path of the repaired file; by default it replaces the old one.
 
     Raises:
-        LogError: if the file is being written, cannot be read or is not an MCAP file, if it has
-            messages outside of chunks, or if the repaired one cannot be written.
+        LogError: if the file is being written, cannot be read, is not an MCAP file or has messages
+            outside chunks, or if the repaired file cannot be written.
     """
     path = Path(path)
     if being_written(path):
@@ -150,7 +150,7 @@ def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
         if not entries:
             continue
         index, where = index_records(entries)
-        # The chunk goes over as it is, still compressed.
+        # Copy the chunk as it is, still compressed.
         stream.seek(place.record.offset - _RECORD_HEAD)
         yield PackedChunk(
             record=stream.read(_RECORD_HEAD) + content,

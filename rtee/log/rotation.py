@@ -1,4 +1,4 @@
-"""Names of recordings, the recordings of a hand, and the bound on their space."""
+"""Names of recordings, the recordings of a hand, and the limit of their disk space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ METADATA = "rtee"
 """Name of the metadata record that every recording of rtee carries."""
 
 FLIGHT = "flight"
-"""Stands in a name instead of the part when the flight recorder wrote the file."""
+"""Replaces the number of the part in the names of the flight recorder's files."""
 
 _STAMP = r"\d{8}T\d{9}Z"
 _NAME = re.compile(rf"(?P<hand>.+)_(?P<session>{_STAMP})_(?P<part>\d{{3,}}|{FLIGHT})\.mcap")
@@ -27,7 +27,7 @@ _FEW_RECORDS = 3  # records read to recognise a recording: header and metadata a
 
 
 def session_name(wall_ns: int) -> str:
-    """Return the part of a file's name that says when its recording began, in UTC."""
+    """Return the part of a file's name with the start of the recording, in UTC."""
     moment = datetime.fromtimestamp(wall_ns // SECOND, UTC)
     return f"{moment:%Y%m%dT%H%M%S}{wall_ns // 1_000_000 % 1000:03d}Z"
 
@@ -38,7 +38,7 @@ def part_path(folder: Path, hand: str, session: str, part: int) -> Path:
 
 
 def flight_path(folder: Path, hand: str, session: str) -> Path:
-    """Return the path of what the flight recorder writes."""
+    """Return the path of a file of the flight recorder."""
     return folder / f"{hand}_{session}_{FLIGHT}.mcap"
 
 
@@ -48,10 +48,10 @@ class RecordingFile:
 
     Attributes:
         path: The file.
-        hand: The hand's name.
-        session: When the recording began.
-        part: Number of the part; ``None`` when the flight recorder wrote it.
-        size: Its size [bytes].
+        hand: Name of the hand.
+        session: Start of the recording.
+        part: Number of the part; ``None`` for a file of the flight recorder.
+        size: Size of the file [bytes].
     """
 
     path: Path
@@ -62,7 +62,7 @@ class RecordingFile:
 
 
 def parse_name(path: Path) -> RecordingFile | None:
-    """Return what a file's name says, ``None`` if it is not a recording's or the file is gone."""
+    """Return the recording at a path, ``None`` if its name is no recording's or it is gone."""
     found = _NAME.fullmatch(path.name)
     if found is None:
         return None
@@ -90,7 +90,7 @@ def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Return all parts of the recording that a file belongs to, in order; itself at least."""
+    """Return all parts of a file's recording in order, at least the file itself."""
     file = parse_name(path)
     if file is None or file.part is None:
         return [path]
@@ -102,7 +102,7 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def is_ours(path: Path, hand: str) -> bool:
-    """Whether a file's content, too, says that it is a recording of this hand."""
+    """Return whether the content of a file is a recording of this hand, too."""
     try:
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
@@ -123,14 +123,14 @@ def is_ours(path: Path, hand: str) -> bool:
 
 
 class Retention:
-    """Keeps the recordings of a hand within a bound by removing the oldest.
+    """Limits the disk space of a hand's recordings by removing the oldest.
 
-    Only files that are recordings of this hand by name and by content are ever removed.
+    Removes only files that are recordings of this hand by name and by content.
 
     Args:
         folder: The folder.
-        hand: The hand's name.
-        limit: Bound on their sizes together [bytes].
+        hand: Name of the hand.
+        limit: Largest total size [bytes].
     """
 
     def __init__(self, folder: Path, hand: str, limit: float) -> None:
@@ -141,24 +141,24 @@ class Retention:
         self._ours: dict[Path, bool] = {}
 
     def look(self, *current: Path) -> None:
-        """Look again at the files in the folder other than those that are being written."""
+        """Read the sizes of the files in the folder again, except those being written."""
         self._others = sum(file.size for file in self._files(current))
 
     def _files(self, current: tuple[Path, ...]) -> list[RecordingFile]:
         return [file for file in recordings(self._folder, self._hand) if file.path not in current]
 
     def keep_within(self, size: int, *current: Path) -> list[Path]:
-        """Remove the oldest recordings until the rest and ``size`` bytes are within the bound.
+        """Remove the oldest recordings until the rest and ``size`` are within the limit.
 
         Args:
-            size: What the files that are being written take [bytes].
-            current: Those files; never removed.
+            size: Size of the files being written [bytes].
+            current: Those files, which are never removed.
 
         Returns:
-            The files removed.
+            The removed files.
         """
         removed: list[Path] = []
-        # Usually so: then the folder is not even listed.
+        # The usual case, in which the folder is not even listed.
         if self._others + size <= self._limit:
             return removed
         self.look(*current)
@@ -167,8 +167,7 @@ class Retention:
                 break
             if file.path not in self._ours:
                 self._ours[file.path] = is_ours(file.path, self._hand)
-            # By name alone it might be somebody else's file: removing needs the content's word,
-            # too.
+            # A file of somebody else may have such a name, so that its content must agree.
             if not self._ours[file.path] or being_written(file.path):
                 continue
             try:

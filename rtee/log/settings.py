@@ -1,4 +1,4 @@
-"""Settings and status of the recorder: plain data without pydantic."""
+"""Settings and status of the recorder, as dataclasses without pydantic."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rtee.hand.config_schema import LogSection
 
 @dataclass(frozen=True, slots=True)
 class RecorderSettings(LogSection):
-    """How a hand is recorded: as hand.yaml says, and some settings that it does not have.
+    """Settings of the recorder: the section of hand.yaml, and some that it does not have.
 
     Attributes:
-        flight_size: Memory that the flight recorder may take [bytes].
-        chunk_time: A chunk is written after this time [s]; what a killed process loses.
-        queue_time: Ticks that may wait for the writer, as time [s]; more are dropped and counted.
-        sync: Flush every chunk to the disk, so that it also survives a power cut.
+        flight_size: Largest memory of the flight recorder [bytes].
+        chunk_time: Time after which a chunk is written [s]; a killed process loses as much.
+        queue_time: Length of the queue for the writer, as time [s]; further ticks are dropped.
+        sync: Flush every chunk to the disk, so that it survives a power cut.
         level: Level of zstd compression.
     """
 
@@ -28,24 +28,24 @@ class RecorderSettings(LogSection):
 
     @property
     def part_size(self) -> float:
-        """Size at which a file is followed by the next part, so that old ones can make room."""
+        """Size of a file from which the next part begins [bytes], so that old parts can go."""
         return min(self.max_file_size, self.max_total_size / 4)
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderStatus:
-    """How the recorder is doing.
+    """Status of the recorder.
 
     Attributes:
-        recording: A recording is being written, or will be as soon as the disk takes it.
-        path: The file that is written, ``None`` if none is.
-        size: Its size [bytes].
-        ticks: Ticks written to the disk.
-        dropped: Records dropped because the writer fell behind.
-        lost: Ticks lost because the disk did not take them.
-        problem: Why the disk does not take them now, empty if it does.
-        flight_seconds: What the flight recorder holds [s].
-        flight_files: Files that the flight recorder has written, the last ones.
+        recording: Whether a recording is being written, or will be once the disk accepts it.
+        path: The file being written, or ``None``.
+        size: Size of the file [bytes].
+        ticks: Number of ticks written to the disk.
+        dropped: Number of records dropped because the writer fell behind.
+        lost: Number of ticks lost because the disk refused them.
+        problem: Reason for which the disk refuses chunks now; empty if it accepts them.
+        flight_seconds: Length of the flight recorder's memory [s].
+        flight_files: The last files that the flight recorder wrote.
     """
 
     recording: bool = False
@@ -60,7 +60,7 @@ class RecorderStatus:
 
     @property
     def trouble(self) -> str:
-        """What is not recorded and why, in words; empty if everything is."""
+        """Sentence about what is not recorded and why; empty if everything is."""
         words = []
         if self.recording and self.problem:
             words.append(f"not written: {self.problem}")

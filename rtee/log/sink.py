@@ -1,4 +1,4 @@
-"""The files on the disk: the parts of a recording, failures, and the bound on space."""
+"""Files of recordings on the disk: parts, failures, and the limit of their disk space."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
 
-_NAME_TRIES = 50  # names that may be taken already, by runs that began in the same millisecond
+_NAME_TRIES = 50  # most names tried, as runs may have begun in the same millisecond
 _PARTIAL = ".partial"
-_LOOK_EVERY = 60.0  # the folder's size is checked this often [s]: others write into it seldom
+_LOOK_EVERY = 60.0  # time between checks of the folder's size [s]: others seldom write into it
 
 
 def reason(error: OSError) -> str:
@@ -27,19 +27,19 @@ def reason(error: OSError) -> str:
 class DiskSink:
     """Writes chunks to the parts of a recording.
 
-    While the disk takes nothing the chunks are lost, and each next one is tried: recording goes
-    on as soon as there is room.
+    Chunks that the disk refuses are lost. Each new chunk is tried, so that recording goes on as
+    soon as there is space.
 
     Args:
-        contents: What the recordings have in common.
+        contents: Content common to the recordings.
         settings: Sizes, times, folder.
         monotonic: Clock for the times of parts [s].
 
     Attributes:
         wanted: Whether a recording should be written.
-        problem: Why the last chunk could not be written, empty if it could.
-        written_ticks: Ticks written.
-        lost_ticks: Ticks lost.
+        problem: Reason for which the last chunk could not be written; empty if it was.
+        written_ticks: Number of ticks written.
+        lost_ticks: Number of ticks lost.
     """
 
     def __init__(
@@ -64,19 +64,19 @@ class DiskSink:
 
     @property
     def path(self) -> Path | None:
-        """The file that is being written."""
+        """The file being written, or ``None``."""
         return self._file.path if self._file else None
 
     @property
     def size(self) -> int:
-        """Its size [bytes]."""
+        """Size of the file being written [bytes]."""
         return self._file.size if self._file else 0
 
     def start(self, wall_ns: int) -> None:
         """Begin a recording at a time [ns since 1970].
 
         Raises:
-            OSError: if its first file cannot be made; it is tried again at the next chunk.
+            OSError: if its first file cannot be made; the next chunk tries again.
         """
         if self.wanted:
             return
@@ -105,7 +105,7 @@ class DiskSink:
                 file = McapFile(path, preamble, sync=self._settings.sync)
             except FileExistsError:
                 if self._part == 0:
-                    # A millisecond later, the resolution of the names.
+                    # Try the next millisecond, the resolution of the names.
                     wall_ns += 1_000_000
                     self._session = session_name(wall_ns)
                 else:
@@ -139,14 +139,14 @@ class DiskSink:
         if not self.wanted:
             return
         try:
-            # Somebody removed it: going on would fill the disk with a file that has no name.
+            # A removed file would go on filling the disk without a name.
             if self._file is not None and not self._file.linked:
                 self._close()
             if self._file is None:
                 self._open(chunk.start)
             assert self._file is not None  # noqa: S101 - narrows the type
             if not self._file.end:
-                # With the first chunk, not when it is opened: a file without ticks stays small.
+                # With the first chunk instead of at the opening: a file without ticks stays small.
                 self._file.write(self._contents.description(chunk.start))
             self._file.write(chunk)
         except OSError as error:
@@ -163,16 +163,16 @@ class DiskSink:
     def write_flight(
         self, chunks: tuple[PackedChunk, ...], wall_ns: int, cause: str
     ) -> Path | None:
-        """Write what the flight recorder holds to a file of its own; ``None`` if that fails.
+        """Write the flight recorder's chunks to a file and return it; ``None`` if that fails.
 
         Args:
-            chunks: What it holds, at least one chunk.
-            wall_ns: The time of the fault [ns since 1970].
-            cause: The fault in words.
+            chunks: The chunks, at least one.
+            wall_ns: Time of the fault [ns since 1970].
+            cause: Description of the fault.
         """
         settings = self._settings
         path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))
-        # Hidden until it is complete: a program that looks for the file finds it whole.
+        # Hidden until it is complete, so that no program reads half a file.
         partial = path.with_name(f".{path.name}{_PARTIAL}")
         preamble = self._contents.preamble(chunks[0].start, cause=cause)
         try:

@@ -1,4 +1,4 @@
-"""Convert a recording to tables: columns of numbers and texts, one table per topic."""
+"""Convert a recording to tables with columns of numbers and texts, one table per topic."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rtee.types import Result
 
 Column = NDArray[Any]
 Table = dict[str, Column]
-"""Column names to columns, all of one length."""
+"""Columns of the same length by name."""
 
 _WIDE = ("position", "velocity", "effort")
 _LARGEST = 2**63 - 1  # largest number of 64 bits with a sign
@@ -46,11 +46,11 @@ def _text(value: object) -> str:
 
 
 def _column(values: Sequence[Any]) -> Column:
-    # Before int: a bool is one in Python.
+    # Before integers, since a bool is an int in Python.
     if all(isinstance(value, bool) for value in values):
         return np.array(values, dtype=bool)
     if all(isinstance(value, int) for value in values):
-        # Counters and numbers of ticks are 64 bits without a sign.
+        # Counters and numbers of ticks are unsigned 64-bit integers.
         large = any(value > _LARGEST for value in values)
         return np.array(values, dtype=np.uint64 if large else np.int64)
     numbers = [value for value in values if value is not None]
@@ -82,7 +82,7 @@ def _results(entries: Sequence[Entry[Result]]) -> Table:
 
 
 def _commands(recording: Recording) -> Table:
-    """Return one table for all kinds of commands: each as its message holds it."""
+    """Return one table for all kinds of commands, with the fields of their message."""
     names = ("kind", "text", "values", "tick", "stamp")
     records = [entry.value for entry in recording.commands]
     rows = [(*plain(each.command), each.tick, each.stamp) for each in records]
@@ -97,7 +97,7 @@ def _channels(recording: Recording) -> Table:
         for t, values in zip(channel.t.tolist(), channel.values, strict=True)
         for index, value in enumerate(values.tolist())
     ]
-    # Channels change at different times; a table is in the order of time.
+    # Channels change at different times, but a table is sorted by time.
     rows.sort(key=lambda row: row[0])
     return {
         "t": np.array([row[0] for row in rows], dtype=np.float64),
@@ -108,7 +108,7 @@ def _channels(recording: Recording) -> Table:
 
 
 def _touch(recording: Recording) -> Table:
-    """Return one row for each sensor and reading: its sum and its taxels."""
+    """Return a table with a row for each sensor and reading: the sum and the taxels."""
     rows = [
         (float(each.t[k]), device, sensor.name, sensor.unit, bool(each.stale[k]), i, k, each)
         for device, each in recording.touch.items()
@@ -146,7 +146,7 @@ TABLES = tuple(_MAKERS)
 
 
 def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
-    """Return the topics of a recording that hold something, as tables.
+    """Return the topics of a recording that have messages, as tables.
 
     Args:
         recording: The recording.

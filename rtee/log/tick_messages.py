@@ -1,4 +1,4 @@
-"""Encode a tick as messages: its states and reference, and the transforms of links."""
+"""Encode a tick as messages: states, reference, and the transforms of links."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from rtee.messages.state import actuator_state_pieces, actuator_state_template
 from rtee.sample import FloatArray, TickRecord
 
 _TIMES = struct.Struct("<IQQ")
-"""The last part of a message record's head: sequence, log time and publish time [ns]."""
+"""Layout of the end of a message record's head: sequence, log time and publish time [ns]."""
 
 _HEAD = MESSAGE.size - _TIMES.size
-"""The constant first part of that head [bytes]."""
+"""Length of the constant begin of that head [bytes]."""
 
 _STEPS = float(2**36)
-"""Transforms are rounded to steps of 1.5e-11 [m | 1], far below what can be seen or measured: their
-last digits would only fill the files."""
+"""Number of steps per unit to which transforms are rounded: steps of 1.5e-11 [m | 1] are far below
+any measurement, and rounded digits compress better."""
 
 
 class TickEncoder:
-    """Encodes what was known at a tick into message records.
+    """Encodes the record of a tick into message records.
 
-    In the joint states the actuators come first, so that their values repeat those of the actuator
-    states in one piece, and the positions and velocities of the joints that follow them are rounded
-    to single precision: both make recordings smaller, and they can be recomputed exactly.
+    In the joint states, the actuators come first, so that their values repeat those of the actuator
+    states in one piece. Positions and velocities of the joints that follow actuators are rounded to
+    single precision. Both make recordings smaller, and the exact values can be recomputed.
 
     Args:
         joints: Names of all moving joints.
         actuators: Names of the actuators.
-        transmission: From actuators to joints.
+        transmission: Transmission from actuators to joints.
         channels: Identifiers of the channels of joint states, actuator states and reference.
 
     Attributes:
@@ -72,7 +72,7 @@ class TickEncoder:
             Template(JOINT_STATE, joint_state_fields(actuators), changing),
         )
         self.layout: list[tuple[int, int]] = []
-        self._parts = [b""]  # constant and changing pieces by turns, as in a template
+        self._parts = [b""]  # constant and changing pieces alternate, as in a template
         self._size = 0
         for channel, message in zip(channels, messages, strict=True):
             self.layout.append((channel, self._size))
@@ -83,11 +83,11 @@ class TickEncoder:
     def encode(self, record: TickRecord, wall_ns: int) -> bytes:
         """Return the message records of a tick.
 
-        A joint that follows has no effort of its own: ``NaN``.
+        A joint that follows an actuator has no effort of its own, hence ``NaN``.
 
         Args:
-            record: What was known at the tick.
-            wall_ns: Its time [ns since 1970].
+            record: The record of the tick.
+            wall_ns: Time of the tick [ns since 1970].
 
         Raises:
             ValueError: if the arrays do not fit the hand.
@@ -113,7 +113,7 @@ class TickEncoder:
             record.reference_velocity.tobytes(),
             record.reference_effort.tobytes(),
         ]
-        # One copy of everything: a tick takes some ten microseconds to encode.
+        # A single copy, which keeps the encoding of a tick at some 10 µs.
         block = b"".join(self._parts)
         if len(block) != self._size:
             raise ValueError("the arrays of a tick do not fit the hand")
@@ -130,7 +130,7 @@ class LinkTransforms:
     Args:
         hand: The hand.
         rate: Rate of its loop [Hz].
-        settings: How often, among others.
+        settings: Settings of the recorder, with the rate of transforms.
     """
 
     def __init__(self, hand: Hand, rate: float, settings: RecorderSettings) -> None:
@@ -144,8 +144,8 @@ class LinkTransforms:
         self._every = max(1, round(every)) * settings.decimation if settings.tf_rate else 0
 
     def due(self, tick: int) -> bool:
-        """Whether they are to be recorded at a tick; a missed tick is made up for by the next."""
-        # By turns, not by tick % every: a missed tick must not cost a whole turn.
+        """Return whether to record transforms at a tick, or at the next one after a missed tick."""
+        # With tick % every, a missed tick would skip a whole period.
         if not self._every or tick // self._every == self._turn:
             return False
         self._turn = tick // self._every
@@ -154,7 +154,7 @@ class LinkTransforms:
     def encode(self, position: FloatArray, wall_ns: int) -> bytes:
         """Return the CDR bytes of a ``tf2_msgs/TFMessage``.
 
-        A joint that is not measured stays where it was last, at rest to begin with.
+        A joint without a measurement keeps its last position, at first the rest position.
 
         Args:
             position: Actuator positions ``(n,)`` [rad | m]; ``NaN``: not measured.

@@ -1,4 +1,4 @@
-"""The writer's side of the recorder: turn the loop's reports into chunks and files."""
+"""The writer of the recorder, which encodes the loop's reports into chunks and files."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ Item = (
     | LoopStatistics
     | ObjectDescription
 )
-"""What is recorded besides ticks."""
+"""Recorded items other than ticks."""
 
 ITSELF = "recorder"
 """Source of the recorder's own events."""
 
 FAULTS = frozenset({"device_fault", "device_lost", "loop_error", "fault"})
-"""Kinds of events that make the flight recorder write; so does every event of severity error."""
+"""Kinds of events that make the flight recorder write, besides all events of severity error."""
 
 _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     Goal: (topics.GOALS, convert.GOAL),
@@ -58,34 +58,34 @@ _CODECS: Mapping[type, tuple[str, Codec[Any]]] = {
     LoopStatistics: (topics.LOOP_STATISTICS, convert.LOOP_STATISTICS),
     ObjectDescription: (topics.OBJECT, convert.OBJECT),
 }
-"""What is recorded besides ticks and plans: its topic, and what encodes it."""
+"""Topic and codec of each recorded item other than ticks and plans."""
 
 _CHANNELS = message_type("rtee_msgs/msg/Channels")
 _GRIP = message_type("rtee_msgs/msg/Grip")
 _GRIP_PERIOD = 0.02
-"""Time between recorded openings and forces [s]: grips build up within tenths of a second."""
+"""Time between recorded openings and forces [s]: a grip builds up in some tenths of a second."""
 
-_FLIGHT_FILES = 20  # names that are kept of files that the flight recorder wrote, newest last
+_FLIGHT_FILES = 20  # most names kept of the flight recorder's files, the newest last
 
 
 class LogWriter:
-    """Encodes items, packs them into chunks in time, and hands the chunks on.
+    """Encodes items, packs them into chunks, and passes the chunks on in time.
 
-    It runs in the recorder's thread and waits for nothing but the disk.
+    Runs in the recorder's thread and waits only for the disk.
 
     Args:
-        contents: What the recordings have in common.
-        settings: How to record.
-        notify: Receives events: lost and resumed recording, written flight files.
+        contents: Content common to the recordings.
+        settings: Settings of the recorder.
+        notify: Receives events: recording lost or resumed, flight file written.
         monotonic: Clock [s].
         wall: Clock [ns since 1970].
-        simulated: What comes is stamped by a simulation, not by ``monotonic``: its first moment is
-            now, and from there its time is kept.
+        simulated: Whether a simulation stamps the items instead of ``monotonic``; the first stamp
+            then counts as now.
 
     Attributes:
-        sink: The files.
-        flight: The flight recorder; ``None`` if there is none.
-        flight_files: Files that it has written, the last ones.
+        sink: The files on the disk.
+        flight: The flight recorder, or ``None``.
+        flight_files: The last files that the flight recorder wrote.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class LogWriter:
         self._transforms = LinkTransforms(hand, contents.rate, settings)
         self._builder = ChunkBuilder(self._encoder.layout, settings.level)
         self._due: float | None = None
-        # Those of hands in one process write their chunks by turns.
+        # Writers of several hands in one process write their chunks at different times.
         self._chunk_time = settings.chunk_time * (1.0 + crc32(hand.name.encode()) / 2**32) / 2
         self._compared = False
         self._anchor = 0
@@ -146,13 +146,13 @@ class LogWriter:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing needs to be encoded: no recording and no flight recorder."""
+        """Whether items need no encoding, without a recording and a flight recorder."""
         return self.flight is None and not self.sink.wanted
 
     def wall_of(self, stamp: float) -> int:
         """Return the time since 1970 [ns] of a CLOCK_MONOTONIC, or simulated, time [s].
 
-        Both clocks are compared once per file: a step of the wall clock disturbs no file.
+        The clocks are compared once per file, so that a step of the wall clock disturbs no file.
         """
         self._stamp = stamp
         if not self._compared:
@@ -161,12 +161,12 @@ class LogWriter:
         return self._anchor + round(stamp * SECOND)
 
     def _compare(self, difference: int) -> None:
-        """Set the difference of the clocks [ns]; recorded time never goes back."""
+        """Set the difference of the clocks [ns], but never let recorded time go back."""
         self._compared = True
         self._anchor = max(self._anchor, difference)
 
     def tick(self, record: TickRecord) -> None:
-        """Encode what was known at a tick."""
+        """Encode the record of a tick."""
         if self.idle or record.tick % self._settings.decimation:
             return
         if not (self._compared or self._simulated):
@@ -184,9 +184,9 @@ class LogWriter:
         self._begun()
 
     def _add_extras(self, record: TickRecord, wall: int) -> None:
-        """Record those of the further channels that have changed."""
+        """Record the further channels that have changed."""
         known = self._extras
-        # By identity: arrays never change once handed out, so a change is another array.
+        # Compare by identity, since published arrays never change, and a change is another array.
         new = {name: each for name, each in record.channels.items() if known.get(name) is not each}
         if not new:
             return
@@ -229,7 +229,7 @@ class LogWriter:
         self._add(topics.GRIP, wall, _GRIP.encode(fields))
 
     def item(self, item: Item, stamp: float) -> None:
-        """Encode anything else that came at ``stamp``, CLOCK_MONOTONIC [s]."""
+        """Encode any other item of time ``stamp``, CLOCK_MONOTONIC [s]."""
         if isinstance(item, ObjectDescription):  # also for files that are begun later
             self._contents.latched[topics.OBJECT] = convert.OBJECT.encode(item)
         if self.idle:
@@ -248,15 +248,15 @@ class LogWriter:
         self._begun()
 
     def _add(self, topic: str, wall: int, data: bytes) -> None:
-        # One counter for all these topics: it keeps their order when times are the same.
+        # One counter for all these topics keeps their order at equal times.
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self._builder.add(CHANNELS[topic], self._sequence, wall, data)
 
     def _begun(self) -> None:
         if self._due is None:
             self._due = self._monotonic() + self._chunk_time
-            # The first chunk is shorter, by a share that depends on the name; then they keep their
-            # turns.
+            # The first chunk was shorter, by a share that depends on the hand's name, so that the
+            # writers of several hands stay apart.
             self._chunk_time = self._settings.chunk_time
 
     def start(self) -> None:
@@ -277,7 +277,7 @@ class LogWriter:
         self.sink.stop()
 
     def fault(self, cause: str) -> None:
-        """Make the flight recorder write; not before what it wrote last has left its memory."""
+        """Have the flight recorder write, unless its memory still holds chunks of its last file."""
         if self.flight is None or self._flight_due is not None:
             return
         now = self._monotonic()
@@ -285,12 +285,12 @@ class LogWriter:
         self._flight_due = max(now, self._flight_done + self._settings.flight_recorder)
 
     def waiting(self) -> float | None:
-        """Return how long nothing needs to be done [s]; ``None``: until the next item."""
+        """Return the time until `poll` is due [s]; ``None``: not before the next item."""
         times = [due for due in (self._due, self._flight_due) if due is not None]
         return max(0.0, min(times) - self._monotonic()) if times else None
 
     def poll(self) -> None:
-        """Do what is due."""
+        """Write the chunk or the flight file that is due."""
         now = self._monotonic()
         if self._due is not None and now >= self._due:
             self.flush()
@@ -298,7 +298,7 @@ class LogWriter:
             self._write_flight()
 
     def flush(self) -> None:
-        """Pack what was collected and hand it on."""
+        """Pack the collected messages and pass the chunk on."""
         self._due = None
         dropped = self.dropped()
         if dropped != self._dropped_told:
@@ -310,7 +310,7 @@ class LogWriter:
         if chunk is None:
             return
         if self.flight is not None:
-            # Before the disk, which may fail: the flight recorder must have what the file lacks.
+            # Before the disk, which may fail: the flight recorder must have chunks the file lacks.
             self.flight.add(chunk)
         before = self.sink.problem
         path = self.sink.path
@@ -328,7 +328,7 @@ class LogWriter:
     def _tell(self, kind: str, text: str) -> None:
         now = self._stamp if self._simulated else self._monotonic()
         event = Event(kind, ITSELF, text, now, "warning")
-        # Into the recording itself, too: a reader has to find the gap explained.
+        # Also into the recording itself, where it explains the gap to a reader.
         wall = self.wall_of(event.stamp)
         self._add(topics.EVENTS, wall, convert.EVENT.encode(event, wall=wall))
         if self._notify is not None:
@@ -351,7 +351,7 @@ class LogWriter:
         self._tell("flight_recorded", f"{self.flight.seconds:.1f} s written to {path}")
 
     def close(self) -> None:
-        """Write what is left, and what the flight recorder owes, and close the file."""
+        """Write the remaining messages and a pending flight file, and close the file."""
         try:
             if self._flight_due is not None:
                 self._write_flight()

@@ -1,4 +1,4 @@
-"""The one vocabulary of messages: ROS 2 types in CDR, in recordings and on the network alike."""
+"""Messages of recordings and of the network: ROS 2 types encoded in CDR."""
 
 from rtee.messages.convert import (
     COMMAND,

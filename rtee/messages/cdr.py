@@ -21,7 +21,7 @@ HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header: CDR, little-endian, no options."""
 
 LONGEST = 64 * 1024 * 1024
-"""Longest message that is decoded [bytes]."""
+"""Longest message that is decoded [bytes]: 64 MiB, far more than any message of a hand."""
 
 SCALARS: dict[str, struct.Struct] = {
     "bool": struct.Struct("<?"),
@@ -42,7 +42,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 
 _LENGTH = SCALARS["uint32"]
 _DOUBLE = SCALARS["float64"]
-# No kind is aligned to more than eight bytes.
+# Paddings by length; the largest alignment is eight bytes.
 _PADDING = tuple(bytes(size) for size in range(8))
 
 
@@ -50,7 +50,7 @@ class Writer:
     """Builds the bytes of one message.
 
     Args:
-        begin: What it begins with, encapsulation header included.
+        begin: Begin of the message, including the encapsulation header.
     """
 
     __slots__ = ("_buffer",)
@@ -60,7 +60,7 @@ class Writer:
 
     def align(self, size: int) -> None:
         """Pad with zeros up to a multiple of ``size`` bytes."""
-        # Alignment counts from behind the header of four bytes.
+        # Alignment counts from the end of the header of four bytes.
         self._buffer += bytes((4 - len(self._buffer)) % size)
 
     def scalar(self, kind: str, value: Any) -> None:
@@ -76,15 +76,15 @@ class Writer:
 
     def string(self, value: str) -> None:
         """Append a string."""
-        # Lone surrogates, as in names of files that are not UTF-8, would raise otherwise.
+        # "replace", since lone surrogates, as in file names that are not UTF-8, would raise.
         data = value.encode("utf-8", "replace")
         buffer = self._buffer
-        # Here the header, which is four bytes long, need not be subtracted.
+        # The header of four bytes does not change an alignment to four bytes.
         buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
 
     def strings(self, values: Collection[str]) -> None:
         """Append a sequence of strings."""
-        # A string is a collection of strings, too: it would be sent letter by letter.
+        # A string is a collection of strings, too, and would be sent letter by letter.
         if isinstance(values, str):
             raise MessageError("a list of strings expected")
         self.length(len(values))
@@ -106,7 +106,7 @@ class Writer:
             return
         array = np.ascontiguousarray(values, dtype=DTYPES[kind])
         self.length(array.size)
-        # Without elements, nothing is aligned: what follows comes right behind the length.
+        # An empty sequence has no padding after its length.
         if array.size:
             self.align(array.itemsize)
             self._buffer += array.tobytes()
@@ -123,11 +123,11 @@ class Writer:
 
 
 class Reader:
-    """Takes the bytes of one message apart; every length is checked before it is believed.
+    """Decodes the bytes of one message; checks every length before using it.
 
     Raises:
-        MessageError: if the bytes cannot be a message of this encoding; so do all methods when
-            the bytes end too early or a length makes no sense.
+        MessageError: if the bytes are not a message of this encoding; all methods raise it if the
+            bytes end too early or a length is invalid.
     """
 
     __slots__ = ("_data", "_end", "_position")
@@ -135,7 +135,7 @@ class Reader:
     def __init__(self, data: bytes | bytearray | memoryview) -> None:
         if len(data) > LONGEST:
             raise MessageError(f"{len(data)} bytes are longer than any message")
-        # Plain bytes are taken apart fastest; messages that come from the network are those.
+        # `bytes`, the type of messages from the network, are decoded fastest.
         self._data = data if isinstance(data, bytes) else bytes(data)
         if self._data[:2] != HEADER[:2] or len(data) < len(HEADER):
             raise MessageError("no little-endian CDR header at the start")
@@ -144,7 +144,7 @@ class Reader:
 
     @property
     def remaining(self) -> int:
-        """Bytes that are left."""
+        """Number of bytes left."""
         return self._end - self._position
 
     def align(self, size: int) -> None:
@@ -152,7 +152,7 @@ class Reader:
         self._position += (len(HEADER) - self._position) % size
 
     def _take(self, count: int) -> int:
-        """Move on by as many bytes; return where they begin."""
+        """Advance by a number of bytes; return the position before."""
         start = self._position
         end = start + count
         if end > self._end:
@@ -169,7 +169,7 @@ class Reader:
         return unpacker.unpack_from(self._data, self._take(unpacker.size))[0]
 
     def skip(self, count: int) -> None:
-        """Skip as many bytes."""
+        """Skip a number of bytes."""
         self._take(count)
 
     def double(self) -> float:
@@ -180,14 +180,14 @@ class Reader:
 
     def strings(self) -> list[str]:
         """Return a sequence of strings."""
-        # A string takes five bytes at least: its length and the NUL.
+        # A string takes at least five bytes: its length and the NUL.
         return [self.string() for _ in range(self.length(5))]
 
     def string(self) -> str:
         """Return a string."""
         data, start = self._data, self._position
         length = self.length(1)
-        # The length counts the NUL: not even the empty string has the length 0.
+        # The length includes the NUL, so that even an empty string has the length 1.
         if length == 0:
             raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
         begin = self._position
@@ -205,13 +205,13 @@ class Reader:
         """Return the length of a sequence whose elements take at least ``least`` bytes each."""
         self._position += (4 - self._position) % 4
         count: int = _LENGTH.unpack_from(self._data, self._take(4))[0]
-        # Checked before memory is taken: a damaged length may mean gigabytes.
+        # Checked before allocating memory, since a damaged length may mean gigabytes.
         if count * least > self._end - self._position:
             raise MessageError(f"sequence of {count} elements, but {self.remaining} bytes left")
         return count
 
     def array(self, kind: str) -> NDArray[Any]:
-        """Return a sequence of numbers or truth values, as an array of its own."""
+        """Return a sequence of numbers or truth values, as a new array."""
         dtype = DTYPES[kind]
         count = self.length(dtype.itemsize)
         return self.fixed(kind, count) if count else np.empty(0, dtype=dtype)
@@ -221,10 +221,10 @@ class Reader:
         dtype = DTYPES[kind]
         self.align(dtype.itemsize)
         start = self._take(count * dtype.itemsize)
-        # From bytes: read as bool directly, a byte of 2 would stay a 2 in memory.
+        # Converted from bytes, since a byte of 2 read as bool would stay a 2 in memory.
         if kind == "bool":
             return np.frombuffer(self._data, np.uint8, count, start).astype(bool)
-        # A copy, since a view is read-only, mostly misaligned, and keeps the whole message.
+        # A copy, since a view is read-only, often misaligned, and keeps the message in memory.
         array: NDArray[Any] = np.frombuffer(self._data, dtype, count, start).copy()
         return array
 
@@ -239,6 +239,6 @@ class Reader:
         return list(struct.unpack_from(f"<{count}{packer.format[1:]}", self._data, start))
 
     def finish(self) -> None:
-        """Check that nothing but padding is left."""
+        """Check that only padding is left."""
         if self.remaining >= 8 or any(self._data[self._position :]):
             raise MessageError(f"{self.remaining} bytes too many at the end")

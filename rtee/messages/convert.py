@@ -1,4 +1,4 @@
-"""Between the dataclasses of `rtee.types` and `rtee.commands` and the bytes of their messages."""
+"""Conversion of the dataclasses of `rtee.types` and `rtee.commands` to messages and back."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _STRING = message_type("std_msgs/msg/String")
 
 
 def _number(name: str) -> As:
-    """Return how a number is held that may be missing: as ``NaN`` then."""
+    """Return the conversion of an optional number to a field, with ``NaN`` for ``None``."""
     return As(
         {name: lambda number: math.nan if number is None else number},
         lambda number: None if math.isnan(number) else number,
@@ -144,14 +144,14 @@ Plain = tuple[str, str, Mapping[str, float]]
 
 
 _EFFORT = "effort "
-"""Before the names of the actuators with an effort limit, among the numbers of a stream."""
+"""Prefix of the names of effort limits among the numbers of a stream."""
 
 
 def plain(command: Command) -> Plain:
-    """Return a command as its message holds it.
+    """Return kind, text and numbers of the message for a command.
 
-    What each kind puts there is said here and in `typed` alone; it must not change, since older
-    recordings hold it.
+    Only this function and `typed` define them. They must not change, since older recordings have
+    them.
     """
     match command:
         case Cancel(goal_id):
@@ -159,10 +159,10 @@ def plain(command: Command) -> Plain:
         case Hold(reason):
             return "hold", reason, {}
         case Freeze(reason, actuators):
-            # Only the names count, but the message pairs each of them with a number.
+            # Only the names matter, but the message has a number for each of them.
             return "freeze", reason, dict.fromkeys(actuators, 1.0)
         case Jog(positions, max_velocity):
-            # repr: the shortest text from which the same number is read again, bit for bit.
+            # repr gives the shortest text that reads back as the same number, bit for bit.
             limit = "" if math.isinf(max_velocity) else repr(float(max_velocity))
             return "jog", limit, positions
         case SetGripEffort(fraction):
@@ -183,7 +183,7 @@ def plain(command: Command) -> Plain:
 
 
 def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
-    """Return the command that a message holds; raises `MessageError` if it is none."""
+    """Return the command in a message; raise `MessageError` if the message is invalid."""
     try:
         match kind:
             case "cancel":
@@ -215,7 +215,7 @@ def typed(kind: str, text: str, numbers: Mapping[str, float]) -> Command:
                 return EndStream(stream, reason)
     except (ValueError, KeyError) as error:
         raise MessageError(f"a command '{kind}' makes no sense: {error}") from None
-    # The text comes from a file or the network and may be of any length.
+    # The text comes from a file or the network and may have any length.
     raise MessageError(f"unknown command '{kind[:50]}'")
 
 
@@ -236,7 +236,7 @@ COMMAND = Codec(
 
 
 def _sample(**held: Any) -> StreamSample:
-    """Return the sample whose attributes are held as in ``rtee_msgs/StreamSample``."""
+    """Return the sample with these fields of a ``rtee_msgs/StreamSample``."""
     actuators = held["actuator"]
     return StreamSample(
         held["stream"],
@@ -259,7 +259,7 @@ _SAMPLE_FIELDS: Mapping[str, Callable[[StreamSample], Any]] = {
     "velocity": lambda sample: list(sample.velocity.values()),
     "actuator": lambda sample: list(sample.positions),
     "position": lambda sample: list(sample.positions.values()),
-    # In the order of the positions, since both share the list of names.
+    # In the order of the positions, with which they share the list of names.
     "rate": lambda sample: [sample.velocities[name] for name in sample.positions],
 }
 
@@ -286,5 +286,5 @@ def encode_string(text: str) -> bytes:
 
 
 def decode_string(data: Data) -> str:
-    """Return the text in a ``std_msgs/String``; raises `MessageError`."""
+    """Return the text in a ``std_msgs/String``; raise `MessageError` if it is invalid."""
     return str(_STRING.decode(data)["data"])

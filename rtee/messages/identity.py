@@ -1,8 +1,8 @@
-"""How a request says who sends it, so that nobody can send it under another's name, or again.
+"""Signatures of requests, which protect against forged senders and replayed requests.
 
-With the answer to ``hello`` a client gets a secret, which no other client sees. The attachment of
-each of its requests is ``<number> <client> <signature>``: the number grows from one request of a
-kind to the next, and the signature is an HMAC-SHA256 of the request with that secret.
+The answer to ``hello`` gives a client a secret, which no other client sees. The attachment of each
+of its requests is ``<number> <client> <signature>``: the number grows from one request of a kind to
+the next, and the signature is an HMAC-SHA256 of the request with that secret.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import itertools
 from dataclasses import dataclass, fields
 
 SECRET = 32
-"""Length of a client's secret [bytes]; that of SHA-256's result, beyond which nothing is gained."""
+"""Length of a client's secret [bytes]: that of SHA-256's result; more would add no security."""
 
 _SIGNATURE = 32
-"""Length of a signature [hexadecimal digits]: 128 bits, which nobody guesses."""
+"""Length of a signature [hexadecimal digits]: 128 bits, which cannot be guessed."""
 
 LONGEST_CLAIM = 200
 """Longest attachment [bytes]: names of clients have 100 at most."""
@@ -23,12 +23,12 @@ LONGEST_CLAIM = 200
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What the attachment of a request claims; true only once `signed_by` says so.
+    """The sender and number in a request's attachment; unproven until `signed_by` returns true.
 
     Attributes:
-        number: The request's number, with a label of the client's own behind a dot if it has one;
-            the answer to a request that was put carries it, too.
-        client: The client's name.
+        number: Number of the request, optionally with a dot and a label of the client; the answer
+            to a request that was put has the same number.
+        client: Name of the client.
         signature: The signature.
     """
 
@@ -38,24 +38,24 @@ class Claim:
 
     @property
     def count(self) -> int:
-        """The number itself; 0 if it is none."""
+        """The number without the label; 0 if it is malformed."""
         digits = self.number.partition(".")[0]
-        # isdigit alone also holds for digits that int() refuses, such as superscripts.
+        # isdigit alone also accepts digits that int() refuses, such as superscripts.
         return int(digits) if digits.isdigit() and digits.isascii() else 0
 
     def signed_by(self, secret: bytes, request: str, question: bytes) -> bool:
-        """Return whether a request was signed with a secret."""
+        """Return whether the request was signed with a secret."""
         expected = _signature(secret, request, self.number, question)
-        # In constant time, so that its duration does not tell how much of a guess is right.
+        # In constant time, so that the duration does not reveal how much of a guess is right.
         return hmac.compare_digest(expected, self.signature)
 
 
 def claim_of(attachment: bytes | None) -> Claim | None:
-    """Return what the attachment of a request claims; ``None`` if it is of another form."""
+    """Return the claim in the attachment of a request; ``None`` if it is malformed."""
     if attachment is None or len(attachment) > LONGEST_CLAIM:
         return None
     parts = attachment.decode("ascii", "replace").split(" ")
-    # compare_digest raises for texts that are not ASCII.
+    # compare_digest raises an error for texts that are not ASCII.
     if len(parts) != len(fields(Claim)) or not parts[2].isascii():
         return None
     return Claim(*parts)
@@ -65,10 +65,10 @@ class Signer:
     """Numbers and signs the requests of a client.
 
     Args:
-        client: The client's name.
+        client: Name of the client.
 
     Attributes:
-        secret: The client's secret; nothing signed is accepted before it is set.
+        secret: Secret of the client; until it is set, the hand accepts no signature.
     """
 
     def __init__(self, client: str) -> None:
@@ -77,7 +77,7 @@ class Signer:
         self._counts = itertools.count(1)
 
     def number(self, label: str = "") -> str:
-        """Return a new number, with a label behind it."""
+        """Return a new number, followed by a label."""
         count = next(self._counts)
         return f"{count}.{label}" if label else str(count)
 
@@ -88,6 +88,6 @@ class Signer:
 
 
 def _signature(secret: bytes, request: str, number: str, question: bytes) -> str:
-    # Neither names nor numbers hold blanks, so that no two requests are signed alike.
-    said = f"{request} {number} ".encode() + question
-    return hmac.digest(secret, said, "sha256").hex()[:_SIGNATURE]
+    # Neither names nor numbers contain blanks, so that different requests give different texts.
+    text = f"{request} {number} ".encode() + question
+    return hmac.digest(secret, text, "sha256").hex()[:_SIGNATURE]

@@ -1,12 +1,12 @@
 """The requests that a hand answers on the network, with the types of question and answer.
 
-A client asks by a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachment that proves who
-it is, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
-error, a ``rtee_msgs/Reply`` that says why not.
+A client sends a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachment that proves its
+identity, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
+error, a ``rtee_msgs/Reply`` with the reason for the refusal.
 
-What steers the hand may also be put on ``rtee/<hand>/put/<way>/<name>/<client>``. The answer is put
-on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or ``-<number>`` with a
-``rtee_msgs/Reply`` that says why not.
+Requests that steer the hand may also be put on ``rtee/<hand>/put/<way>/<name>/<client>``. The
+answer is put on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or
+``-<number>`` and a ``rtee_msgs/Reply`` with the reason for the refusal.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from rtee.messages.schema import MessageType, message_type
 from rtee.messages.topics import PREFIX
 
 HELLO = "hello"
-"""Group of the request with which a client introduces itself. Its name is how the client comes to
-the hand: `HERE`, `PLAIN`, or the common name in its certificate."""
+"""Group of the request with which a client introduces itself. The name of the request is the way of
+the connection: `HERE`, `PLAIN`, or the common name in the client's certificate."""
 
 HERE = "here"
-"""Clients on the hand's own computer, through its Unix socket."""
+"""Way of clients on the hand's own computer, through its Unix socket."""
 
 PLAIN = "plain"
-"""Clients through an endpoint without certificates."""
+"""Way of clients through an endpoint without certificates."""
 
 STOP = "stop"
-"""Group of the one request that is always taken, from everybody, before all others."""
+"""Group of the request that is always accepted, from any client, before all others."""
 
 CONTROL = "control"
 """Group of the requests that steer the hand."""
 
 ASK = "ask"
-"""Group of the requests that only want to know, or that change the actions."""
+"""Group of queries, and of the requests that change the actions."""
 
 CLIENTS = "clients"
 """Part of the keys of clients' liveliness tokens."""
@@ -43,46 +43,45 @@ ALIVE = "alive"
 """Last part of the key of a hand's liveliness token."""
 
 WATCH = "watch"
-"""Part of the keys on which one certificate's clients see what the hand publishes."""
+"""Part of the keys on which the hand publishes to the clients of one certificate."""
 
 STATES = "states"
 """Part of the keys of streams of states."""
 
 ANSWERS = "answers"
-"""Part of the keys on which clients get the answers to what they have put, not asked."""
+"""Part of the keys on which the hand puts the answers to requests that were put."""
 
 
 INBOX = "put"
-"""Part of the keys on which clients put requests, instead of asking."""
+"""Part of the keys on which clients put requests instead of sending queries."""
 
 
 def inbox_key(hand: str, way: str, name: str, client: str) -> str:
-    """Return the key on which a client that comes in a way, see `HELLO`, puts a request."""
+    """Return the key on which a client of a way, see `HELLO`, puts a request."""
     return f"{PREFIX}/{hand}/{INBOX}/{way}/{name}/{client}"
 
 
 def topic_for(way: str, topic: str) -> str:
-    """Return the part of a topic's key behind the hand, for those who come in a way: see `HELLO`.
+    """Return the part of a topic's key after the hand, for clients of a way; see `HELLO`.
 
-    Each certificate has its own keys, so that nothing is published there once it is revoked.
+    Each certificate has its own keys, on which the hand publishes nothing once it is revoked.
     """
     return topic if way in (HERE, PLAIN) else f"{WATCH}/{way}/{topic}"
 
 
 PUT = ("do", "jog", "sample")
-"""Requests that clients put: those that are in a hurry. A query costs Zenoh a tenth of a
-millisecond more."""
+"""Requests that clients put, since they are urgent and a query takes Zenoh 0.1 ms longer."""
 
 
 class Role(IntEnum):
-    """What a client may do; each role may also do what the ones before it may."""
+    """Permissions of a client; each role includes those before it."""
 
     OBSERVER = 1
-    """Watch, and stop the hand."""
+    """May watch, and stop the hand."""
     OPERATOR = 2
-    """Move it."""
+    """May move the hand."""
     MAINTAINER = 3
-    """Change its actions and gains, and control the recording."""
+    """May change actions and gains, and control the recording."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +89,12 @@ class Request:
     """A request.
 
     Attributes:
-        group: Its group.
-        name: Its name.
+        group: Group of the request.
+        name: Name of the request.
         question: Type of the question.
         answer: Type of the answer.
-        text: What it does, in one sentence.
-        role: The least role that may send it.
+        text: Description in one sentence.
+        role: Lowest role that may send it.
     """
 
     group: str
@@ -106,7 +105,7 @@ class Request:
     role: Role
 
     def key(self, hand: str) -> str:
-        """Return its key on the network; ``*`` as the hand stands for all."""
+        """Return the key on the network; the hand ``*`` stands for all hands."""
         return f"{PREFIX}/{hand}/{self.group}/{self.name}"
 
 
@@ -114,7 +113,7 @@ def _request(
     group: str, name: str, question: str, answer: str, text: str, role: Role | None = None
 ) -> Request:
     if role is None:
-        # An observer may watch, ask and stop; what else changes something names its role.
+        # An observer may watch, query and stop; all requests that change something name a role.
         role = Role.OPERATOR if group == CONTROL else Role.OBSERVER
     return Request(
         group,

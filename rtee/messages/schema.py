@@ -1,4 +1,4 @@
-"""Messages as types: fields parsed from the definitions, encoding and decoding of any of them."""
+"""Types of messages: their fields, parsed from the definitions, and their encoding and decoding."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from rtee.errors import MessageError
 from rtee.messages.cdr import DTYPES, SCALARS, Reader, Writer
 
 _RULE = "=" * 80 + "\n"
-"""Stands before every definition but the first in a text of several, as in rosbag2's recordings."""
+"""Line before every definition except the first in a text of several, as in files of rosbag2."""
 
 _DEEPEST = 20
-"""Messages within messages that a recorded definition may have: rtee's have four, and each takes a
-few of Python's nested calls."""
+"""Deepest nesting of messages in a recorded definition: rtee's have four levels, and each level
+takes a few nested calls of Python."""
 
 _MOST_FIELDS = 1000
-"""Fields that a recorded definition may have with all nested ones: ten times those of the largest
-message of rtee; more would only make a damaged or malicious file slow to read."""
+"""Most fields of a recorded definition with all nested ones: ten times those of rtee's largest
+message; more would only make a damaged or malicious file slow to read."""
 
 
 def _full(name: str) -> str:
@@ -46,13 +46,13 @@ def sections(text: str, first: str = "") -> dict[str, str]:
     found = {first: head} if first else {}
     for part in rest:
         name, _, definition = part.partition("\n")
-        # Definitions name types without the folder `msg` that full names have.
+        # Definitions omit the folder `msg` of full names.
         found[_full(name.removeprefix("MSG:").strip())] = definition
     return found
 
 
 DEFINITIONS: Final = sections(Path(__file__).with_name("definitions.msg").read_text("utf-8"))
-"""Full name of a message to its definition."""
+"""Definitions by full name of the message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +60,11 @@ class Field:
     """A field of a message.
 
     Attributes:
-        name: Its name.
+        name: Name of the field.
         kind: A primitive kind, ``string``, or the full name of a message.
-        sequence: Whether it is a sequence of those.
-        comment: What it is, as the definition says.
-        inner: The type of the messages that it holds, if it holds messages.
+        sequence: Whether the field is a sequence.
+        comment: Comment in the definition.
+        inner: Type of the nested messages, if the field holds messages.
     """
 
     name: str
@@ -75,28 +75,28 @@ class Field:
 
     @property
     def nested(self) -> bool:
-        """Whether it holds messages."""
+        """Whether the field holds messages."""
         return self.inner is not None
 
     @property
     def notation(self) -> str:
-        """Its type as written in the definition."""
+        """The type as written in the definition."""
         return _short(self.kind) + ("[]" if self.sequence else "")
 
     @property
     def default(self) -> Any:
-        """What it holds in a message that was written before it was defined."""
+        """The value in messages of versions that did not define the field."""
         if self.sequence:
             return np.empty(0, DTYPES[self.kind]) if self.kind in DTYPES else []
         if self.inner is not None:
             return self.inner.completed({})
-        # NaN means `not measured`; integers have no such value.
+        # NaN means "not measured"; integers have no such value.
         return {"string": "", "bool": False, "float32": math.nan, "float64": math.nan}.get(
             self.kind, 0
         )
 
     def completed(self, value: Any) -> Any:
-        """Return what it holds in a message of another version; see `MessageType.completed`."""
+        """Return the value in a message of another version; see `MessageType.completed`."""
         if self.inner is None:
             return value
         return (
@@ -112,12 +112,12 @@ Read = Callable[[Reader], Any]
 class MessageType:
     """A type of messages.
 
-    How each field is written and read is worked out once: a goal's way to the hand is short.
+    Selects the functions that write and read each field once, to keep messages fast.
 
     Attributes:
         name: Full name, such as ``sensor_msgs/msg/JointState``.
-        summary: What it is, as the definition says.
-        fields: Its fields, in order.
+        summary: Comment at the begin of the definition.
+        fields: The fields, in order.
     """
 
     name: str
@@ -127,7 +127,7 @@ class MessageType:
     _readers: tuple[tuple[str, Read], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Work out how the fields are written and read."""
+        """Select the functions that write and read the fields."""
         writers = tuple((one.name, writer_of(one)) for one in self.fields)
         readers = tuple((one.name, reader_of(one)) for one in self.fields)
         # The only way to set an attribute of a frozen dataclass.
@@ -141,7 +141,7 @@ class MessageType:
             values: Every field by name; nested messages are mappings, too.
 
         Raises:
-            MessageError: if a field is missing, unknown, or of the wrong kind.
+            MessageError: if a field is missing, unknown, or has the wrong type.
         """
         writer = Writer()
         self.write(writer, values)
@@ -154,7 +154,7 @@ class MessageType:
         messages are dictionaries.
 
         Raises:
-            MessageError: if the bytes are no such message.
+            MessageError: if the bytes are not such a message.
         """
         reader = Reader(data)
         values = self.read(reader)
@@ -162,7 +162,7 @@ class MessageType:
         return values
 
     def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the fields of a message of another version, with defaults for what it lacks."""
+        """Return the fields of a message of another version, with defaults for missing fields."""
         return {
             one.name: one.completed(values[one.name]) if one.name in values else one.default
             for one in self.fields
@@ -170,7 +170,7 @@ class MessageType:
 
     def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
         """Append a message to a writer; see `encode`."""
-        # With as many values, an unknown field leaves another one missing, which raises below.
+        # With the right number of values, an unknown field implies a missing one, found below.
         if len(values) != len(self.fields):
             wrong = set(values).symmetric_difference(one.name for one in self.fields)
             raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
@@ -179,7 +179,7 @@ class MessageType:
             for name, write in self._writers:
                 write(writer, values[name])
         except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
-            # A MessageError is a ValueError, too; that of a nested message names its field.
+            # A MessageError is a ValueError, too, and names the field of a nested message.
             if isinstance(error, MessageError):
                 raise
             raise MessageError(f"{self.name}.{name}: {error}") from error
@@ -190,7 +190,7 @@ class MessageType:
 
     @property
     def parts(self) -> tuple[MessageType, ...]:
-        """The types of its nested messages, each once, in order."""
+        """The types of nested messages, each once, in order."""
         found: dict[str, MessageType] = {}
         for one in self.fields:
             if one.inner is not None:
@@ -200,14 +200,14 @@ class MessageType:
 
     @property
     def schema(self) -> str:
-        """Definition with those of its nested messages after it, as recordings carry it."""
+        """The definition followed by those of nested messages, as in recordings."""
         texts = [DEFINITIONS[self.name]]
         texts += [f"MSG: {_short(part.name)}\n{DEFINITIONS[part.name]}" for part in self.parts]
         return _RULE.join(texts)
 
 
 def writer_of(field: Field) -> Write:
-    """Return what writes the values of a field."""
+    """Return a function that writes the values of a field."""
     kind, inner = field.kind, field.inner
     if inner is not None:
 
@@ -221,18 +221,18 @@ def writer_of(field: Field) -> Write:
         return Writer.strings if field.sequence else Writer.string
     if field.sequence:
         return lambda writer, values: writer.array(kind, values)
-    # Most numbers are of this kind: a method of its own saves looking the kind up.
+    # Most numbers are of this kind; its own method saves looking the kind up.
     if kind == "float64":
         return Writer.double
     return lambda writer, value: writer.scalar(kind, value)
 
 
 def reader_of(field: Field) -> Read:
-    """Return what reads the values of a field."""
+    """Return a function that reads the values of a field."""
     kind, inner = field.kind, field.inner
     if inner is not None:
         if field.sequence:
-            # Every message takes a byte at least; how many it takes, only reading it tells.
+            # A message takes at least one byte; its real size is known only after reading it.
             return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
         return inner.read
     if kind == "string":
@@ -247,15 +247,16 @@ def reader_of(field: Field) -> Read:
 def parse(
     name: str, definition: str, nested: Callable[[str], MessageType] | None = None
 ) -> MessageType:
-    """Return the type that a definition describes.
+    """Return the type of a definition.
 
     Args:
-        name: Its full name.
+        name: Full name of the type.
         definition: The definition.
-        nested: Returns the type of a nested message by its full name; `message_type` unless given.
+        nested: Function that returns the type of a nested message by its full name; by default
+            `message_type`.
 
     Raises:
-        MessageError: if a line is outside the subset of the notation that is used here.
+        MessageError: if a line is outside the supported subset of the notation.
     """
     summary: list[str] = []
     fields: list[Field] = []
@@ -263,7 +264,7 @@ def parse(
         code, _, comment = line.partition("#")
         words = code.split()
         if not words:
-            # Comments of lines before the first field are about the whole message.
+            # Comments before the first field describe the message.
             if not fields and comment:
                 summary.append(comment.strip())
             continue
@@ -295,16 +296,16 @@ def message_type(name: str) -> MessageType:
 
 
 def recorded_type(name: str, schema: str) -> MessageType:
-    """Return a type of messages as a recording defines it, which may be of another version.
+    """Return a type of messages by its definition in a recording, maybe of another version.
 
-    Types of ROS itself are the same everywhere and are not read from there.
+    Types of ROS itself never differ and are not read from the recording.
 
     Args:
-        name: Its full name.
-        schema: Its definition in the recording, with those of its nested messages.
+        name: Full name of the type.
+        schema: Definition in the recording, with those of nested messages.
 
     Raises:
-        MessageError: if there is no such type, or the definition makes no sense.
+        MessageError: if there is no such type, or the definition is invalid.
     """
     known = message_type(name)
     # The usual case needs no parsing.
@@ -317,25 +318,25 @@ def recorded_type(name: str, schema: str) -> MessageType:
         nonlocal count, depth
         if full not in texts:
             return message_type(full)
-        definition = texts.pop(full)  # a message that holds itself finds no definition any more
+        definition = texts.pop(full)  # removed, so that a message nested in itself is an error
         depth += 1
         if depth > _DEEPEST:
             raise MessageError(f"{name}: the recorded definition is nested too deeply")
         found = parse(full, definition, made)
         depth -= 1
-        # Back again, since other fields may be of this type, too.
+        # Put back, since other fields may be of this type, too.
         texts[full] = definition
-        # Counted at every use: types that are used twice at each level double the work each time.
+        # Counted at every use, since types used twice at each level double the work per level.
         count += len(found.fields)
         if count > _MOST_FIELDS:
             raise MessageError(f"{name}: the recorded definition has too many fields")
         notations = {one.name: one.notation for one in found.fields}
-        # Readers expect our types: a field may be missing or new, but not of another type.
+        # Readers rely on the known types: a field may be missing or new, but not of another type.
         ours = message_type(full).fields if full in DEFINITIONS else ()
         changed = [
             one.name for one in ours if notations.get(one.name, one.notation) != one.notation
         ]
-        # A name that occurs twice would lose one of the two values.
+        # A name that occurs twice would lose one of its values.
         if changed or len(notations) != len(found.fields):
             raise MessageError(f"{name}: the recorded definition makes no sense")
         return found

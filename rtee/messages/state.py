@@ -1,4 +1,4 @@
-"""What is known of a hand at one tick as messages: what was measured, and all that besides."""
+"""Messages with the state of a hand at one tick: measurements, references and further channels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ACTUATOR_COLUMNS = (*MEASURED, "grasped", "fresh")
 """The quantities in a ``rtee_msgs/ActuatorState``, in order."""
 
 UNKNOWN_GRIP = (math.nan, math.nan, math.nan, "")
-"""Opening, force, its error and what it is estimated from, where none is known."""
+"""Opening, force, its error and the source of the estimate, where none is known."""
 
 _GRIP_FIELDS = ("opening", "force", "force_error")
 _TICK = struct.Struct("<Q")
@@ -35,17 +35,17 @@ _arrays = attrgetter(*COLUMNS)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State(TickRecord):
-    """What is known of a hand at one tick, with the names of its actuators and joints.
+    """State of a hand at one tick, with the names of its actuators and joints.
 
     Attributes:
-        names: The actuators, in the order of the arrays.
-        joint_names: All moving joints.
-        joint_position: Their positions ``(m,)`` [rad | m].
-        opening: Opening of the fingertips of the last action that was given one [m]; ``NaN``: not
-            known.
-        force: Estimated force between them [N]; ``NaN``: not known.
-        force_error: How far that may be off [N].
-        force_source: What it is estimated from, as in `rtee.types.Result`.
+        names: Names of the actuators, in the order of the arrays.
+        joint_names: Names of all moving joints.
+        joint_position: Positions of the joints ``(m,)`` [rad | m].
+        opening: Opening of the fingertips of the last action that has openings [m]; ``NaN``:
+            unknown.
+        force: Estimated force between the fingertips [N]; ``NaN``: unknown.
+        force_error: Error of the estimate [N].
+        force_source: Source of the estimate, as in `rtee.types.Result`.
     """
 
     names: tuple[str, ...]
@@ -78,26 +78,26 @@ def actuator_state_fields(names: Sequence[str]) -> dict[str, Any]:
 
 
 def actuator_state_template(names: Sequence[str]) -> Template:
-    """Return the template of ``rtee_msgs/ActuatorState`` of some actuators.
+    """Return the template of ``rtee_msgs/ActuatorState`` for these actuators.
 
-    What changes are the stamp and, after it, the `actuator_state_pieces`.
+    The changing pieces are the stamp and the `actuator_state_pieces`.
     """
     changing = (STAMP, "tick", "time", *ACTUATOR_COLUMNS)
     return Template(ACTUATOR_STATE, actuator_state_fields(names), changing)
 
 
 def actuator_state_pieces(record: TickRecord) -> list[bytes]:
-    """Return what changes from message to message but for the stamp."""
+    """Return the changing pieces of a message except the stamp."""
     arrays = [array.tobytes() for array in _actuator_arrays(record)]
     return [_TICK.pack(record.tick), _TIME.pack(record.stamp), *arrays]
 
 
 class StateEncoder:
-    """Encodes ``rtee_msgs/State`` of always the same actuators and joints.
+    """Encodes ``rtee_msgs/State`` for a constant set of actuators and joints.
 
     Args:
-        names: The actuators.
-        joints: All moving joints.
+        names: Names of the actuators.
+        joints: Names of all moving joints.
     """
 
     def __init__(self, names: Sequence[str], joints: Sequence[str]) -> None:
@@ -107,9 +107,9 @@ class StateEncoder:
         self._templates: dict[tuple[str, tuple[tuple[str, int], ...]], Template] = {}
 
     def _template(self, channels: Mapping[str, FloatArray], source: str) -> Template:
-        """Return the layout for channels of these names and lengths, and a source of the force."""
+        """Return the template for channels of these names and lengths, and a source of force."""
         key = source, tuple((name, len(values)) for name, values in channels.items())
-        # One for each set of channels and each source: their names are in the constant pieces.
+        # One for each set of channels and each source, whose names are in the constant pieces.
         found = self._templates.get(key)
         if found is None:
             held = ("channel", "channel_length", "channel_value")
@@ -131,10 +131,10 @@ class StateEncoder:
         """Return the bytes of a message.
 
         Args:
-            record: What was known at the tick.
-            joint_position: The positions of all moving joints ``(m,)`` [rad | m].
-            grip: Opening of the fingertips [m], force between them and its error [N], and what
-                that is estimated from.
+            record: The record of the tick.
+            joint_position: Positions of all moving joints ``(m,)`` [rad | m].
+            grip: Opening of the fingertips [m], force between them and its error [N], and the
+                source of the estimate.
 
         Raises:
             ValueError: if an array has another length or type.
@@ -149,11 +149,11 @@ class StateEncoder:
 
 
 def decode_state(data: Data) -> State:
-    """Return the state in a ``rtee_msgs/State``; raises `MessageError`."""
+    """Return the state in a ``rtee_msgs/State``; raise `MessageError` if it is invalid."""
     fields = STATE.decode(data)
     names, joints = tuple(fields["name"]), tuple(fields["joint"])
     lengths = {len(fields[name]) for name in COLUMNS}
-    # Whoever gets a state indexes all its arrays by the same names.
+    # Users index all arrays of a state by the same names, so that all lengths must agree.
     if lengths != {len(names)} or len(fields["joint_position"]) != len(joints):
         raise MessageError("the arrays of a state have different lengths")
     return State(

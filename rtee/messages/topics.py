@@ -51,13 +51,13 @@ TYPES: dict[str, str] = {
     TOUCH: "rtee_msgs/msg/Touch",
     TOUCH_SENSORS: "rtee_msgs/msg/TouchSensors",
 }
-"""Name of a topic to the type of its messages."""
+"""Types of messages by name of the topic."""
 
 FOR_VIEWERS = frozenset({URDF, TF, TF_STATIC})
-"""Topics that follow from others and are recorded for other software alone."""
+"""Topics that follow from others and are recorded only for other software."""
 
 LATCHED = frozenset({ROBOT_DESCRIPTION, URDF, TF_STATIC, OBJECT, TOUCH_SENSORS})
-"""Topics whose last message holds until the next one: it is kept for later subscribers."""
+"""Topics whose last message stays valid until the next one and is kept for later subscribers."""
 
 PUBLISHED = frozenset(
     {
@@ -84,12 +84,12 @@ _FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    The robot's description and the transforms are where viewers look for them, whatever the hand:
+    The robot's description and the transforms have the names that viewers expect, without the hand:
     ``/robot_description``, ``/tf`` and ``/tf_static``.
     """
     return f"/{name}" if name in _FIXED else f"/{hand}/{name}"
 
 
 def network_key(hand: str, name: str) -> str:
-    """Return a key on the network; ``*`` as the hand stands for all."""
+    """Return the key of a topic on the network; the hand ``*`` stands for all hands."""
     return f"{PREFIX}/{hand}/{name}"

@@ -1,4 +1,4 @@
-"""What touch sensors measure, and which there are, as messages."""
+"""Messages with the readings of touch sensors, and with the sensors of a hand."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _TIME = struct.Struct("<d")
 _CHANGING: Final = (STAMP, "time", "stale", "total", "value")
 
 MOST_TAXELS: Final = 100_000
-"""Taxels that a message may have: far more than any hand; more are damage or malice."""
+"""Most taxels accepted in a message: far more than any hand has; more are damage or malice."""
 
 Sensors = tuple[TouchSensor, ...]
 
 
 class TouchEncoder:
-    """Encodes ``rtee_msgs/Touch``; the layout of each device's messages is made once."""
+    """Encodes ``rtee_msgs/Touch``, with one template per device."""
 
     def __init__(self) -> None:
         self._templates: dict[str, tuple[Sensors, Template]] = {}
@@ -38,14 +38,14 @@ class TouchEncoder:
         """Return the bytes of a message.
 
         Args:
-            state: What was measured.
-            wall_ns: When, since 1970 [ns].
+            state: The readings.
+            wall_ns: Time of measurement since 1970 [ns].
 
         Raises:
             ValueError: if the values are not those of the sensors.
         """
         known = self._templates.get(state.device)
-        # By identity: a device's sensors are one object until it is another device.
+        # Compare by identity: the states of one device share their tuple of sensors.
         if known is None or known[0] is not state.sensors:
             known = state.sensors, Template(TOUCH, touch_fields(state), _CHANGING)
             self._templates[state.device] = known
@@ -79,8 +79,8 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     """Return the state in a decoded ``rtee_msgs/Touch``.
 
     Args:
-        fields: The message's fields.
-        known: The sensors by device, as far as they are known; of others the place is not.
+        fields: Fields of the message.
+        known: The known sensors by device; the places of other sensors are unknown.
 
     Raises:
         MessageError: if the values do not fit the sensors.
@@ -92,7 +92,7 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     if sum(taxels) != len(values) or min(taxels, default=1) < 1 or len(values) > MOST_TAXELS:
         raise MessageError("the values of a touch message do not fit its sensors")
     sensors = known.get(fields["device"], ())
-    # `known` comes from another message and may be of a device that was replaced since.
+    # `known` comes from an earlier message, since which the device may have been replaced.
     if [(s.name, s.unit, s.taxels) for s in sensors] != list(
         zip(names, units, taxels, strict=True)
     ):
@@ -155,13 +155,13 @@ def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
 
 
 def measured_at(record: TickRecord, state: TouchState) -> int:
-    """Return when a state of a tick was measured, since 1970 [ns]."""
-    # Sensors are read between ticks; both stamps are of the monotonic clock.
+    """Return the time of measurement of a state of a tick, since 1970 [ns]."""
+    # Sensors are read between ticks; both stamps are those of the monotonic clock.
     return record.wall_ns - round((record.stamp - state.stamp) * SECOND)
 
 
 def reply_fields(record: TickRecord) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/TouchReply`` with what was known at a tick."""
+    """Return the fields of a ``rtee_msgs/TouchReply`` with the touch sensors at a tick."""
     states = record.touch.values()
     return {
         "sensors": sensors_fields(states)["sensors"],

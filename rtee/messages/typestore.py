@@ -1,4 +1,4 @@
-"""The messages as a type store of `rosbags`, for readers of recordings who use that library."""
+"""Type store of the messages for `rosbags`, to read recordings with that library."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def typestore() -> Typestore:
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, definition in DEFINITIONS.items():
-        # rosbags brings the types of ROS itself; only those of rtee are missing.
+        # rosbags has the types of ROS itself and lacks only those of rtee.
         if name not in store.types:
             store.register(get_types_from_msg(definition, name))
     return store

@@ -1,4 +1,4 @@
-"""A bounding volume hierarchy in numpy, for computers that Embree has no package for."""
+"""A bounding volume hierarchy in NumPy, for computers without a package of Embree."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 from rtee.sample import FloatArray
 
 _LEAF: Final = 4
-"""Triangles in a leaf of the tree: with fewer, boxes cost more than they save."""
+"""Number of triangles in a leaf of the tree: with fewer, the boxes cost more than they save."""
 
 _AT_ONCE: Final = 1 << 13
-"""Rays traced together: few enough for their arrays to stay in the processor's cache (measured)."""
+"""Number of rays traced together, whose arrays stay in the processor's cache (measured)."""
 
 _BITS: Final = 10
 """Bits of a Morton code per axis: 1024 cells along the longest side of a hand are below 1 mm."""
 
 _TINY: Final = np.float32(1e-20)
-"""Instead of a component of a direction that is zero, by which one cannot divide."""
+"""Substitute for a component 0 of a direction, to avoid a division by 0."""
 
 _PARALLEL: Final = 1e-18
-"""Triangles smaller than this have no area [m²]: a side of theirs is a rounding error long."""
+"""Area below which a triangle counts as degenerate [m²]: one side is a rounding error."""
 
 _GAP: Final = np.float32(1e-6)
-"""Triangles are enlarged by this share of their sides, so that rounding leaves no gaps in
-between."""
+"""Enlargement of triangles as a share of their sides, so that rounding leaves no gaps between
+them."""
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
@@ -52,10 +52,10 @@ class ClosestHits:
 
 
 class NumpyScene:
-    """Triangles in a tree of boxes that many rays descend at once, level by level.
+    """Triangles in a tree of boxes, which many rays descend at once, level by level.
 
-    The triangles are put in the order of the Morton codes of their centres; each leaf takes
-    `_LEAF` of them, and each box holds the two below. The tree is complete, so it needs no links.
+    The triangles are sorted by the Morton codes of their centres. A leaf has `_LEAF` of them, and
+    each box contains the two below. The tree is complete and needs no links.
     """
 
     def __init__(self, corners: FloatArray) -> None:
@@ -69,11 +69,11 @@ class NumpyScene:
         while leaves * _LEAF < len(order):
             leaves *= 2
         self._depth = leaves.bit_length() - 1
-        # The last triangle replaces those that are missing in the last leaves.
+        # Pad the last leaf with copies of the last triangle.
         self._faces = np.concatenate(
             [order, np.full(leaves * _LEAF - len(order), order[-1])]
         ).astype(np.int64)
-        # Coordinates come first: numpy is several times faster along long axes.
+        # Coordinates first, since NumPy is several times faster along long axes.
         ordered = corners[self._faces].astype(np.float32).transpose(1, 2, 0)
         self._own = _own_coordinates(corners[self._faces])
         by_leaf = ordered.reshape(3, 3, leaves, _LEAF)
@@ -89,7 +89,7 @@ class NumpyScene:
         """Return the closest hit of each ray.
 
         Args:
-            origins: Where they begin ``(k, 3)`` [m].
+            origins: Origins of the rays ``(k, 3)`` [m].
             directions: Unit vectors ``(k, 3)``.
         """
         n = len(directions)
@@ -103,7 +103,7 @@ class NumpyScene:
             part = slice(start, start + _AT_ONCE)
             begin, toward = _rows(origins[part]), _rows(directions[part])
             ray, triangle, depth, u, v = self._hits(begin, toward, np.float32(np.inf))
-            # Of several triangles that one ray hits, the nearest is written last.
+            # Of several triangles hit by a ray, the nearest is written last and stays.
             order = np.argsort(-depth, kind="stable")
             which = ray[order] + start
             found.face[which] = self._faces[triangle[order]]
@@ -114,7 +114,7 @@ class NumpyScene:
     def occluded(
         self, origins: FloatArray, directions: FloatArray, reach: float
     ) -> NDArray[np.bool_]:
-        """Return which rays hit something within a distance [m]."""
+        """Return whether each ray hits a triangle within a distance [m]."""
         found = np.zeros(len(directions), dtype=bool)
         for start in range(0, len(directions), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
@@ -161,7 +161,7 @@ class NumpyScene:
         begin = [row.take(ray) for row in origins]
         toward = [row.take(ray) for row in directions]
         height, fall = self._along(2, triangle, begin), -self._along(2, triangle, toward, 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):  # seen from the edge, or no area
+        with np.errstate(divide="ignore", invalid="ignore"):  # edge-on or degenerate triangles
             depth = height / fall
         some = np.flatnonzero((depth > 0) & (depth <= reach))
         ray, triangle, depth = ray.take(some), triangle.take(some), depth.take(some)
@@ -186,10 +186,10 @@ class NumpyScene:
 
 
 def _own_coordinates(corners: FloatArray) -> Floats:
-    """Return what gives the triangles' own coordinates of a point ``(3, 4, t)``.
+    """Return affine maps from points to the triangles' own coordinates ``(3, 4, t)``.
 
-    They are the barycentric coordinates of the second and third corner, and the distance from the
-    plane [m]; each is x, y and z of the point times the first three numbers, and the fourth added.
+    The coordinates are the barycentric ones of the second and third corner, and the distance from
+    the plane [m]; each is the product of the point with the first three numbers, plus the fourth.
     """
     origin = corners[:, 0]
     first, second = corners[:, 1] - origin, corners[:, 2] - origin
@@ -200,7 +200,7 @@ def _own_coordinates(corners: FloatArray) -> Floats:
     normal /= area[:, None]
     rows = np.stack([np.cross(second, normal), np.cross(normal, first), normal], axis=1)
     rows[:, :2] /= area[:, None, None]
-    # No ray ever hits a triangle without area, instead of a division by zero.
+    # With zeros, no ray ever hits a degenerate triangle.
     rows[flat] = 0.0
     constant = -np.einsum("tij,tj->ti", rows, origin)
     return np.ascontiguousarray(
@@ -209,7 +209,7 @@ def _own_coordinates(corners: FloatArray) -> Floats:
 
 
 def _morton_order(points: FloatArray) -> Indices:
-    """Return the order of points along a curve that keeps near together what is near."""
+    """Return the order of points along a Morton curve, on which near points stay near."""
     low = points.min(axis=0)
     span = float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / span * ((1 << _BITS) - 1)).astype(np.int64)

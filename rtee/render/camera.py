@@ -1,4 +1,4 @@
-"""Choose the camera of a picture: where it stands, and what it sees."""
+"""Choice of the camera's pose and field of view for a picture."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ FIELD: Final = math.radians(22.0)
 """Vertical field of view [rad]: that of a long lens, which hardly distorts fingers."""
 
 _AZIMUTH: Final = math.radians(28.0)
-"""How far the camera is turned to the side, so that fingers don't hide one another [rad]."""
+"""Angle of the camera to the side, so that fingers hide one another less [rad]."""
 _ELEVATION: Final = math.radians(16.0)
-"""How far the camera looks from above, so that depth is seen [rad]."""
+"""Angle of the camera above the horizontal, which shows depth [rad]."""
 _MARGIN: Final = 1.08
-"""The picture's size in relation to its content: a narrow margin."""
+"""Size of the picture relative to its content, for a narrow margin."""
 _FIRST_PART: Final = 0.3
-"""Share of the way on which fingertips show where fingers close; later they curl back."""
+"""Share of the travel in which fingertips show the direction of closing; later they curl back."""
 _SNAP: Final = math.radians(35.0)
-"""A hand that points along an axis of its base within this angle is shown upright [rad]."""
+"""Largest angle between a hand and an axis of its base at which it is shown upright [rad]."""
 _ONE_WAY: Final = 0.45
-"""Fingertips whose common motion is less than this share of their own close towards one another."""
+"""Ratio of the tips' common motion to their own below which fingers close towards one another."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,11 @@ class Camera:
         return directions
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Return where points ``(k, 3)`` [m] are in the picture ``(k, 2)`` [pixels]."""
+        """Return the positions of points ``(k, 3)`` [m] in the picture ``(k, 2)`` [pixels]."""
         width, height = self.size
         scale = height / (2.0 * math.tan(FIELD / 2))
         offset = points - self.position
-        # Points behind the camera must not be mirrored into the picture.
+        # A least depth keeps points behind the camera from being mirrored into the picture.
         depth = np.maximum(offset @ self.forward, 1e-9)
         x = width / 2 + scale * (offset @ self.right) / depth
         y = height / 2 - scale * (offset @ self.up) / depth
@@ -72,10 +72,10 @@ class Camera:
 def fit_camera(
     points: FloatArray, back: FloatArray, up: FloatArray, size: tuple[int, int]
 ) -> Camera:
-    """Return the camera that sees all points as large as they fit.
+    """Return the closest camera that sees all points.
 
     Args:
-        points: Points to be seen ``(k, 3)`` [m].
+        points: The points ``(k, 3)`` [m].
         back: Unit vector from the points towards the camera.
         up: Vector to the top of the picture.
         size: Width and height [pixels].
@@ -95,17 +95,17 @@ def fit_camera(
 
 
 def _between(across: FloatArray, depth: FloatArray, half: float) -> tuple[float, float]:
-    """Return centre and depth of the apex of the wedge that just holds all points."""
+    """Return centre and depth of the apex of the smallest wedge that contains all points."""
     upper = float((across - half * depth).max())
     lower = float((-across - half * depth).max())
     return (upper - lower) / 2, -(upper + lower) / (2 * half)
 
 
 def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
-    """Choose where to look at a hand from, so that closing is seen well.
+    """Return the direction of view from which a hand's closing is seen well.
 
-    Where all fingers close the same way, as in a human hand, it is seen from where they close to;
-    where they close towards one another, from the side. Both a little turned and from above.
+    If all fingers close in the same direction, as in a human hand, the camera is on that side; if
+    they close towards one another, it is beside them. Both are turned a little and raised.
 
     Returns:
         Unit vectors towards the camera and from the palm to the fingertips.
@@ -115,16 +115,16 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
     moves = _tips(geometry, hand.rest + _FIRST_PART * (farthest(hand) - hand.rest)) - rest
     base = geometry.kinematics.link_pose(hand.rest, _palm(hand))[:3, 3]
     up = _snapped(_unit(rest.mean(axis=0) - base, np.array([0.0, 0.0, 1.0])))
-    moves -= np.outer(moves @ up, up)  # only how they close counts, not how they rise
+    moves -= np.outer(moves @ up, up)  # only the motion across the fingers matters
     total = float(np.linalg.norm(moves, axis=1).sum())
     front = moves.sum(axis=0)
     if len(rest) < 3 or float(np.linalg.norm(front)) < _ONE_WAY * total or total == 0.0:
-        # Fingers close towards one another: look across.
+        # The fingers close towards one another, so that the camera looks across.
         spread = rest - rest.mean(axis=0)
         widest = np.linalg.svd(np.concatenate([spread - np.outer(spread @ up, up), moves]))[2][0]
         front = np.cross(widest, up)
         if float(spread[0] @ np.cross(up, front)) > 0:
-            front = -front  # the first finger on the left
+            front = -front  # so that the first finger is on the left
     front = _unit(front - (front @ up) * up, _perpendicular(up))
     side = np.cross(up, front)
     level = math.cos(_AZIMUTH) * front + math.sin(_AZIMUTH) * side
@@ -134,7 +134,7 @@ def choose_view(geometry: HandGeometry) -> tuple[FloatArray, FloatArray]:
 def farthest(hand: Hand) -> FloatArray:
     """Return the posture with every actuator at its bound farthest from rest."""
     bounds = np.array([actuator.farthest for actuator in hand.actuators])
-    # A continuous actuator has no bound: a turn of one radian shows where it moves.
+    # A continuous actuator has no bound; one radian shows the direction of its motion.
     return np.where(np.isfinite(bounds), bounds, hand.rest + 1.0)
 
 

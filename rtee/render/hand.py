@@ -29,18 +29,18 @@ CLOSE_UP: Final = (230, 215)
 CORNERS: Final = ("top right", "top left", "bottom right", "bottom left")
 
 _FADED: Final = 0.82
-"""Share of grey in the colour of what is not highlighted."""
+"""Share of grey in the colours of links that are not highlighted."""
 _GREY: Final = "#c9ccd1"
 _MARK: Final = 0.06
-"""How far the mark of a contact reaches, as a part of the picture's size."""
+"""Radius of the mark of a contact, as a share of the picture's size."""
 _NEAR: Final = 0.09
-"""Radius around a contact that a close-up shows, over the hand's diagonal: about a fingertip."""
+"""Radius around a contact shown in a close-up, as a share of the hand's diagonal: a fingertip."""
 _BLOCKING: Final = 0.03
-"""Radius around a contact that should not be hidden in a close-up, over the hand's diagonal."""
+"""Radius around a contact that must be visible in a close-up, as a share of the hand's diagonal."""
 _FAR: Final = 10.0
 """A distance larger than any hand [m]."""
 _WANTED: Final = 4.0
-"""How much more the surface of wanted fingers counts than that of others: chosen by eye."""
+"""Weight of the surface of given fingers relative to others, chosen by eye."""
 
 
 def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
@@ -52,7 +52,7 @@ def link_colours(hand: Hand, links: Iterable[str]) -> FloatArray:
 
 
 class HandRenderer:
-    """Renders one hand, always from the same place; several threads may do so at once.
+    """Renders pictures of one hand from a fixed camera; may be used by several threads.
 
     Attributes:
         hand: The hand.
@@ -62,7 +62,7 @@ class HandRenderer:
     def __init__(
         self, hand: Hand, size: tuple[int, int] = SIZE, postures: Collection[FloatArray] = ()
     ) -> None:
-        """Prepare the pictures.
+        """Choose the camera.
 
         Args:
             hand: The hand.
@@ -133,7 +133,7 @@ class HandRenderer:
         background: str | None = "#ffffff",
         file_format: FileFormat = "PNG",
     ) -> bytes:
-        """Return a picture file of a contact, seen across its normal from where it is not hidden.
+        """Return a picture file of a contact, seen across its normal from an unobstructed side.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
@@ -158,13 +158,13 @@ class HandRenderer:
     def free_corner(
         self, u: FloatArray, contact: Contact, fingers: Collection[str], share: float
     ) -> str:
-        """Return the corner of the picture in which least of the hand is seen.
+        """Return the corner of the picture with the smallest part of the hand.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
-            contact: A contact that must not be covered.
-            fingers: The fingers that should rather not be covered.
-            share: How much of the picture's width and height is needed.
+            contact: A contact that must stay visible.
+            fingers: The fingers that should stay visible.
+            share: Size of the corner, as a share of the picture's width and height.
 
         Returns:
             ``top right``, ``top left``, ``bottom right`` or ``bottom left``.
@@ -178,7 +178,7 @@ class HandRenderer:
         points = np.concatenate([(a + b + c) / 3.0, [contact[0]]])
         spots = self._camera.project(points) / self.size
         spots[-1] += np.where(spots[-1] < 0.5, -_MARK, _MARK)
-        # The contact itself must never be covered.
+        # An infinite weight keeps the contact itself visible.
         weights = np.append(weights, np.inf)
         covered = {}
         for corner in CORNERS:
@@ -188,7 +188,7 @@ class HandRenderer:
         return min(CORNERS, key=covered.__getitem__)
 
     def _caster(self, u: FloatArray) -> RayCaster:
-        """Return what casts rays against the hand at a posture; the last one is kept."""
+        """Return the ray caster of the hand at a posture; the last one is cached."""
         key = u.tobytes()
         last = self._last
         if last is None or last[0] != key:
@@ -196,7 +196,7 @@ class HandRenderer:
         return last[1]
 
     def _posed(self, u: FloatArray) -> Mesh:
-        with self._lock:  # kinematics keeps what it computes
+        with self._lock:  # the kinematics stores intermediate results
             return self._mesh.at(u)
 
     def _corners(self, u: FloatArray) -> FloatArray:
@@ -210,10 +210,10 @@ class HandRenderer:
         links: Collection[str] = (),
         ground: float | None = None,
     ) -> Shading:
-        """Return colours and light; fingers that are not to be highlighted are faded.
+        """Return colours and light, with fingers faded that are not highlighted.
 
         Args:
-            camera: Where the picture is taken from.
+            camera: The camera.
             highlight: Fingers in full colour; ``None`` for all.
             links: Links of fingers in full colour; none for all.
             ground: Height of the ground [m]; ``None`` for no ground.
@@ -229,7 +229,7 @@ class HandRenderer:
         return Shading.studio(colours, camera, self._up, self._extent, ground)
 
     def _free_side(self, point: FloatArray, normal: FloatArray, others: FloatArray) -> FloatArray:
-        """Return the direction across the normal in which the contact is seen best."""
+        """Return the direction across the normal from which the contact is seen best."""
         first = np.cross(normal, self._up)
         if float(np.linalg.norm(first)) < 0.2:  # the normal points up, but for 12°
             first = np.cross(normal, self._back)
@@ -237,8 +237,8 @@ class HandRenderer:
         second = np.cross(normal, first)
         turns = np.arange(24) * (2 * math.pi / 24)
         sides = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
-        # As near as may be to where the other pictures are taken from, rather from above; but that
-        # the contact is not hidden counts more than both. The weights are chosen by eye.
+        # Prefer directions near the camera of the other pictures and above, but visibility of the
+        # contact counts more than both. The weights are chosen by eye.
         score = sides @ self._back + 0.3 * (sides @ self._up)
         if len(others):
             occluded = _occluded_share(point, sides, others, _BLOCKING * self._extent)
@@ -252,7 +252,7 @@ class HandRenderer:
 def _occluded_share(
     point: FloatArray, sides: FloatArray, corners: FloatArray, radius: float
 ) -> FloatArray:
-    """Return how much of the surroundings of a point is hidden, seen from each side."""
+    """Return the hidden share of the surroundings of a point, seen from each side."""
     mesh = Mesh(corners, np.zeros_like(corners), np.zeros(len(corners), dtype=np.int64))
     caster = RayCaster(mesh)
     share = []

@@ -1,4 +1,4 @@
-"""Encode linear light as picture files, with contacts marked."""
+"""Encode pictures in linear light as files, with marks on contacts."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Contact = tuple[Point, Point]
 """Point [m] and unit normal of a contact, in the hand's base frame."""
 
 _RING: Final = {False: 0.020, True: 0.030}
-"""Radius of a contact's ring over the picture's height; larger in a picture of little else."""
+"""Radius of a contact's ring relative to the picture's height; larger in close-ups."""
 _FINE: Final = 3
-"""Marks are drawn this much larger and made smaller, for smooth edges."""
+"""Supersampling factor of marks, for smooth edges."""
 _GHOST: Final = 0.16
-"""Coverage of a silhouette: faint enough not to be taken for the hand."""
+"""Coverage of a silhouette, too faint to be taken for the hand."""
 
 
 def with_silhouette(picture: FloatArray, silhouette: FloatArray) -> FloatArray:
@@ -63,16 +63,16 @@ def encode(
     Args:
         picture: Linear colours times coverage, and coverage ``(height, width, 4)``.
         background: Colour behind the mesh; ``None`` for transparent.
-        camera: Where the picture was taken from.
+        camera: Camera of the picture.
         contacts: Contacts to mark.
         file_format: Format of the file.
-        large: Mark contacts large, for a picture of little else.
+        large: Use large marks, for close-ups.
     """
     from PIL import Image
 
     coverage = np.clip(picture[..., 3:], 0, 1)
     if background is None:
-        # Files hold colours that are not multiplied with their coverage.
+        # Files hold straight colours, without multiplication by the coverage.
         colour = np.where(coverage > 1e-6, picture[..., :3] / np.maximum(coverage, 1e-6), 0.0)
         data = np.concatenate([_srgb(colour), coverage], axis=2)
     else:
@@ -96,13 +96,13 @@ def _marked(image: Any, camera: Camera, contact: Contact, *, large: bool) -> Any
     at = camera.project(point[None])[0]
     side = camera.project((point + 1e-3 * normal)[None])[0] - at
     length = float(np.hypot(*side))
-    # Only the surroundings are drawn: arrows end three radii from the contact (`_arrow`).
+    # Draw only the surroundings, as arrows end three radii from the contact (`_arrow`).
     half = math.ceil((3.2 * radius + 4 * pen) / fine)
     corner = np.floor(at).astype(int) - half
     layer = Image.new("RGBA", (2 * half * fine, 2 * half * fine), (255, 255, 255, 0))
     draw = ImageDraw.Draw(layer)
     x, y = (at - corner) * fine
-    # Dark on white, so that the mark shows on any background.
+    # Dark on white, which is visible on any background.
     for colour, width in (((255, 255, 255, 235), pen * 2.2), ((17, 17, 17, 255), pen)):
         grown = (width - pen) / 2
         box = [x - radius - grown, y - radius - grown, x + radius + grown, y + radius + grown]

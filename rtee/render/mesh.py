@@ -1,4 +1,4 @@
-"""A hand as one mesh of triangles, with normals that are smooth where its surface is."""
+"""A hand as one mesh of triangles, with normals that are smooth except at edges."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rtee.sample import FloatArray
 IntArray = NDArray[np.int64]
 
 CREASE: Final = math.radians(35.0)
-"""Faces that meet at a larger angle have an edge between them [rad]."""
+"""Largest angle between faces on a smooth surface; a larger one is an edge [rad]."""
 
 _CROWDED: Final = 500
-"""Most faces around a vertex that are compared with one another: their pairs, the square of that,
-take some 25 MB. Only in the middle of discs there are more."""
+"""Most faces around a vertex that are compared with one another: their 250,000 pairs take some
+25 MB. Only the centres of discs have more."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class HandMesh:
 
     Attributes:
         geometry: The hand's visual or collision geometry.
-        links: The links that have some, in the order of the URDF's tree.
+        links: The links with geometry, in the order of the URDF's tree.
     """
 
     def __init__(self, geometry: HandGeometry) -> None:
@@ -74,8 +74,8 @@ class HandMesh:
 def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return a unit normal per corner of each face.
 
-    The normal of a corner is the mean of the normals of the faces around the vertex, weighted by
-    their angles there, as far as they meet the corner's own face at less than `CREASE`.
+    The normal of a corner is the mean of the normals of the faces around the vertex that meet the
+    corner's own face at less than `CREASE`, weighted by their angles at the vertex.
 
     Args:
         vertices: Vertices ``(v, 3)`` [m]; equal ones count as one.
@@ -88,8 +88,8 @@ def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
         return np.zeros((0, 3, 3))
     corners = vertices[faces]
     flat, angles = _face_normals(corners)
-    # Every corner is paired with every corner at the same vertex, itself included; all pairs of a
-    # corner follow each other, so that one reduceat adds up the normals around it.
+    # Pair every corner with all corners at the same vertex, including itself. All pairs of a corner
+    # are consecutive, so that one reduceat sums the normals around it.
     place = _same_vertices(corners.reshape(-1, 3))
     crowded = np.bincount(place)[place] > _CROWDED
     if crowded.any():
@@ -125,7 +125,7 @@ def _same_vertices(points: FloatArray) -> IntArray:
     """Return a number per point that equal points share."""
     extent = float(np.ptp(points, axis=0).max()) or 1.0
     grid = np.round((points - points.min(axis=0)) * (2**20 / extent)).astype(np.int64)
-    # 21 bits for each coordinate make one number of 63 bits, which sorts fast.
+    # Three coordinates of 21 bits make one number of 63 bits, which sorts fast.
     keys = (grid[:, 0] << 42) | (grid[:, 1] << 21) | grid[:, 2]
     _, inverse = np.unique(keys, return_inverse=True)
     return inverse.ravel()

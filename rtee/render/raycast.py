@@ -1,4 +1,4 @@
-"""Ray casting against a mesh on the processor: by Embree or, without it, in numpy."""
+"""Ray casting against a mesh on the processor, by Embree or, without it, in NumPy."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays hit something first; rays that hit nothing are left out.
+    """First hits of rays, without rays that hit nothing.
 
     Attributes:
         rays: Indices of the rays ``(k,)``.
-        points: Points that they hit ``(k, 3)`` [m].
+        points: Hit points ``(k, 3)`` [m].
         normals: Unit normals there, interpolated over the triangle ``(k, 3)``.
         face_normals: Unit normals of the triangles ``(k, 3)``; both kinds face the ray's origin.
-        links: Indices of the links that they hit ``(k,)``.
+        links: Indices of the links hit ``(k,)``.
         depth: Distances along the rays ``(k,)`` [m].
     """
 
@@ -43,7 +43,7 @@ class Hits:
 
 
 class Scene(Protocol):
-    """Triangles that rays may hit."""
+    """Triangles for ray casting."""
 
     def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
         """Return the closest hit of each ray ``(k, 3)``."""
@@ -60,7 +60,7 @@ class EmbreeScene:
         from embreex.rtcore_scene import EmbreeScene
 
         self._scene: Any = EmbreeScene()
-        # The mesh must live as long as the scene.
+        # Kept, since the mesh must live as long as the scene.
         self._mesh: Any = TriangleMesh(self._scene, corners.astype(np.float32))
 
     def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
@@ -77,7 +77,7 @@ class EmbreeScene:
 
 
 def check_pictures() -> None:
-    """Check, before any work, that pictures can be made; say once if it takes long.
+    """Check, before any work, that pictures can be made; warn once if they take long.
 
     Raises:
         MissingExtra: The extra ``plot`` is not installed.
@@ -90,7 +90,7 @@ def check_pictures() -> None:
 
 @cache
 def has_embree() -> bool:
-    """Return whether Embree is there; on ARM it has no package."""
+    """Return whether Embree is installed; on ARM it has no package."""
     try:
         import embreex.rtcore_scene  # noqa: F401
     except ImportError:
@@ -131,7 +131,7 @@ class RayCaster:
         triangle = self.mesh.corners[face]
         flat = np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
         seen = directions[rays]
-        # Meshes are not always wound outwards: turn what shows its back.
+        # Meshes are not always wound outwards, so that normals of back faces are flipped.
         backwards = np.einsum("ij,ij->i", flat, seen) > 0
         flat[backwards] *= -1
         normals[backwards] *= -1

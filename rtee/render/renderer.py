@@ -19,41 +19,41 @@ from rtee.render.sampling import (
 from rtee.sample import FloatArray
 
 _TILE: Final = 4
-"""Side of a tile [pixels]: its pixels use different rays, and are averaged afterwards."""
+"""Side of a tile, whose pixels use different rays and are averaged afterwards [pixels]."""
 _RAYS: Final = 4
 """Rays per pixel for ambient occlusion, and as many for the soft shadow."""
 _GRID: Final = 3
 """Samples per pixel at edges, squared."""
 _EDGE: Final = 0.035
-"""Difference of brightness or coverage between neighbours above which they form an edge."""
+"""Difference of brightness or coverage from which neighbouring pixels form an edge."""
 _NEIGHBOURS: Final = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
-"""Offsets of the pixels around one, itself first [pixels]."""
+"""Offsets of a pixel itself and its neighbours [pixels]."""
 _ALIKE: Final = 0.05
-"""Difference (see `_GBuffer.light_of`) below which two points show the same spot."""
+"""Difference (see `_GBuffer.light_of`) below which two points are the same spot."""
 _LIFT: Final = 1e-4
-"""How far shadow rays start above a surface so that they don't hit it, in occlusion radii."""
+"""Height above a surface at which shadow rays start, so that they miss it [occlusion radii]."""
 _SHADOW_REACH: Final = 10.0
-"""How far shadow rays go, in occlusion radii: beyond the whole hand."""
+"""Length of shadow rays, beyond the whole hand [occlusion radii]."""
 
 _DIFFUSE: Final = 0.80
-"""Brightness that the light adds to a matt surface that faces it (as those below: by eye)."""
+"""Brightness of the light on a matt surface facing it; chosen by eye, like those below."""
 _AMBIENT: Final = (0.34, 0.30)
-"""Brightness that the sky adds everywhere, and how much more where a surface faces up."""
+"""Brightness of the sky on all surfaces, and its increase for surfaces facing up."""
 _GLOSS: Final = (0.16, 48)
-"""Brightness of a highlight and its Blinn-Phong exponent, which sets how small it is."""
+"""Brightness of a highlight and its Blinn-Phong exponent, which sets its size."""
 _RIM: Final = 0.10
-"""Brightness that the sky adds where a surface is seen from the side."""
+"""Brightness of the sky on surfaces seen edge-on."""
 
 _GROUND_STEP: Final = 4
-"""Distance between the pixels for which the shadow on the ground is computed [pixels]."""
+"""Spacing of the pixels for which the shadow on the ground is computed [pixels]."""
 _GROUND_RAYS: Final = 8
-"""Rays of each kind for each of them."""
+"""Number of rays of each kind for each of these pixels."""
 _GROUND_SHADOW: Final = (0.45, 0.55)
 """Shares of the light's shadow and of ambient occlusion in the shadow on the ground."""
 _GROUND_DARKNESS: Final = 0.62
 """Coverage of the darkest shadow on the ground."""
 _BORDER: Final = 0.12
-"""Part of the picture over which the ground's shadow fades towards each border."""
+"""Share of the picture over which the ground's shadow fades towards each border."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ class Shading:
 
         Args:
             colours: Linear colour of each link ``(l, 3)``.
-            camera: Where the picture is taken from.
+            camera: The camera.
             up: Unit vector away from the ground.
-            extent: Diagonal of what is seen [m].
+            extent: Diagonal of the visible part [m].
             ground: Height of the ground along ``up`` [m]; ``None`` for no ground.
         """
         # Chosen by eye: shadows fall to the lower right, as in most drawings.
@@ -98,7 +98,7 @@ class Shading:
 
 
 class _GBuffer:
-    """What each pixel of a picture shows (normal, depth, link), and how it is lit."""
+    """Normal, depth, link and light of each pixel of a picture."""
 
     def __init__(
         self,
@@ -118,13 +118,13 @@ class _GBuffer:
         self.light = np.zeros((*shape, 2))
 
     def set_light(self, direct: FloatArray, ambient: FloatArray) -> None:
-        """Set the light of each pixel, averaged over the tile around it where it is one surface."""
+        """Set the light of each pixel, averaged over the same surface in the tile around it."""
         self.light[self.y, self.x] = np.stack([direct, ambient], axis=1)
         total, weight = np.zeros((len(self.y), 2)), np.zeros(len(self.y))
         for dy in range(-(_TILE // 2), _TILE - _TILE // 2):
             for dx in range(-(_TILE // 2), _TILE - _TILE // 2):
                 y, x = self._beside(self.y, self.x, dy, dx)
-                # One surface: nearly the same normal (26°), and about the same depth.
+                # The same surface has nearly the same normal (within 26°) and depth.
                 same = np.einsum("ij,ij->i", self.normals[y, x], self.hits.normals) > 0.9
                 step = np.abs(self.depth[y, x] - self.hits.depth)
                 same &= step < 0.004 * self.hits.depth * (abs(dx) + abs(dy) + 1)
@@ -147,7 +147,7 @@ class _GBuffer:
             better = difference < best[left]
             best[left[better]] = difference[better]
             found[left[better]] = self.light[beside][better]
-            # Most points find their own pixel at once; only the others look around.
+            # Most points match their own pixel; only the others search around it.
             left = left[best[left] > _ALIKE]
         return found[:, 0], found[:, 1]
 
@@ -162,8 +162,8 @@ class Renderer:
     """Renders one picture.
 
     Args:
-        caster: The mesh to be seen.
-        camera: Where it is seen from.
+        caster: Ray caster of the mesh.
+        camera: The camera.
         shading: Colours and light.
     """
 
@@ -185,18 +185,18 @@ class Renderer:
         return self._with_ground(picture)
 
     def coverage(self) -> FloatArray:
-        """Return which part of each pixel shows the mesh ``(height, width)``, in quarters."""
+        """Return the share of each pixel covered by the mesh ``(height, width)``, in quarters."""
         width, height = self.camera.size
         total = np.zeros((height, width))
         y, x = self._window()
-        # Four rays per pixel on a rotated grid: no two share a row or a column.
+        # Four rays per pixel on a rotated grid, on which no two share a row or a column.
         for dx, dy in ((0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375)):
             hits = self._cast(x, y, dx, dy)
             total[y[hits.rays], x[hits.rays]] += 0.25
         return total
 
     def _cast(self, x: NDArray[np.int64], y: NDArray[np.int64], dx: float, dy: float) -> Hits:
-        """Return what rays through given points of pixels hit."""
+        """Return the hits of rays through given points of pixels."""
         rays = self.camera.rays(x.astype(np.float64) + dx, y.astype(np.float64) + dy)
         return self.caster.cast(self.camera.position, rays)
 
@@ -212,7 +212,7 @@ class Renderer:
     def _light(
         self, hits: Hits, x: NDArray[np.int64], y: NDArray[np.int64]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return how much of the light and of the sky each point sees ``(k,)``, 0 to 1."""
+        """Return the visible shares of the light and of the sky at each point ``(k,)``, 0 to 1."""
         shading = self.shading
         cells = _TILE * _TILE
         cell = (y[hits.rays] % _TILE) * _TILE + x[hits.rays] % _TILE
@@ -221,7 +221,7 @@ class Renderer:
         for ray in range(_RAYS):
             a, b = fibonacci_lattice(cell + cells * ray, cells * _RAYS)
             toward = cone(shading.light, a, b)
-            # A smooth normal may face the light while the triangle itself does not.
+            # A smooth normal may face the light although the triangle does not.
             facing = np.einsum("ij,ij->i", hits.face_normals, toward) > 0
             reach = _SHADOW_REACH * shading.radius
             direct += facing & ~self.caster.occluded(start, toward, reach)
@@ -254,7 +254,7 @@ class Renderer:
         total = np.zeros((len(x), 4))
         for i in range(_GRID * _GRID):
             row, column = divmod(i, _GRID)
-            # A rotated grid: no two samples share a row or a column.
+            # On a rotated grid, no two samples share a row or a column.
             dx = (column + (row + 0.5) / _GRID) / _GRID
             dy = (row + (column + 0.5) / _GRID) / _GRID
             hits = self._cast(x, y, dx, dy)
@@ -263,7 +263,7 @@ class Renderer:
         picture[y, x] = total / _GRID**2
 
     def _with_ground(self, picture: FloatArray) -> FloatArray:
-        """Put the shadow on the ground behind what is there."""
+        """Return the picture with the shadow on the ground behind the mesh."""
         shading, camera = self.shading, self.camera
         if shading.ground is None:
             return picture
@@ -279,7 +279,7 @@ class Renderer:
         points = camera.position + rays[which] * distance[which, None]
         away = points - self.caster.mesh.corners.reshape(-1, 3).mean(axis=0)
         away = np.linalg.norm(away - np.outer(away @ shading.up, shading.up), axis=1)
-        # The shadow is whole up to 0.84 occlusion radii from the hand and ends at 2.24.
+        # The shadow is full up to 0.84 occlusion radii from the hand and ends at 2.24.
         fade = np.clip(1.6 - away / (1.4 * shading.radius), 0, 1)
         near = fade > 0
         which, points, fade = which[near], points[near], fade[near]

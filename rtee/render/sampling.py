@@ -1,4 +1,4 @@
-"""Directions of rays, spread evenly without random numbers: the same picture every time."""
+"""Evenly spread directions of rays, without random numbers, for reproducible pictures."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from rtee.sample import FloatArray
 
 _LIGHT_ANGLE: Final = math.radians(9.0)
-"""Half the angle under which the light is seen [rad]: shadows get soft edges."""
+"""Half the angular size of the light [rad], which gives shadows soft edges."""
 
 _GOLDEN_SECTION: Final = (math.sqrt(5.0) - 1.0) / 2.0
-"""Its multiples modulo 1 are the most evenly spread ones."""
+"""The golden section, whose multiples modulo 1 are spread most evenly."""
 
 
 def normalised(vectors: FloatArray) -> FloatArray:
@@ -36,7 +36,7 @@ def orthonormal_basis(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     x, y, z = normals.T
     sign = np.where(z >= 0, 1.0, -1.0)
-    # Without a branch, and without the division by zero that a cross product has near an axis.
+    # Without branches, and without the singularity of a cross product with a fixed axis.
     a = -1.0 / (sign + z)
     b = x * y * a
     first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
@@ -52,7 +52,7 @@ def cosine_hemisphere(normals: FloatArray, a: FloatArray, b: FloatArray) -> Floa
 
 
 def cone(axis: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return directions in the narrow cone around an axis in which the light is seen."""
+    """Return directions in the narrow cone of the light around an axis."""
     first, second = orthonormal_basis(axis[None])
     radius = math.tan(_LIGHT_ANGLE) * np.sqrt(a)[:, None]
     turn = 2 * math.pi * b[:, None]

@@ -13,7 +13,7 @@ SIZE: Final = (360, 400)
 """Width and height of a picture [pixels]."""
 
 _CAPTION: Final = 26
-"""Height of a caption [pixels]: a line of text with some air."""
+"""Height of a caption [pixels]: a line of text with some space."""
 
 
 def write_strip(
@@ -27,7 +27,7 @@ def write_strip(
         columns: Pictures in a row; all of them unless given.
 
     Raises:
-        ConfigError: if it cannot be written.
+        ConfigError: if the file cannot be written.
     """
     from PIL import Image, ImageDraw
 

@@ -1,4 +1,4 @@
-"""The hand in a ROS 2 graph, over Zenoh as rmw_zenoh speaks it; no ROS is needed."""
+"""Hands as nodes of a ROS 2 graph, over Zenoh with the protocol of rmw_zenoh; needs no ROS."""
 
 from rtee.ros2.node import Context, Node
 from rtee.ros2.qos import DEFAULT, LATCHED, PARAMETERS, ROSOUT, SENSOR_DATA, Qos

@@ -23,16 +23,16 @@ OnFeedback = Callable[[Any], object]
 """Called with the feedback of a goal: a message of the action's type."""
 
 _ANSWER_WITHIN = 5.0
-"""Time within which a server must say whether it takes a goal, or cancels it [s]."""
+"""Longest time until a server accepts, refuses or cancels a goal [s]."""
 
 
 class ClientGoal:
     """A goal that a server has accepted; made by `ActionClient.send_goal`.
 
     Attributes:
-        id: Its identifier ``(16,)``.
-        stamp: When it was accepted, by the server: a ``builtin_interfaces/msg/Time``.
-        state: How far it is, as the server told last.
+        id: Identifier of the goal ``(16,)``.
+        stamp: Time of its acceptance by the server's clock, a ``builtin_interfaces/msg/Time``.
+        state: State of the goal by the server's last message.
     """
 
     def __init__(self, client: ActionClient, goal_id: bytes, stamp: Any) -> None:
@@ -40,19 +40,19 @@ class ClientGoal:
         self._client = client
 
     async def result(self, timeout: float = math.inf) -> Outcome:
-        """Wait for its end and return how it ended.
+        """Wait for the end of the goal and return its outcome.
 
         Args:
-            timeout: Longest time [s].
+            timeout: Longest time to wait [s].
 
         Raises:
-            TimeoutError: if it does not end by then.
+            TimeoutError: if the goal has not ended by then.
             NoHand: if the server has gone, or does not know the goal any more.
         """
         return await self._client.result(self, timeout)
 
     async def cancel(self, timeout: float = _ANSWER_WITHIN) -> Refusal:
-        """Ask the server to cancel it; return whether it refuses.
+        """Request the server to cancel the goal; return its refusal, or `Refusal.NONE`.
 
         Args:
             timeout: Longest time until the answer [s].
@@ -68,12 +68,12 @@ class ActionClient:
     """A client of an action.
 
     Args:
-        node: The node.
-        name: The action's name.
-        type_: Its type, or the type's full name.
+        node: The node of the client.
+        name: Name of the action.
+        type_: Type of the action, or the type's full name.
 
     Raises:
-        ConfigError: if the name is none of ROS 2.
+        ConfigError: if ROS 2 would refuse the name.
         MessageError: if there is no such type.
     """
 
@@ -130,19 +130,19 @@ class ActionClient:
         """Send a goal and return it when the server has accepted it.
 
         Args:
-            goal: The goal's message.
-            on_feedback: Called with its feedback in the event loop.
+            goal: Message of the goal.
+            on_feedback: Called in the event loop with the feedback of the goal.
             timeout: Longest time until the server's answer [s].
-            goal_id: Its identifier ``(16,)``; random unless given.
+            goal_id: Identifier of the goal ``(16,)``; random unless given.
 
         Raises:
-            GoalRejected: if the server does not take it; ROS 2 tells no reason.
+            GoalRejected: if the server rejects the goal; ROS 2 transmits no reason.
             TimeoutError: if the server does not answer.
             MessageError: if a field of the goal holds what its type cannot.
         """
         goal_id = uuid.uuid4().bytes if goal_id is None else goal_id
         request = self.type.send_goal.request(goal_id=self._uuid(uuid=goal_id), goal=goal)
-        # Feedback and status may come before the answer.
+        # Registered first, since feedback and status may arrive before the answer.
         made = ClientGoal(self, goal_id, self._time())
         self._goals[goal_id] = (made, on_feedback)
         accepted = False
@@ -161,7 +161,7 @@ class ActionClient:
         """Wait for the end of a goal; see `ClientGoal.result`."""
         gone = NoHand(f"the server of {self.name} has gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
-        # The query has no timeout and may outlive its server: the graph is watched, too.
+        # The query has no timeout and may outlive its server, hence the watch on the graph.
         asked = asyncio.ensure_future(self._result.call(request, math.inf))
         watch = asyncio.ensure_future(self._graph.wait_until(lambda: not self._result.available))
         try:
@@ -173,15 +173,15 @@ class ActionClient:
                 raise gone
             try:
                 answer = asked.result()
-            except TimeoutError:  # Zenoh ended the query: nobody is there who will answer it
+            except TimeoutError:  # Zenoh ended the query, since nobody is left to answer it
                 raise gone from None
         finally:
             for task in (asked, watch):
                 task.cancel()
             await asyncio.gather(asked, watch, return_exceptions=True)
-        # Only here: after a timeout the goal goes on, and its feedback still counts.
+        # Not after a timeout, since the goal then goes on and its feedback is still wanted.
         self._goals.pop(goal.id, None)
-        # Servers of others may send states that are not defined.
+        # Other implementations may send states that are not defined.
         with suppress(ValueError):
             goal.state = GoalState(answer.status)
         if goal.state is GoalState.UNKNOWN:
@@ -191,19 +191,19 @@ class ActionClient:
     async def cancel(
         self, goal_id: bytes = NO_GOAL, until: int = 0, timeout: float = _ANSWER_WITHIN
     ) -> tuple[Refusal, list[bytes]]:
-        """Cancel goals, also those of others.
+        """Cancel goals, also those of other clients.
 
         Args:
-            goal_id: The goal; none: those of ``until``, or all.
-            until: Also all that were accepted up to then, since 1970 [ns]; 0: none.
+            goal_id: The goal; `NO_GOAL`: the goals of ``until``, or all.
+            until: Time since 1970 [ns]; also cancels all goals accepted up to then; 0: none.
             timeout: Longest time until the answer [s].
 
         Returns:
-            What the server answers, and the identifiers of the goals that it cancels.
+            The server's refusal, or `Refusal.NONE`, and the identifiers of the cancelled goals.
 
         Raises:
             TimeoutError: if the server does not answer.
-            MessageError: if its answer is none of those that there are.
+            MessageError: if the code of the answer is not defined.
         """
         stamp = self._time(**time_fields(until))
         info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)

@@ -1,4 +1,4 @@
-"""Servers of actions: goals that take a while, tell how far they are, and can be cancelled."""
+"""Servers of actions: long-running goals with feedback, which clients can cancel."""
 
 from __future__ import annotations
 
@@ -30,51 +30,51 @@ from rtee.ros2.qos import LATCHED
 from rtee.ros2.types import ActionType, ServiceType
 
 KEPT_FOR = 900.0
-"""Time for which a goal's result can be asked for after its end [s], as rcl had it."""
+"""Time for which clients can request the result of an ended goal [s]: the usual one of rcl."""
 
 _MOST_KEPT = 50
-"""Ended goals that are remembered: their states are published with each change of any."""
+"""Most ended goals kept: each message of the status lists all of them."""
 
 _MOST_ACTIVE = 16
-"""Goals that are under way at once: a hand does one, and some may be about to end."""
+"""Most goals at once: a hand executes one, and some may be about to end."""
 
 _MOST_WAITING = 16
-"""Requests for the result of a goal that wait for its end."""
+"""Most requests that wait for the result of a goal."""
 
-_TOLD_AGAIN = 60.0
-"""Time after which a reason for which goals are refused is logged again [s]."""
+_LOGGED_AGAIN = 60.0
+"""Time after which the same reason for a refusal is logged again [s]."""
 
 _LONGEST_END = 2.0
-"""Time that goals have to end when the server does [s]: a hand brakes in less."""
+"""Longest time that goals have to end when the server does [s]: a hand brakes in less."""
 
 _NEXT_LOOK = 0.01
-"""Time between two looks whether the ends of goals are told [s]."""
+"""Time between two checks whether goals have ended and their clients have the results [s]."""
 
-_TOLD_A_SECOND = 5
-"""Refused goals that are logged in a second, whatever the reason."""
+_LOGGED_PER_SECOND = 5
+"""Most refused goals logged per second, whatever the reasons."""
 
 
 class Job(Protocol):
-    """What an accepted goal makes happen."""
+    """The work of an accepted goal."""
 
     async def run(self, goal: ServerGoal) -> Outcome:
-        """Do it until it ends; raising an `RteeError` aborts the goal, being cancelled too."""
+        """Do the work to its end; an `RteeError`, or cancellation, aborts the goal."""
 
     async def cancel(self) -> None:
-        """Have `run` end soon; raises an `RteeError` if that is refused."""
+        """Have `run` end soon; raise an `RteeError` to refuse."""
 
 
 Accept = Callable[[Any], Awaitable[Job]]
-"""Takes a goal's message and returns its job; raises an `RteeError` to reject it."""
+"""Returns the job of a goal's message, or raises an `RteeError` to reject the goal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A type under which an action is offered.
+    """A type under which a server offers its action.
 
     Attributes:
         type: The type.
-        accept: Accepts its goals.
+        accept: Accepts or rejects goals of this type.
     """
 
     type: ActionType
@@ -82,13 +82,13 @@ class Offer:
 
 
 class ServerGoal:
-    """A goal that was accepted.
+    """An accepted goal.
 
     Attributes:
-        id: Its identifier.
-        goal: Its message.
-        stamp: When it was accepted, since 1970 [ns].
-        state: How far it is.
+        id: Identifier of the goal ``(16,)``.
+        goal: Message of the goal.
+        stamp: Time of its acceptance since 1970 [ns].
+        state: State of the goal.
     """
 
     def __init__(
@@ -104,14 +104,14 @@ class ServerGoal:
 
     @property
     def heard(self) -> bool:
-        """Whether anybody listens to its feedback."""
+        """Whether anybody subscribes to the feedback."""
         return any(publisher.heard for publisher, _ in self.offered.feedback)
 
     def feedback(self, **fields: Any) -> None:
-        """Publish feedback, if anybody listens.
+        """Publish feedback if anybody subscribes.
 
         Args:
-            fields: Its fields by name; a version of the type that lacks one is sent the others.
+            fields: Fields by name; a version of the type that lacks a field is sent without it.
         """
         for publisher, kind in self.offered.feedback:
             if publisher.heard:
@@ -136,7 +136,7 @@ class _Offered:
         for version in versions(offer.type, node.context.interfaces.distro):
             publisher = node.publisher(called.feedback, version.feedback_message)
             self.feedback.append((publisher, version.feedback))
-        # Room for all who may wait for results, and for one more, who is refused at once.
+        # Room for all requests that may wait, and for one more to be refused at once.
         at_once = _MOST_ACTIVE * _MOST_WAITING + 1
         self._services = (
             node.service(called.send_goal, offer.type.send_goal, self._send),
@@ -152,14 +152,14 @@ class _Offered:
 
     async def _result(self, request: Any) -> Message:
         goal = self._server.find(request.goal_id.uuid)
-        # Under another type the result would have other fields.
+        # The result of a goal of another type would have other fields.
         if goal is None or goal.offered is not self:
             return self.type.get_result.response(status=GoalState.UNKNOWN)
         if goal.waiting >= _MOST_WAITING:
             raise MessageError(f"{_MOST_WAITING} already wait for the end of this goal")
         goal.waiting += 1
         try:
-            # Whoever asks may be cancelled; the others still wait.
+            # Shielded: if this request is cancelled, the others still wait.
             outcome = await asyncio.shield(goal.ended)
         finally:
             goal.waiting -= 1
@@ -175,23 +175,23 @@ class _Offered:
 class ActionServer:
     """A server of an action, under one type or several at once.
 
-    Goals whose identifier is known already are rejected. Results are kept for 15 minutes after the
-    end, of the last fifty goals. A goal goes on when its client disappears, as in ROS 2.
+    Rejects goals whose identifier is known already. Keeps the results of the last 50 goals for 15
+    minutes. As in ROS 2, a goal goes on when its client disappears.
 
     Args:
-        node: The node.
-        name: The action's name, such as ``~/gripper_cmd``.
-        offers: The types under which it is offered.
-        kept_for: Time for which results are kept [s].
+        node: The node of the server.
+        name: Name of the action, such as ``~/gripper_cmd``.
+        offers: The types under which to offer it.
+        kept_for: Time for which to keep results [s].
     """
 
     def __init__(self, node: Node, name: str, *offers: Offer, kept_for: float = KEPT_FOR) -> None:
         self.name = node.name.resolve(name)
         self._node, self._context, self._kept_for = node, node.context, kept_for
         self._goals: dict[bytes, ServerGoal] = {}
-        self._looked_at: set[bytes] = set()
-        self._told: dict[str, float] = {}
-        self._limit = Limit(_TOLD_A_SECOND)
+        self._pending: set[bytes] = set()
+        self._logged: dict[str, float] = {}
+        self._limit = Limit(_LOGGED_PER_SECOND)
         self._finishing = self._closed = False
         called, first = names(self.name), offers[0].type
         self._status = node.publisher(called.status, first.status, LATCHED)
@@ -206,40 +206,40 @@ class ActionServer:
 
     @property
     def goals(self) -> list[ServerGoal]:
-        """The goals that are remembered, in the order of their acceptance."""
+        """The known goals, in the order of their acceptance."""
         self._forget()
         return list(self._goals.values())
 
     def find(self, goal_id: bytes) -> ServerGoal | None:
-        """Return a goal that is remembered."""
+        """Return a known goal; ``None`` if there is none with this identifier."""
         self._forget()
         return self._goals.get(goal_id)
 
     async def begin(self, goal_id: bytes, message: Message, offered: _Offered, stamp: int) -> bool:
-        """Begin a goal and return whether it was accepted; what refuses it is logged.
+        """Begin a goal and return whether it was accepted; log the reason of a rejection.
 
         Args:
-            goal_id: Its identifier.
-            message: Its message.
-            offered: The type under which it came.
-            stamp: When it is accepted, since 1970 [ns].
+            goal_id: Identifier of the goal.
+            message: Message of the goal.
+            offered: The type of the goal.
+            stamp: Time of acceptance since 1970 [ns].
         """
-        if goal_id in self._goals or goal_id in self._looked_at or goal_id == NO_GOAL:
+        if goal_id in self._goals or goal_id in self._pending or goal_id == NO_GOAL:
             self._context.complaints.tell(f"a goal of {self.name} is refused", "its id is not new")
             return False
         active = sum(not goal.state.ended for goal in self._goals.values())
-        if active + len(self._looked_at) >= _MOST_ACTIVE:
-            self._refused("too many goals are under way")
+        if active + len(self._pending) >= _MOST_ACTIVE:
+            self._log_refusal("too many goals are under way")
             return False
-        # Known from here on: the same goal may come again while the hand looks at this one.
-        self._looked_at.add(goal_id)
+        # The same goal may arrive again while the hand checks this one.
+        self._pending.add(goal_id)
         try:
             job = await self._accepted(offered, message)
         finally:
-            self._looked_at.discard(goal_id)
+            self._pending.discard(goal_id)
         if job is None:
             return False
-        if self._finishing:  # since it was asked
+        if self._finishing:  # since the hand began to check it
             with suppress(RteeError):
                 await job.cancel()
             return False
@@ -252,29 +252,29 @@ class ActionServer:
 
     async def _accepted(self, offered: _Offered, message: Message) -> Job | None:
         if self._finishing:
-            self._refused("the server is about to end")
+            self._log_refusal("the server is about to end")
             return None
         try:
             return await offered.accept(message)
         except RteeError as error:
-            self._refused(str(error))
+            self._log_refusal(str(error))
         except Exception:
             self._context.log.exception("%s could not look at a goal", self.name)
         return None
 
-    def _refused(self, reason: str) -> None:
+    def _log_refusal(self, reason: str) -> None:
         now = time.monotonic()
-        self._told = {one: at for one, at in self._told.items() if now - at < _TOLD_AGAIN}
-        if reason not in self._told and self._limit.passes():
-            self._told[reason] = now
+        self._logged = {one: at for one, at in self._logged.items() if now - at < _LOGGED_AGAIN}
+        if reason not in self._logged and self._limit.passes():
+            self._logged[reason] = now
             self._context.log.warning("a goal of %s is refused: %s", self.name, reason)
 
     async def _run(self, goal: ServerGoal) -> None:
         goal.task = asyncio.current_task()
-        # It may have been cancelled before its task began.
+        # A goal may be cancelled before its task begins.
         if goal.state is GoalState.ACCEPTED:
             self._change(goal, GoalState.EXECUTING)
-        # What counts if this task is cancelled.
+        # The outcome if this task is cancelled.
         outcome = Outcome(GoalState.ABORTED, goal.offered.type.result(), "the server has ended")
         try:
             outcome = await goal.job.run(goal)
@@ -289,7 +289,7 @@ class ActionServer:
     def _end(self, goal: ServerGoal, outcome: Outcome) -> None:
         state = outcome.state
         if state is GoalState.CANCELED and goal.state is not GoalState.CANCELING:
-            state = GoalState.ABORTED  # nobody cancelled it here
+            state = GoalState.ABORTED  # cancelled by another client of the hand, not through ROS 2
         if outcome.reason:
             self._context.log.info("a goal of %s was aborted: %s", self.name, outcome.reason)
         goal.forget_at = time.monotonic() + self._kept_for
@@ -317,9 +317,9 @@ class ActionServer:
         )
 
     def _forget(self) -> None:
-        """Forget goals that ended long ago, and the oldest beyond the number that is kept."""
+        """Forget goals that ended long ago, and the oldest ended ones beyond `_MOST_KEPT`."""
         now = time.monotonic()
-        # In the order of acceptance, so that the oldest come first.
+        # The goals are in the order of acceptance, with the oldest first.
         ended = [goal for goal in self._goals.values() if goal.state.ended]
         for place, goal in enumerate(ended):
             if now >= goal.forget_at or place < len(ended) - _MOST_KEPT:
@@ -352,14 +352,14 @@ class ActionServer:
         )
 
     async def _cancelled(self, goal: ServerGoal) -> bool:
-        """Cancel a goal; return whether that was not refused."""
+        """Cancel a goal; return whether the hand agreed."""
         if goal.state > GoalState.EXECUTING:
             return False  # it ended while another one was cancelled
         self._change(goal, GoalState.CANCELING)
         try:
             await goal.job.cancel()
         except RteeError as error:
-            # It may have ended while the hand was asked to cancel it.
+            # The goal may have ended during the request.
             if goal.state is GoalState.CANCELING:
                 self._change(goal, GoalState.EXECUTING)
             self._context.log.warning("a goal of %s is not cancelled: %s", self.name, error)
@@ -367,16 +367,16 @@ class ActionServer:
         return True
 
     async def run(self) -> None:
-        """Offer the action until cancelled; goals that are under way then are cancelled, too."""
+        """Offer the action until cancelled, and then cancel its active goals."""
         try:
             await anyio.sleep_forever()
         finally:
             await self.finish()
 
     async def finish(self) -> None:
-        """Cancel what is under way, tell those who wait for it, and leave the graph."""
+        """Cancel the active goals, wait until their clients have the results, leave the graph."""
         self._finishing = True
-        # Of a goal that has just ended, some may still be about to hear it.
+        # Clients of a goal that has just ended may still wait for the result.
         under_way = [one for one in self._goals.values() if one.waiting or not one.state.ended]
         with anyio.move_on_after(_LONGEST_END, shield=True):
             for goal in under_way:
@@ -384,14 +384,14 @@ class ActionServer:
                     with suppress(RteeError):
                         await goal.job.cancel()
             await self._ended(under_way)
-        # Those that did not end in time; their clients get a result, too.
+        # Goals that did not end in time; their clients get a result, too.
         self._abort()
         with anyio.move_on_after(_LONGEST_END, shield=True):
             await self._ended(under_way)
         self.close()
 
     async def _ended(self, goals: Collection[ServerGoal]) -> None:
-        """Wait until goals have ended and those who wait for their results have them."""
+        """Wait until goals have ended and their clients have the results."""
         while any(goal.waiting or not goal.state.ended for goal in goals):  # noqa: ASYNC110
             await anyio.sleep(_NEXT_LOOK)
 
@@ -401,7 +401,7 @@ class ActionServer:
                 goal.task.cancel()
 
     def close(self) -> None:
-        """Abort what is under way, and leave the graph."""
+        """Abort the active goals and leave the graph."""
         self._abort()
         self._closed = True
         for offered in self._offered:

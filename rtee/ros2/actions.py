@@ -1,4 +1,4 @@
-"""What servers and clients of actions have in common: names, states, and how goals end.
+"""Names, states and outcomes of goals, common to servers and clients of actions.
 
 An action ``/hand/gripper_cmd`` is three services and two topics below ``/hand/gripper_cmd/_action``
 (see `names`). A goal has an identifier of 16 bytes, chosen by its client.
@@ -14,14 +14,14 @@ from rtee.ros2.message import Message
 from rtee.ros2.types import ActionType, interfaces
 
 NO_GOAL: Final = bytes(16)
-"""Identifier that stands for no goal in particular."""
+"""Identifier that stands for all goals in a request to cancel."""
 
 _NANO = 1_000_000_000
 """Nanoseconds of a second."""
 
 
 class GoalState(IntEnum):
-    """How far a goal is; the numbers are those of ``action_msgs/msg/GoalStatus``."""
+    """State of a goal, with the numbers of ``action_msgs/msg/GoalStatus``."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -38,7 +38,7 @@ class GoalState(IntEnum):
 
 
 class Refusal(IntEnum):
-    """The answer to a request to cancel goals, as ``action_msgs/srv/CancelGoal`` has it."""
+    """Answer to a request to cancel goals, with the codes of ``action_msgs/srv/CancelGoal``."""
 
     NONE = 0
     REJECTED = 1
@@ -48,12 +48,12 @@ class Refusal(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a goal ended.
+    """Outcome of a goal.
 
     Attributes:
         state: Succeeded, canceled or aborted.
-        result: The result, of the action's type.
-        reason: Why it was aborted, for the log.
+        result: Result of the action's type.
+        reason: Reason for an abortion, for the log.
     """
 
     state: GoalState
@@ -79,8 +79,8 @@ def names(action: str) -> Names:
 def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     """Return an action's type in all versions that differ in their feedback.
 
-    That of FollowJointTrajectory changed with control_msgs 6.3, which a robot may have whatever
-    its distribution; Humble has no hashes, hence one type.
+    The feedback of FollowJointTrajectory changed with control_msgs 6.3, which a robot of any
+    distribution may have. Humble has no hashes, and so only one version.
 
     Args:
         kind: The action.
@@ -90,7 +90,7 @@ def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     if distro != "humble":
         for other in ("jazzy", "rolling"):
             version = interfaces(other).action(kind.name)
-            # The robot's own version stays where the hash is the same.
+            # `setdefault` keeps the robot's own version of the same hash.
             found.setdefault(version.feedback_message.hash, version)
     return tuple(found.values())
 

@@ -1,4 +1,4 @@
-"""What goes with every message of rmw_zenoh: who sent it, which one it is, and when.
+"""Attachment of every message of rmw_zenoh: sender, sequence number and time.
 
 33 bytes: sequence number and time as 64-bit integers (little-endian), the length of the gid (16) as
 a byte, and the gid.
@@ -14,7 +14,10 @@ from typing import Protocol
 from rtee.errors import MessageError, needing_extra
 
 _LAYOUT = struct.Struct("<qqB16s")
+
 _GID = 16
+"""Length of the identifier of a publisher or client [bytes]."""
+
 SIZE = _LAYOUT.size
 """Length of an attachment [bytes]."""
 
@@ -27,11 +30,11 @@ class _Bytes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What goes with a message.
+    """Attachment of a message.
 
     Attributes:
         sequence: Number of the message, counted from 1 by its publisher or client.
-        time: When it was sent, since 1970 [ns].
+        time: Time of sending since 1970 [ns].
         gid: Identifier of the publisher or client ``(16,)``.
     """
 
@@ -40,8 +43,8 @@ class Attachment:
     gid: bytes
 
     def encode(self) -> bytes:
-        """Return its bytes."""
-        return _LAYOUT.pack(self.sequence, self.time, _GID, self.gid)
+        """Return the bytes of the attachment."""
+        return encode(self.sequence, self.time, self.gid)
 
 
 def encode(sequence: int, time: int, gid: bytes) -> bytes:
@@ -50,14 +53,14 @@ def encode(sequence: int, time: int, gid: bytes) -> bytes:
 
 
 def decode(data: _Bytes | None) -> Attachment:
-    """Return an attachment.
+    """Return the attachment of these bytes.
 
     Raises:
-        MessageError: if it is missing, or these are not the bytes of one.
+        MessageError: if there is none, or the bytes are not those of an attachment.
     """
     if data is None:
         raise MessageError("without an attachment")
-    if len(data) != SIZE:  # looked at before anything is copied: it may be huge
+    if len(data) != SIZE:  # checked before `bytes` copies it, since it may be huge
         raise MessageError(f"with an attachment of {len(data)} bytes instead of {SIZE}")
     sequence, time, length, gid = _LAYOUT.unpack(bytes(data))
     if length != _GID:
@@ -80,6 +83,6 @@ def gid(token: str) -> bytes:
     _check()
     import xxhash
 
-    # The low 64 bits first, as rmw_zenoh copies them.
+    # rmw_zenoh copies the low 64 bits first.
     number: int = xxhash.xxh3_128_intdigest(token.encode())
     return number.to_bytes(_GID, "little")

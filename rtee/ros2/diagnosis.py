@@ -1,4 +1,4 @@
-"""What `rtee doctor --ros2` looks at: router, nodes, and who does not hear whom."""
+"""Checks of `rtee doctor --ros2`: router, nodes, and nodes whose types do not match."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: r
 
 
 async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
-    """Return what was found in the ROS graph.
+    """Return the checks of the ROS graph.
 
     rmw_zenoh is silent about nodes that use a topic, service or action with another type or hash:
-    they just don't hear each other.
+    they do not receive each other's messages, without any warning.
 
     Args:
         settings: Domain, distribution and router.
@@ -25,7 +25,7 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
         ConfigError: if a setting or variable of rmw_zenoh cannot be used.
     """
     try:
-        # Insecure is harmless here: nothing is published or asked that could move a hand.
+        # Insecure is harmless here, since this publishes and requests nothing.
         async with Context.open(settings, insecure=True, router_needed=True) as context:
             await context.graph.ready()
             rows = listed(context.graph.entities())

@@ -1,27 +1,26 @@
-"""What a hand's node tells under ``/diagnostics``: the loop, its devices, temperatures."""
+"""The topic ``/diagnostics`` of a hand's node: the loop, its devices, temperatures."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any
 
 import anyio
 
 from rtee.remote.monitoring import HandStatus
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
-from rtee.ros2.parameters import Parameter
 from rtee.ros2.topics import stamped
 from rtee.types import DeviceStatus, Lifecycle, LoopStatistics
 
 _PERIOD = 1.0
-"""Time between two messages [s], as diagnostic_updater has it."""
+"""Time between two messages [s], that of diagnostic_updater."""
 
 _OLD = 1.0
-"""A device whose newest measurement is older than this is stale [s]."""
+"""Age of the newest measurement from which a device is stale [s]: many ticks of any hand."""
 
 
 class Level(IntEnum):
@@ -33,8 +32,8 @@ class Level(IntEnum):
     STALE = 3
 
 
-class Diagnostics:
-    """Publishes ``/diagnostics``, and tells the other parts of the hand's status.
+class Diagnostics(Part):
+    """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node.
 
     Args:
         face: The hand and its node.
@@ -45,36 +44,32 @@ class Diagnostics:
         self._array = face.message("diagnostic_msgs/msg/DiagnosticArray")
         self._status = face.message("diagnostic_msgs/msg/DiagnosticStatus")
         self._pair = face.message("diagnostic_msgs/msg/KeyValue")
-        # Absolute, whatever the namespace: tools listen to one topic for the whole robot.
+        # Absolute whatever the namespace, since tools subscribe to one topic for the whole robot.
         self._publisher = face.node.publisher("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
         self._before: LoopStatistics | None = None
 
-    def parameters(self) -> Iterable[Parameter]:
-        """Return none: it reads none."""
-        return ()
-
     async def run(self) -> None:
-        """Publish once a second until the hand goes."""
+        """Publish once per second until the hand ends."""
         hand = self._face.hand
         while True:
             status = await hand.status()
-            for tell in self._face.on_status:
-                tell(status)
+            for listener in self._face.on_status:
+                listener(status)
             self._publisher.publish(self.message(status, time.time_ns()))
             await anyio.sleep(_PERIOD)
 
     def message(self, status: HandStatus, wall_ns: int) -> Message:
-        """Return the message of a status.
+        """Return the message for a status of the hand.
 
         Args:
             status: The status of the hand.
             wall_ns: The time since 1970 [ns].
         """
-        found = [self._loop(status), *map(self._device, status.devices)]
+        entries = [self._loop(status), *map(self._device, status.devices)]
         temperatures = self._temperatures()
         if temperatures is not None:
-            found.append(temperatures)
-        message: Message = self._array(header=stamped(self._face, wall_ns), status=found)
+            entries.append(temperatures)
+        message: Message = self._array(header=stamped(self._face, wall_ns), status=entries)
         return message
 
     def _entry(self, name: str, level: Level, message: str, values: Mapping[str, Any]) -> Message:
@@ -90,15 +85,15 @@ class Diagnostics:
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics
-        # As differences: a tick that was missed hours ago must not warn for ever, nor at first.
+        # Since the last message only: a tick that was missed hours ago must not warn for ever.
         before, self._before = self._before or clock, clock
         missed, dropped = clock.missed - before.missed, clock.dropped - before.dropped
-        level, said = Level.OK, status.action or "ready"
+        level, summary = Level.OK, status.action or "ready"
         if status.recording_trouble:
-            level, said = Level.WARN, status.recording_trouble
+            level, summary = Level.WARN, status.recording_trouble
         elif missed or dropped:
             level = Level.WARN
-            said = f"{missed} ticks missed, {dropped} records dropped since the last message"
+            summary = f"{missed} ticks missed, {dropped} records dropped since the last message"
         values = {
             "rate [Hz]": clock.measured_rate,
             "ticks": clock.ticks,
@@ -111,10 +106,10 @@ class Diagnostics:
             "grip effort": status.grip_effort,
             "profile": status.profile,
         }
-        return self._entry("loop", level, said, values)
+        return self._entry("loop", level, summary, values)
 
     def _device(self, device: DeviceStatus) -> Message:
-        level, said = health(device)
+        level, summary = health(device)
         values: dict[str, Any] = {
             "lifecycle": str(device.lifecycle),
             "driver": device.driver,
@@ -130,10 +125,10 @@ class Diagnostics:
             **device.identity,
             **device.counters,
         }
-        return self._entry(f"device {device.name}", level, said, values)
+        return self._entry(f"device {device.name}", level, summary, values)
 
     def _temperatures(self) -> Message | None:
-        """Return what is told of the temperatures; ``None`` where none is measured."""
+        """Return the entry of the temperatures; ``None`` if none is measured."""
         state, limits = self._face.latest, self._face.thermal
         pairs = zip(state.names, state.temperature.tolist(), strict=True)
         known = {name: value for name, value in pairs if not math.isnan(value)}
@@ -144,14 +139,12 @@ class Diagnostics:
         level = Level.OK
         if worst >= limits.warn:
             level = Level.ERROR if worst >= limits.disable else Level.WARN
-        said = f"{hottest} has {worst:.0f} °C"
-        return self._entry(
-            "temperatures", level, said, {f"{name} [°C]": value for name, value in known.items()}
-        )
+        values = {f"{name} [°C]": value for name, value in known.items()}
+        return self._entry("temperatures", level, f"{hottest} has {worst:.0f} °C", values)
 
 
 def health(device: DeviceStatus) -> tuple[Level, str]:
-    """Return how a device is, and why, in words."""
+    """Return the level of a device's health, and a sentence about the reason."""
     why = "; ".join(filter(None, (device.fault_name or device.message, device.hint)))
     match device.lifecycle:
         case Lifecycle.ACTIVE if device.age > _OLD:

@@ -27,15 +27,15 @@ from rtee.ros2.types import TopicType
 log = logging.getLogger(__name__)
 
 _MOST_KEPT = 1000
-"""Messages of a topic that wait or are kept, whatever the QoS asks for."""
+"""Most messages of a topic that wait or are kept, whatever the QoS: a limit to the memory."""
 
 
 LONGEST = 1 << 20
-"""Longest message, request or response that is taken, unless said otherwise [bytes]: ten times the
-longest that a hand is sent, a trajectory of thousands of points."""
+"""Default length of the longest message, request or response accepted [bytes]: ten times the
+longest message for a hand, a trajectory of thousands of points."""
 
 Callback = Callable[[Any], Awaitable[None] | None]
-"""What is called with each message of a subscription, in the event loop."""
+"""Called in the event loop with each message of a subscription."""
 
 _Received = tuple[bytes, Attachment]
 
@@ -56,13 +56,13 @@ class Publisher:
         self._publisher = self._declared(participant.session, key, entity.qos)
         self._heard, self._listener = True, None
         if isinstance(self._publisher, zenoh.Publisher):
-            # Told rather than asked for: asking takes as long as encoding a message.
+            # By listener, since each query of the status takes as long as encoding a message.
             self._heard = False
             self._listener = self._publisher.declare_matching_listener(direct(self._matched))
-            # Asked once the listener is there: nobody who subscribes in between is missed.
+            # Queried after declaring the listener, so that no subscriber in between is missed.
             if getattr(self._publisher.matching_status, "matching", True):
                 self._heard = True
-        # Last: whoever sees it in the graph can hear it already.
+        # Last, so that whoever sees the publisher in the graph receives its messages.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _matched(self, status: Any) -> None:
@@ -70,7 +70,7 @@ class Publisher:
 
     @staticmethod
     def _declared(session: zenoh.Session, key: str, qos: Qos) -> Any:
-        # All others drop messages: a slow subscriber must not hold up the hand's node.
+        # All others drop messages, so that a slow subscriber cannot block the hand's node.
         block = qos.reliable and qos.history == History.KEEP_ALL
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
         if not qos.transient_local:
@@ -80,9 +80,9 @@ class Publisher:
                 congestion_control=control,
                 reliability=reliability.RELIABLE if qos.reliable else reliability.BEST_EFFORT,
             )
-        # rmw_zenoh's publishers also repeat the number of their last message for a while. To end
-        # that, Zenoh waits for its own threads with Python's lock held, for which they may wait:
-        # for ever. On a stream such as TCP no last message is lost.
+        # Unlike rmw_zenoh's publishers, do not repeat the number of the last message for a while:
+        # to stop that, Zenoh waits for its threads while it holds Python's lock, for which these
+        # threads may wait, a deadlock. On a stream such as TCP, no last message is lost.
         return ext.declare_advanced_publisher(
             session,
             key,
@@ -93,14 +93,14 @@ class Publisher:
 
     @property
     def heard(self) -> bool:
-        """Whether anybody subscribes; always true where those who come later are sent it, too."""
+        """Whether anybody subscribes; always true for a latched topic."""
         return self._heard
 
     def publish(self, message: Message | bytes) -> None:
-        """Publish a message, or the CDR bytes of one; any thread may call this.
+        """Publish a message, or the CDR bytes of one; may be called from any thread.
 
         Raises:
-            MessageError: if a field holds what its type cannot, or it is another message.
+            MessageError: if a value does not fit its field, or the message is of another type.
         """
         if isinstance(message, Message):
             if message.STRUCTURE.name != self.type.name:
@@ -108,7 +108,7 @@ class Publisher:
                     f"{self.name} is a topic of {self.type.name}, not of {message.STRUCTURE.name}"
                 )
             message = message.encode()
-        # The numbers tell others what they have missed: one order, and none left out.
+        # Subscribers detect lost messages by the numbers, which must be consecutive.
         with self._lock:
             if self._closed:
                 return
@@ -117,7 +117,7 @@ class Publisher:
             self.sent += 1
 
     def close(self) -> None:
-        """Publish nothing more, and leave the graph; what is published later goes nowhere."""
+        """Leave the graph; drop messages that are published later."""
         with self._lock:
             self._closed = True
         self._token.undeclare()  # type: ignore[no-untyped-call]
@@ -132,7 +132,7 @@ class Subscription:
     Attributes:
         type: Type of the topic.
         name: Fully qualified name of the topic.
-        source: Who sent the message that the callback is given, which one it is, and when.
+        source: Attachment of the message that the callback receives.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Subscription:
         if entity.qos.history == History.KEEP_ALL:
             depth = _MOST_KEPT
         self._inbox: Inbox[_Received] = Inbox(self._take, depth)
-        # The inbox is emptied at once: the newest messages wait here while a callback is awaited.
+        # The newest messages wait here while a callback is awaited, since the inbox never waits.
         self._waiting: deque[_Received] = deque(maxlen=max(depth, 1))
         self._busy = False
         self._subscriber = self._declared(participant.session, key, entity.qos)
@@ -161,8 +161,8 @@ class Subscription:
         handler = direct(self._on_sample)
         if not qos.transient_local:
             return session.declare_subscriber(key, handler)
-        # rmw_zenoh's publishers repeat the number of their last message, which shows what is
-        # missing: nothing has to be asked for periodically.
+        # rmw_zenoh's publishers repeat the number of their last message, which reveals lost ones
+        # without periodic queries.
         recovery = ext.RecoveryConfig(periodic_queries=None, heartbeat=True)
         return ext.declare_advanced_subscriber(
             session,
@@ -175,17 +175,17 @@ class Subscription:
             subscriber_detection=True,
         )
 
-    def _tell(self, error: MessageError) -> None:
+    def _drop(self, error: MessageError) -> None:
         self._participant.complaints.tell(f"a message on {self.name} is dropped", str(error))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         try:
             attachment = attachments.decode(sample.attachment)
-            # Before `bytes` copies it: anybody may send anything.
+            # Checked before `bytes` copies it, since anybody may send anything.
             if len(sample.payload) > self._longest:
                 raise MessageError(f"of {len(sample.payload)} bytes")
         except MessageError as error:
-            self._tell(error)
+            self._drop(error)
             return
         self._inbox.put((bytes(sample.payload), attachment))
 
@@ -195,13 +195,13 @@ class Subscription:
             self._next()
 
     def _next(self) -> None:
-        """Call the callback with what waits, until one of its results has to be awaited."""
+        """Call the callback with the waiting messages, until it returns an awaitable."""
         while self._waiting:
             payload, self.source = self._waiting.popleft()
             try:
                 result = self._callback(self.type.message.decode(payload))
             except MessageError as error:
-                self._tell(error)
+                self._drop(error)
             except Exception:
                 log.exception("a message on %s could not be handled", self.name)
             else:
@@ -217,11 +217,11 @@ class Subscription:
             log.exception("a message on %s could not be handled", self.name)
         finally:
             self._busy = False
-        # Not in `finally`: this task is cancelled only when the context closes.
+        # Not in `finally`, since this task is cancelled only when the context closes.
         self._next()
 
     def close(self) -> None:
-        """Hear nothing more, and leave the graph."""
+        """Receive nothing more, and leave the graph."""
         self._inbox.close()
         self._waiting.clear()
         self._token.undeclare()  # type: ignore[no-untyped-call]

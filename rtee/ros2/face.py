@@ -1,4 +1,4 @@
-"""What the parts of a hand's node of ROS 2 are given: the hand, its model, and the node."""
+"""The context of the parts of a hand's ROS 2 node: the hand, its model, and the node."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from rtee.ros2.parameters import Parameter, Parameters
 
 @dataclass(eq=False)
 class Face:
-    """A running hand and its node; there is a new one each time that the hand comes.
+    """A running hand and its node; made anew each time the hand starts.
 
     Attributes:
-        hand: The hand, as every client has it.
-        model: Its model: names, limits and the transmission of all joints.
-        info: Its description at rest.
+        hand: Client of the hand.
+        model: Model of the hand: names, limits and the transmission of all joints.
+        info: Description of the hand at rest.
         openings: Openings and forces that goals may ask for.
-        node: Its node, to which the parts add topics, services and actions.
-        settings: The section ``ros2`` of hand.yaml, with what the command line overrides.
-        latest: The newest state, at the rate of ``joint_states``.
-        thermal: At which temperatures the hand warns.
-        on_status: Called with the hand's status, once a second.
+        node: Node to which the parts add topics, services and actions.
+        settings: Section ``ros2`` of hand.yaml, with the overrides of the command line.
+        latest: Newest state, at the rate of ``joint_states``.
+        thermal: Temperatures at which the hand warns and disables.
+        on_status: Functions to call with the hand's status, once per second.
     """
 
     hand: RemoteHand
@@ -45,25 +45,25 @@ class Face:
     _parameters: Parameters | None = field(default=None, repr=False)
 
     def declare(self, parameters: Iterable[Parameter]) -> None:
-        """Offer the parameters of the node; called once, when all parts are made."""
+        """Offer the parameters of the node; call it once, after all parts are made."""
         self._parameters = Parameters(self.node, parameters)
 
     @property
     def parameters(self) -> Parameters:
-        """The node's parameters, of all parts; there when the parts run."""
+        """The parameters of all parts; available when the parts run."""
         if self._parameters is None:
             raise RuntimeError("the parameters are declared when all parts are made")
         return self._parameters
 
     def number(self, name: str) -> float:
-        """Return the value of a parameter that is a number."""
+        """Return the value of a numeric parameter."""
         value = self.parameters.values[name]
         if not isinstance(value, int | float):
             raise TypeError(f"the parameter '{name}' is {value!r}, no number")
         return float(value)
 
     def message(self, name: str) -> Any:
-        """Return the class of a message; raises `MessageError` if there is no such type."""
+        """Return the class of a message type; raise `MessageError` if there is none."""
         return self.node.context.interfaces.message(name)
 
     @property
@@ -75,15 +75,16 @@ class Face:
 class Part(Protocol):
     """A part of a hand's node: some of its topics, services or actions.
 
-    It adds them when it is made, so that a node that is seen is complete.
+    Its constructor adds them, so that a node in the graph is complete.
     """
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the node's parameters that this part reads."""
+        """Return the node's parameters that this part reads; none by default."""
+        return ()
 
     async def run(self) -> None:
-        """Do its work until cancelled.
+        """Work until cancelled.
 
         Raises:
-            NoHand: if the hand goes.
+            NoHand: if the hand ends.
         """

@@ -1,4 +1,4 @@
-"""The ROS graph: the nodes of a domain and what they publish, subscribe to, serve and ask."""
+"""The ROS graph: the nodes of a domain with their publishers, subscriptions, services, clients."""
 
 from __future__ import annotations
 
@@ -18,33 +18,35 @@ from rtee.ros2.keys import GRAPH, LONGEST_TOKEN, Entity, Kind, parse_token
 log = logging.getLogger(__name__)
 
 MOST = 20_000
-"""Entities that are kept: twenty times those of a large robot."""
+"""Most entities kept: twenty times those of a large robot."""
 
 _SETTLE = 3.0
-"""Time within which everybody has told what there is [s]."""
+"""Longest time until all sessions have announced their entities [s]."""
 
 _QUIET = 0.3
-"""Time without news after which everybody has told what there is [s]: sessions on one computer find
-each other within 0.1 s."""
+"""Time without changes after which all sessions have announced their entities [s]: sessions on one
+computer find each other within 0.1 s."""
 
 
 _PAUSE = 0.01
-"""Time between two looks at the graph [s]: a robot that starts makes thousands of changes."""
+"""Least time between two evaluations of the graph [s]: a robot that starts changes it thousands of
+times."""
 
 
 class Graph:
-    """The graph of a domain, kept up to date from the first use on.
+    """The graph of a domain, kept up to date from its first use on.
 
     Args:
-        session: The session.
+        session: Zenoh session to observe the graph with.
         domain: The domain.
-        complaints: Where to tell of what cannot be read.
+        complaints: Receives tokens that cannot be parsed.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, complaints: Complaints) -> None:
         self._session, self._complaints = session, complaints
         self._keys = f"{GRAPH}/{domain}/**"
-        self._tokens: dict[str, Entity | str | None] = {}  # a text: not parsed yet
+        # By token: its entity, the token itself until it is parsed, or None if that failed.
+        self._tokens: dict[str, Entity | str | None] = {}
         self._lock = threading.Lock()
         self._subscriber: zenoh.Subscriber[None] | None = None
         self._loop = asyncio.get_running_loop()
@@ -54,18 +56,18 @@ class Graph:
     def _start(self) -> None:
         if self._subscriber is None:
             liveliness = self._session.liveliness()
-            # With history: the tokens of those who were there before count, too.
+            # The history brings the tokens that were declared before this.
             self._subscriber = liveliness.declare_subscriber(
                 self._keys, direct(self._on_sample), history=True
             )
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        # In a thread of Zenoh: only noted. It is parsed when somebody wants to know.
+        # Runs in a thread of Zenoh: parsing is left to `entities`.
         key = str(sample.key_expr)
         with self._lock:
             if sample.kind == zenoh.SampleKind.DELETE:
                 self._tokens.pop(key, None)
-            # `ready` has told again what the subscriber knows, which may be parsed already.
+            # `ready` passes tokens again that the subscriber has delivered and that may be parsed.
             elif key not in self._tokens:
                 if len(self._tokens) >= MOST or len(key) > LONGEST_TOKEN:
                     self._complaints.tell("entities of the ROS graph are left out", "too many")
@@ -79,38 +81,38 @@ class Graph:
     def _wake(self) -> None:
         with self._lock:
             self._due = False
-        # Replaced rather than cleared: whoever waits holds the old event, which stays set.
+        # Replaced rather than cleared, since waiting tasks hold the old event.
         self._changed.set()
         self._changed = asyncio.Event()
 
     def entities(self) -> list[Entity]:
-        """Return all entities that are known; see `ready`."""
+        """Return all known entities; see `ready`."""
         self._start()
         with self._lock:
             tokens = list(self._tokens.items())
-        found: list[Entity] = []
+        entities: list[Entity] = []
         for key, entity in tokens:
             if isinstance(entity, str):
                 entity = parse_token(key)
                 if entity is None:
                     self._complaints.tell("a token of the ROS graph is not understood", key[:200])
                 with self._lock:
-                    # Its entity may have left the graph while it was parsed.
+                    # The entity may have left the graph during the parsing.
                     if key in self._tokens:
                         self._tokens[key] = entity
             if entity is not None:
-                found.append(entity)
-        return found
+                entities.append(entity)
+        return entities
 
     def nodes(self) -> list[Entity]:
         """Return the nodes."""
         return [one for one in self.entities() if one.kind is Kind.NODE]
 
     def of(self, kind: Kind, name: str | None = None, type_: str | None = None) -> list[Entity]:
-        """Return publishers, subscriptions, services or clients.
+        """Return the entities of a kind.
 
         Args:
-            kind: Which of them.
+            kind: Publishers, subscriptions, services or clients.
             name: Fully qualified name of the topic or service; all unless given.
             type_: Full name of the type; all unless given.
         """
@@ -123,7 +125,10 @@ class Graph:
         ]
 
     def strangers(self, name: str, type_: str, type_hash: str) -> list[Entity]:
-        """Return those who use a topic or service with another type or hash: they are not heard."""
+        """Return the entities of a topic or service with another type or hash.
+
+        They do not exchange messages with those of the given type.
+        """
         return [
             one
             for one in self.entities()
@@ -131,13 +136,13 @@ class Graph:
         ]
 
     async def ready(self) -> None:
-        """Wait until everybody who can be reached has told what there is, for 3 s at most."""
+        """Wait until all reachable sessions have announced their entities, about 6 s at most."""
         self._start()
-        told = asyncio.Event()
+        answered = asyncio.Event()
 
         def ended() -> None:
             with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
-                self._loop.call_soon_threadsafe(told.set)
+                self._loop.call_soon_threadsafe(answered.set)
 
         def reply(answer: zenoh.Reply) -> None:
             if answer.ok is not None:
@@ -145,8 +150,8 @@ class Graph:
 
         self._session.liveliness().get(self._keys, direct(reply, ended), timeout=_SETTLE)
         with anyio.move_on_after(_SETTLE + 1):
-            await told.wait()
-        # The router leaves it to other sessions to tell of themselves, once they are connected.
+            await answered.wait()
+        # The router does not speak for other peers, which announce themselves once connected.
         with anyio.move_on_after(_SETTLE):
             changing = True
             while changing:
@@ -156,10 +161,10 @@ class Graph:
                 changing = not quiet.cancelled_caught
 
     async def wait_until(self, holds: Callable[[], bool]) -> None:
-        """Wait until something holds of the graph; it is looked at after each change."""
+        """Wait until a condition on the graph holds; evaluate it after each change."""
         self._start()
         while True:
-            # Taken before looking, so that no change in between is missed.
+            # Taken before the evaluation, so that no change in between is missed.
             changed = self._changed
             if holds():
                 return
@@ -167,7 +172,7 @@ class Graph:
             await anyio.sleep(_PAUSE)
 
     def close(self) -> None:
-        """Watch the graph no more."""
+        """Stop observing the graph."""
         if self._subscriber is not None:
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
             self._subscriber = None

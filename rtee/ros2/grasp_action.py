@@ -1,16 +1,15 @@
-"""The action ``~/grasp``: goals with everything that a goal of the hand has."""
+"""The action ``~/grasp``, whose goals have all options of the hand's own goals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from rtee.errors import GoalRejected, suggestion
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.hand_goals import HandJob
 from rtee.ros2.message import Message
-from rtee.ros2.parameters import Parameter
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
 
 GRASP = "~/grasp"
@@ -19,8 +18,8 @@ GRASP = "~/grasp"
 V = TypeVar("V")
 
 
-class Grasp:
-    """Offers the action.
+class Grasp(Part):
+    """Offers the action ``~/grasp``.
 
     Args:
         face: The hand and its node.
@@ -31,12 +30,8 @@ class Grasp:
         self._type = face.node.context.interfaces.action("rtee_msgs/action/Grasp")
         self._server = ActionServer(face.node, GRASP, Offer(self._type, self._accept))
 
-    def parameters(self) -> Iterable[Parameter]:
-        """Return none: a goal says all."""
-        return ()
-
     async def run(self) -> None:
-        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        """Offer the action until cancelled, and then cancel its active goals."""
         await self._server.run()
 
     async def _accept(self, message: Any) -> HandJob:
@@ -45,9 +40,9 @@ class Grasp:
 
     def _result(self, result: Result) -> Message:
         kind = self._type.result
-        given = {one.name for one in kind.STRUCTURE.members}
-        fields = {name: getattr(result, name) for name in given if hasattr(result, name)}
-        # ROS 2 has no optional fields: a sequence of one value or none stands for one.
+        names = {one.name for one in kind.STRUCTURE.members}
+        fields = {name: getattr(result, name) for name in names if hasattr(result, name)}
+        # ROS 2 has no optional fields; a sequence of at most one value takes their place.
         for name in ("opening", "force", "force_error"):
             fields[name] = [] if fields[name] is None else [fields[name]]
         fields |= {
@@ -58,13 +53,13 @@ class Grasp:
 
 
 def goal_of(message: Any) -> Goal:
-    """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; the hand checks its numbers.
+    """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; leave checks of numbers to the hand.
 
     Args:
         message: The message.
 
     Raises:
-        GoalRejected: if names and values do not match, or a word is none.
+        GoalRejected: if names and values do not match, or a keyword is unknown.
     """
     fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
     return Goal(
@@ -92,7 +87,7 @@ def goal_of(message: Any) -> Goal:
 
 
 def _optional(values: Sequence[float]) -> float | None:
-    """Return the value of a sequence that has one or none."""
+    """Return the value of a sequence of at most one."""
     return float(values[0]) if len(values) else None
 
 

@@ -1,7 +1,7 @@
 """The action ``~/gripper_cmd``, as GripperCommand and as ParallelGripperCommand at once.
 
-A position is the gap between the fingertips [m] and an effort the force between them [N]; or, where
-a joint is named, that joint's position [rad | m] and its effort [N·m | N].
+A position is the gap between the fingertips [m], and an effort the force between them [N]. If a
+goal or a parameter names a joint, they are the position [rad | m] and effort [N·m | N] of that one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.hand_goals import HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
@@ -30,30 +30,30 @@ GRIPPER = "~/gripper_cmd"
 """Name of the action."""
 
 JOINT, ACTION = "gripper.joint", "gripper.action"
-"""Names of the parameters: the joint that positions are of, and the action to close with."""
+"""Names of the parameters: the joint of the positions, and the action to close with."""
 
 GAP = "opening"
-"""What ParallelGripperCommand calls the gap, where it must have a name as a joint has."""
+"""Name of the gap in ParallelGripperCommand, which gives each position a name."""
 
 _BEYOND = 0.01
-"""Share of a range by which a position may be beyond its end: planners round."""
+"""Share of a range by which a position may exceed its end, since planners round."""
 
 
 _STILL = 0.02
-"""Slower than this share of its velocity limit an actuator stands still, as by default for the
-hand's own `rtee.hand.config_schema.StallSettings.speed`."""
+"""Share of its velocity limit below which an actuator stands still: the default of the hand's own
+`rtee.hand.config_schema.StallSettings.speed`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a gripper is to do.
+    """Command of a gripper.
 
     Attributes:
-        joint: The joint that is meant; empty: the gap between the fingertips.
-        position: Where to [rad | m].
-        effort: The most effort of the joint [N·m | N], or the most force of the fingertips [N]; 0:
-            as configured. More than the hand has is as much as it has.
-        speed: How fast [rad/s | m/s]; 0: as fast as the hand goes.
+        joint: Name of the joint to move; empty: the gap between the fingertips.
+        position: Target position [rad | m].
+        effort: Largest effort of the joint [N·m | N], or force of the fingertips [N]; 0: as
+            configured. Values above the hand's own limit count as that limit.
+        speed: Speed [rad/s | m/s]; 0: as fast as the hand moves.
     """
 
     joint: str
@@ -65,7 +65,7 @@ class Command:
         """Check the numbers.
 
         Raises:
-            GoalRejected: if one cannot be used.
+            GoalRejected: if a number is out of range.
         """
         if not math.isfinite(self.position):
             raise GoalRejected(f"the position must be a finite number, not {self.position:g}")
@@ -76,8 +76,8 @@ class Command:
                 )
 
 
-class Gripper:
-    """Offers the action.
+class Gripper(Part):
+    """Offers the action ``~/gripper_cmd``.
 
     Args:
         face: The hand and its node.
@@ -106,7 +106,7 @@ class Gripper:
         )
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the joint that positions are of, and the action to close with."""
+        """Return the parameters `JOINT` and `ACTION`."""
         yield Parameter(
             JOINT,
             self._joint,
@@ -126,10 +126,10 @@ class Gripper:
             self._actuator(name)
 
     async def run(self) -> None:
-        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        """Offer the action until cancelled, and then cancel its active goals."""
         await self._server.run()
 
-    # --- what comes
+    # --- commands
 
     async def _accept_simple(self, message: Any) -> HandJob:
         asked = message.command
@@ -147,7 +147,7 @@ class Gripper:
         if names in ([], [""]):
             joint = self._configured_joint
         else:
-            # An actuator of that name comes before the gap.
+            # An actuator of that name takes precedence over the gap.
             joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
         command = Command(
             joint,
@@ -180,13 +180,13 @@ class Gripper:
         return str(self._face.parameters.values[JOINT])
 
     def _actuator(self, name: str) -> ActuatorSpec:
-        """Return an actuator; raises `GoalRejected` if there is none of that name."""
+        """Return an actuator by name; raise `GoalRejected` if there is none."""
         names = self._face.actuators
         if name not in names:
             raise GoalRejected(f"there is no actuator '{name[:100]}'; {suggestion(name, names)}")
         return self._face.model.actuators[names.index(name)]
 
-    # --- what the hand is to do
+    # --- goals of the hand
 
     async def _begin(
         self,
@@ -212,12 +212,12 @@ class Gripper:
         gap = command.position
         action, *elements = str(self._face.parameters.values[ACTION]).split() or [""]
         if not action and self._face.openings:
-            # The hand's best action for a width is one that opens wider still, so that an object
-            # fits in between. To open as wide as it goes, the one that opens widest is meant.
+            # The hand's best action for a width opens wider than it, to get around an object. To
+            # open as wide as possible, take the action that opens widest.
             widest = max(self._face.openings, key=lambda one: one.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
-        # As the hand finds actions: spelling and order do not matter.
+        # The hand, too, finds actions whatever their spelling and the order of their elements.
         wanted = normalise(action), sorted(elements)
         ranges = [
             one
@@ -232,7 +232,7 @@ class Gripper:
             tip_speed=command.speed or None,
         )
 
-    # --- what is told
+    # --- feedback and results
 
     def _now(self, joint: str, _: Feedback) -> dict[str, Any]:
         """Return the fields of feedback."""
@@ -248,7 +248,7 @@ class Gripper:
     def _ended(self, joint: str, result: Result) -> dict[str, Any]:
         """Return the fields of the result."""
         position, effort = self._measured(joint)
-        # The result's values are those of the end; the newest state here may be from before.
+        # The hand's result holds the values at the end; the newest state here may be older.
         if joint:
             position = result.position.get(joint, position)
         else:
@@ -271,7 +271,7 @@ class Gripper:
 
 
 def is_stalled(state: State, limits: Sequence[float]) -> bool:
-    """Return whether the hand is blocked by something and stands still.
+    """Return whether an object blocks the hand and all actuators stand still.
 
     Args:
         state: The newest state. An actuator whose velocity is not measured counts as still.
@@ -282,43 +282,44 @@ def is_stalled(state: State, limits: Sequence[float]) -> bool:
 
 
 def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
-    """Return the force to ask for where a program gives the most that it allows.
+    """Return the force of a goal for the ``max_effort`` of a command [N].
 
-    Controllers of ROS 2 take ``max_effort`` as a bound, and programs give one for any gripper.
+    ROS 2's controllers take ``max_effort`` as an upper bound, and programs send one value to any
+    gripper.
 
     Args:
-        effort: The bound [N].
+        effort: The upper bound [N].
         gap: The gap at which the force is needed [m].
-        ranges: What can be asked for with the actions in question.
+        ranges: Openings and forces of the actions in question.
 
     Returns:
-        The bound; or, if all of the actions are weaker there, what the strongest of them gives.
+        The bound; or, if all of the actions are weaker at the gap, the force of the strongest.
     """
     strongest = max(
         (one.forces_at(gap)[1] for one in ranges if one.narrowest <= gap <= one.widest),
         default=0.0,
     )
-    # 0: the force cannot be limited, so that the hand itself refuses it with its reason.
+    # If no force can be limited, pass the bound on: the hand refuses it with the reason.
     return min(effort, strongest) if strongest else effort
 
 
 def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
-    """Return the goal that brings an actuator to a position.
+    """Return the goal that moves an actuator to a position.
 
-    It is the action that moves the fewest actuators besides, at the intensity for the position.
+    Its action is the one that moves the fewest other actuators, at the intensity of the position.
 
     Args:
         command: The command.
-        actuator: Its joint.
-        actions: The hand's actions.
+        actuator: The actuator of the command's joint.
+        actions: The actions of the hand.
 
     Raises:
-        GoalRejected: if no action brings it there, with what they can do.
+        GoalRejected: if no action reaches the position.
     """
     found: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]
     for action in actions:
-        # A timed action has no intensity that could stop it in between.
+        # A timed action takes no intensity that could stop it on the way.
         if isinstance(action, Timed) or actuator.name not in action.posture.involved:
             continue
         end = action.posture.position[actuator.name]
@@ -345,7 +346,7 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
 
 
 def _single(values: Sequence[float], what: str) -> float:
-    """Return the value of a sequence that has one or none; 0 for none."""
+    """Return the value of a sequence of at most one; 0 for none."""
     if len(values) > 1:
         raise GoalRejected(f"a gripper takes one {what} or none, not {len(values)}")
     return float(values[0]) if len(values) else 0.0

@@ -1,4 +1,4 @@
-"""Goals of the hand as goals of actions: how they run, end and are cancelled."""
+"""Goals of the hand as jobs of a ROS 2 action."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from rtee.types import Feedback, Result
 
 
 def state_of(result: Result, touch: bool = False) -> GoalState:
-    """Return the state in which a goal of an action ends.
+    """Return the final state of an action's goal.
 
     Args:
-        result: How the hand's goal ended. The action's succeeds if the posture was reached or
-            something is held.
-        touch: The goal was to touch: it succeeds if a finger did.
+        result: Result of the hand's goal, which succeeds if the posture was reached or an object
+            is held.
+        touch: Whether the goal was to touch; it then succeeds if a finger touched something.
     """
     if result.cancelled:
         return GoalState.CANCELED
@@ -29,7 +29,7 @@ def state_of(result: Result, touch: bool = False) -> GoalState:
 
 
 def reason_of(result: Result, touch: bool = False) -> str:
-    """Return why a goal was aborted, in words; empty if it was not. Arguments: see `state_of`."""
+    """Return the reason for an abortion as a sentence, else ``""``; arguments as `state_of`."""
     if state_of(result, touch) is not GoalState.ABORTED:
         return ""
     if result.preempted:
@@ -44,14 +44,14 @@ def reason_of(result: Result, touch: bool = False) -> str:
 
 
 class HandJob:
-    """Follows a goal of the hand that an action has begun.
+    """Job of an action that follows a goal of the hand.
 
-    The hand has one goal at a time: a new one, of whichever client, ends this one.
+    The hand has one goal at a time; a new goal of any client ends this one.
 
     Args:
-        running: The goal.
-        result: Returns the action's result for that of the hand.
-        feedback: Returns the fields of the action's feedback for that of the hand.
+        running: The running goal of the hand.
+        result: Converts the hand's result to that of the action.
+        feedback: Converts the hand's feedback to the fields of that of the action.
     """
 
     def __init__(
@@ -63,16 +63,16 @@ class HandJob:
         self._running, self._result, self._feedback = running, result, feedback
 
     async def run(self, goal: ServerGoal) -> Outcome:
-        """Wait for the end; raises `NoHand` if the hand goes."""
+        """Wait for the end of the goal; raise `NoHand` if the hand ends first."""
 
-        def tell(feedback: Feedback) -> None:
+        def publish(feedback: Feedback) -> None:
             if goal.heard:
                 goal.feedback(**self._feedback(feedback))
 
-        result = await self._running.result(tell)
+        result = await self._running.result(publish)
         touch = self._running.goal.touch
         return Outcome(state_of(result, touch), self._result(result), reason_of(result, touch))
 
     async def cancel(self) -> None:
-        """Have the hand brake and hold; raises a `RemoteError` if it does not."""
+        """Have the hand brake and hold its posture; raise a `RemoteError` if it refuses."""
         await self._running.cancel()

@@ -1,4 +1,4 @@
-"""The services of a hand's node: stop, open, its actions, and what there is to know about it."""
+"""The services of a hand's node: stop, open, its actions, and queries about the hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtee.actions.types import Action, kind_of
 from rtee.errors import NoHand, RteeError
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.words import sentence
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.services import Service
@@ -23,25 +23,25 @@ from rtee.types import Result
 log = logging.getLogger(__name__)
 
 TOLERANCE, SPEED, INTENSITY = "tolerance", "speed", "intensity"
-"""Names of the parameters of the goals that services begin."""
+"""Names of the parameters for the goals that services start."""
 
 GRIP_EFFORT = "grip_effort"
-"""Name of the parameter with the effort kept on what is held."""
+"""Name of the parameter for the effort on a grasped object."""
 
 CHANGED = "actions_changed"
-"""The kind of the event that a hand's actions have changed."""
+"""Kind of the event that the hand's actions have changed."""
 
 _TRIGGER = "std_srvs/srv/Trigger"
 
 
-class Services:
-    """Offers what a hand does and knows as services.
+class Services(Part):
+    """Offers the actions and queries of a hand as services.
 
     Args:
         face: The hand and its node.
-        actions: The hand's actions as they are now.
+        actions: The present actions of the hand.
         gains: The gains of its devices, by device and gain.
-        grip_effort: The effort kept on what is held, as a fraction of the effort limit.
+        grip_effort: Effort on a grasped object, as a fraction of the effort limit.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Services:
         face.on_status.append(self._keep_gains)
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return those of goals, and the gains."""
+        """Return the parameters of goals, the gains and the limits."""
         goals = "of the goals that services begin"
         yield Parameter(TOLERANCE, 0.01, f"Tolerance {goals} [rad | m].", lower=1e-6, upper=1.0)
         yield Parameter(
@@ -89,7 +89,8 @@ class Services:
             change=lambda value: hand.set_gains({GRIP_EFFORT: value}),
         )
         for (device, gain), value in self._gains.items():
-            if not math.isnan(value):  # the device tells none, so that it could not be read back
+            # A device that does not report its gain has NaN; a client could not read it back.
+            if not math.isnan(value):
                 yield Parameter(
                     gain_name(device, gain),
                     value,
@@ -97,11 +98,9 @@ class Services:
                     change=partial(self._set_gain, device, gain),
                 )
         model = self._face.model
-        for name, what, values in (
-            ("lower", "Lower limits of the actuators [rad | m].", model.lower),
-            ("upper", "Upper limits of the actuators [rad | m].", model.upper),
-        ):
-            yield Parameter(f"limits.{name}", values.tolist(), what, read_only=True)
+        for name, values in (("lower", model.lower), ("upper", model.upper)):
+            text = f"{name.capitalize()} limits of the actuators [rad | m]."
+            yield Parameter(f"limits.{name}", values.tolist(), text, read_only=True)
         yield Parameter(
             "use_sim_time", False, "A hand has the time of its computer.", read_only=True
         )
@@ -110,29 +109,29 @@ class Services:
         await self._face.hand.set_gains({gain: value}, device)
 
     async def run(self) -> None:
-        """Follow changes of the hand's actions until it goes."""
+        """Follow changes of the hand's actions until the hand ends."""
         events = self._face.hand.events()
-        # Asked once more now that changes are heard: making the node takes a moment.
+        # Again after subscribing, since the actions may have changed while the node was made.
         self._update(await self._face.hand.actions())
         async for event in events:
             if event.kind == CHANGED:
                 self._update(await self._face.hand.actions())
 
     def _keep_gains(self, status: HandStatus) -> None:
-        """Keep the gains, which other clients may have changed."""
-        found = {GRIP_EFFORT: status.grip_effort}
+        """Update the parameters of gains, which other clients may have changed."""
+        gains = {GRIP_EFFORT: status.grip_effort}
         for device in status.devices:
             pairs = zip(device.gains, device.gain_values, strict=False)
-            found |= {gain_name(device.name, gain): value for gain, value in pairs}
+            gains |= {gain_name(device.name, gain): value for gain, value in pairs}
         parameters = self._face.parameters
         known = parameters.values
         # A gain unknown at the start has no parameter, and NaN would count as a change each time.
-        parameters.update({n: v for n, v in found.items() if n in known and not math.isnan(v)})
+        parameters.update({n: v for n, v in gains.items() if n in known and not math.isnan(v)})
 
-    # --- what moves the hand
+    # --- services that move the hand
 
     def _offer(self, name: str, answer: Callable[[], Awaitable[tuple[bool, str]]]) -> Service:
-        """Offer a ``Trigger``; what goes wrong is its message."""
+        """Offer a ``Trigger`` service; its response carries the message of an error."""
 
         async def handle(_: Any) -> Message:
             try:
@@ -145,7 +144,7 @@ class Services:
 
     async def _stop(self) -> tuple[bool, str]:
         confirmed = await self._face.hand.stop()
-        silent = [device for device, did in confirmed.items() if not did]
+        silent = [device for device, done in confirmed.items() if not done]
         if silent:
             return False, f"no answer of {', '.join(silent)}"
         return True, "all devices have stopped"
@@ -164,13 +163,13 @@ class Services:
             kind=kind,
             tolerance=face.number(TOLERANCE),
             speed=face.number(SPEED),
-            # Opening is complete, whatever intensity is set for other goals.
+            # The hand opens completely, whatever intensity is set for other goals.
             intensity=face.number(INTENSITY) if kind is not None else 1.0,
         )
         return result.succeeded, sentence(result, elements)
 
     def _update(self, actions: Iterable[Action]) -> None:
-        """Offer a service for each action, and no others."""
+        """Offer one service for each action; withdraw those of removed actions."""
         wanted: dict[str, Action] = {}
         for action in actions:
             name = service_name(action)
@@ -181,7 +180,7 @@ class Services:
             self._face.node.discard(self._offered.pop(name)[1])
         for name, action in wanted.items():
             same = self._offered.get(name)
-            # Made anew only if it means another action: closing it loses the answer of its goal.
+            # Replaced only if it means another action, since closing it loses a pending response.
             if same is not None and _reference(same[0]) == _reference(action):
                 continue
             if same is not None:
@@ -189,7 +188,7 @@ class Services:
             service = self._offer(f"~/do/{name}", partial(self._goal, *_reference(action)))
             self._offered[name] = action, service
 
-    # --- what is known of it
+    # --- queries
 
     async def _list_actions(self, request: Any) -> dict[str, Any]:
         asked = {"kind": request.kind, "name": request.name, "elements": request.elements}
@@ -212,7 +211,7 @@ class Services:
             await self._face.hand.add_generic(
                 request.name, where, store=request.store, replace=request.replace
             )
-        # That the hand has gone is not a refusal: no service of it answers then.
+        # A hand that has ended does not refuse; its services just give no answer.
         except NoHand:
             raise
         except RteeError as error:
@@ -228,7 +227,7 @@ class Services:
 
 
 def service_name(action: Action) -> str:
-    """Return how an action's service is called: ``pinch_tight_index_thumb``."""
+    """Return the name of an action's service: ``pinch_tight_index_thumb``."""
     return ros_name("_".join((snake_case(action.name), *action.elements)))
 
 
@@ -238,13 +237,13 @@ def gain_name(device: str, gain: str) -> str:
 
 
 def _reference(action: Action) -> tuple[str, tuple[str, ...], str]:
-    """Return what identifies an action."""
+    """Return name, elements and kind, which identify an action."""
     return action.name, tuple(action.elements), str(kind_of(action))
 
 
 async def _with(
     response: type[Message], handler: Callable[[Any], Awaitable[dict[str, Any]]], request: Any
 ) -> Message:
-    """Return a response of the fields that a handler returns."""
+    """Return a response with the fields that a handler returns."""
     made: Message = response.from_dict(await handler(request))
     return made

@@ -1,7 +1,7 @@
-"""Hashes of types (RIHS01) and the descriptions that they are made of.
+"""Hashes of types (RIHS01) and the descriptions from which they are computed.
 
 A hash is the SHA-256 of the type's description as JSON, with the descriptions of all types that it
-refers to, sorted by name (REP 2016). Two programs hear each other only where their hashes agree.
+refers to, sorted by name (REP 2016). Two programs exchange messages only if their hashes agree.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from typing import Any, Final
 from rtee.ros2.notation import PRIMITIVES, Structure
 
 PREFIX: Final = "RIHS01_"
-"""Beginning of every hash: the version of the rule by which it is made."""
+"""Prefix of every hash: the version of the algorithm."""
 
 NO_HASH: Final = "TypeHashNotSupported"
-"""What Humble writes instead of a hash: it has none."""
+"""Text that Humble, which has no hashes, writes instead of one."""
 
+# Numbers of ``type_description_interfaces/msg/FieldType``.
 _NESTED = 1
 _BOUNDED_STRING = 21
 
 Description = dict[str, Any]
-"""A description: a tree of mappings, lists, texts and integers."""
+"""Description of a type: a tree of mappings, lists, texts and integers."""
 
 
 def describe(structure: Structure) -> Description:
@@ -31,10 +32,10 @@ def describe(structure: Structure) -> Description:
     fields = []
     for member in structure.members:
         number = PRIMITIVES.get(member.base, _NESTED)
-        # The bound is not part of the base's name, so that PRIMITIVES cannot have this number.
+        # PRIMITIVES is indexed by the base's name, of which the bound is not a part.
         if member.longest:
             number = _BOUNDED_STRING
-        # Without default values: rosidl leaves them out of what it hashes.
+        # rosidl leaves default values out of the hash.
         fields.append(
             {
                 "name": member.name,
@@ -64,11 +65,11 @@ def referred(structure: Structure, find: Callable[[str], Structure]) -> list[Str
 
 
 def description(structure: Structure, find: Callable[[str], Structure]) -> Description:
-    """Return the ``TypeDescription`` of a structure, with all that it refers to.
+    """Return the ``TypeDescription`` of a structure, with all structures that it refers to.
 
     Args:
         structure: The structure.
-        find: Returns a structure by its full name.
+        find: Function that returns a structure by its full name.
     """
     others = [describe(one) for one in referred(structure, find)]
     return {"type_description": describe(structure), "referenced_type_descriptions": others}
@@ -76,6 +77,6 @@ def description(structure: Structure, find: Callable[[str], Structure]) -> Descr
 
 def type_hash(structure: Structure, find: Callable[[str], Structure]) -> str:
     """Return the hash of a structure: ``RIHS01_`` and 64 hexadecimal digits."""
-    # Separators and order as rosidl writes them: they are part of what is hashed.
+    # Separators and order are hashed, too, and must be those of rosidl.
     text = json.dumps(description(structure, find), separators=(", ", ": "))
     return PREFIX + hashlib.sha256(text.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""What Zenoh's threads hand over to the event loop: bounded, and never waiting."""
+"""Bounded queue from Zenoh's threads to the event loop, and limits for what others send."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ T = TypeVar("T")
 
 
 class Complaints:
-    """Says what is wrong with what others send: each thing once, however often it comes.
+    """Logs problems with the messages of others: each problem once, however often it occurs.
 
     Args:
-        log: Where to.
+        log: Logger of the warnings.
 
     Attributes:
-        count: What was dropped since the beginning, by what was wrong.
+        count: Number of occurrences of each problem.
     """
 
     MOST = 200
-    """Different complaints that are told and counted: others send what they like."""
+    """Most different problems logged and counted, since others may send anything."""
 
     def __init__(self, log: logging.Logger) -> None:
         self.count: dict[str, int] = {}
@@ -32,30 +32,30 @@ class Complaints:
         self._lock = threading.Lock()
 
     def tell(self, what: str, detail: str = "") -> None:
-        """Tell of something that was dropped, once; any thread may call this.
+        """Count a problem, and log it the first time; may be called from any thread.
 
         Args:
-            what: What was dropped and why: of few different texts.
-            detail: What more there is to say the first time.
+            what: The problem, as one of few different texts.
+            detail: Details to log with it.
         """
         with self._lock:
-            told = self.count.get(what, 0)
-            if told or len(self.count) < self.MOST:
-                self.count[what] = told + 1
+            before = self.count.get(what, 0)
+            if before or len(self.count) < self.MOST:
+                self.count[what] = before + 1
             else:
                 return
-        # Outside the lock, for which Zenoh's threads wait: a log handler may block.
-        if not told:
+        # Outside the lock, for which Zenoh's threads wait, since a log handler may block.
+        if not before:
             self._log.warning(
                 "%s%s; further ones are not told", what, f": {detail}" if detail else ""
             )
 
 
 class Limit:
-    """Lets through so many things a second; any thread may ask.
+    """Limits the rate of events; may be called from any thread.
 
     Args:
-        rate: How many, in each second of its own.
+        rate: Most events in each interval of one second.
     """
 
     def __init__(self, rate: int) -> None:
@@ -63,7 +63,7 @@ class Limit:
         self._lock = threading.Lock()
 
     def passes(self) -> bool:
-        """Return whether one more may pass."""
+        """Count an event and return whether it is within the limit."""
         with self._lock:
             now = time.monotonic()
             if now >= self._until:
@@ -73,19 +73,19 @@ class Limit:
 
 
 class Inbox(Generic[T]):
-    """Things that a thread of Zenoh hands over to a function in the event loop.
+    """Bounded queue from a thread of Zenoh to a function in the event loop; never blocks.
 
-    To be made in the event loop's thread.
+    Must be made in the event loop's thread.
 
     Args:
-        take: Called in the event loop with each thing; it must return soon.
-        depth: How many may wait.
-        keep_newest: Whether the oldest is dropped when there are more, otherwise the new one.
-        dropped: Called in Zenoh's thread for each that is dropped.
+        take: Called in the event loop with each item; must return soon.
+        depth: Most items that wait.
+        keep_newest: Whether a full queue drops its oldest item, or else the new one.
+        dropped: Called in Zenoh's thread for each dropped item.
     """
 
     _BATCH = 50
-    """Things taken before other work of the event loop has its turn."""
+    """Most items taken before the event loop turns to other work."""
 
     def __init__(
         self,
@@ -103,8 +103,8 @@ class Inbox(Generic[T]):
         self._loop = asyncio.get_running_loop()
         self._closed = False
 
-    def put(self, thing: T) -> None:
-        """Hand something over; called in a thread of Zenoh."""
+    def put(self, item: T) -> None:
+        """Append an item; called in a thread of Zenoh."""
         with self._lock:
             if self._closed:
                 return
@@ -112,10 +112,10 @@ class Inbox(Generic[T]):
             if full and self._keep_newest:
                 self._waiting.popleft()
             if not full or self._keep_newest:
-                self._waiting.append(thing)
-            # One wake-up for all that wait: one for each would flood the event loop.
+                self._waiting.append(item)
+            # One wake-up for all waiting items; one for each would flood the event loop.
             wake, self._due = not self._due, True
-        # Outside the lock, for which the event loop waits: this may log.
+        # Outside the lock, for which the event loop waits, since this may log.
         if full and self._dropped is not None:
             self._dropped()
         if wake:
@@ -128,16 +128,15 @@ class Inbox(Generic[T]):
         for _ in range(self._BATCH):
             with self._lock:
                 if not self._waiting or self._closed:
-                    # Under the lock: a thing that is put at this moment either is seen above or
-                    # wakes the loop again.
+                    # Under the lock, so that a concurrent `put` wakes the loop again.
                     self._due = False
                     return
-                thing = self._waiting.popleft()
-            self._take(thing)
+                item = self._waiting.popleft()
+            self._take(item)
         self._loop.call_soon(self._run)
 
     def close(self) -> None:
-        """Take nothing more; what waits is dropped."""
+        """Drop the waiting items, and accept no more."""
         with self._lock:
             self._closed = True
             self._waiting.clear()

@@ -1,4 +1,4 @@
-"""Key expressions of topics and services, and the liveliness tokens that make up the ROS graph."""
+"""Key expressions of topics and services, and liveliness tokens, which form the ROS graph."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from rtee.errors import ConfigError
 from rtee.ros2.qos import Qos, parse_chunk
 
 GRAPH = "@ros2_lv"
-"""Beginning of all tokens."""
+"""First chunk of all tokens."""
 
 LONGEST_TOKEN = 2048
-"""Longest token that is read [characters]: ROS limits names to 255."""
+"""Longest token that is parsed [characters]: ROS limits each name to 255."""
 
-# Without re.ASCII, \w takes letters and digits that ROS does not.
+# Without re.ASCII, \w would match letters and digits that ROS does not allow.
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _LONGEST_NAME = 255
-"""Longest fully qualified name [characters], as rmw has it."""
+"""Longest fully qualified name [characters], the limit of rmw."""
 
 
 class Kind(StrEnum):
-    """What an entity of the graph is."""
+    """Kind of an entity of the graph, by its code in tokens."""
 
     NODE = "NN"
     PUBLISHER = "MP"
@@ -36,8 +36,8 @@ class NodeName:
     """The name of a node.
 
     Attributes:
-        name: Its name, without a namespace.
-        namespace: Its namespace with a leading slash, ``/`` for none.
+        name: Name without a namespace.
+        namespace: Namespace with a leading slash; ``/`` for none.
     """
 
     name: str
@@ -45,7 +45,7 @@ class NodeName:
 
     @property
     def full(self) -> str:
-        """Its fully qualified name."""
+        """The fully qualified name."""
         return f"{self.namespace.rstrip('/')}/{self.name}"
 
     def resolve(self, name: str) -> str:
@@ -67,7 +67,15 @@ class NodeName:
 
 
 def checked(full: str, called: str) -> str:
-    """Return a fully qualified name; raises `ConfigError`, which says what it is, if it is none."""
+    """Return a fully qualified name unchanged if ROS 2 allows it.
+
+    Args:
+        full: The name.
+        called: Description of the name for error messages.
+
+    Raises:
+        ConfigError: if ROS 2 does not allow the name.
+    """
     parts = full.removeprefix("/").split("/")
     if not full.startswith("/") or not all(map(_NAME.fullmatch, parts)):
         raise ConfigError(
@@ -80,7 +88,7 @@ def checked(full: str, called: str) -> str:
 
 
 def node_name(name: str, namespace: str = "") -> NodeName:
-    """Return the name of a node; raises `ConfigError` if ROS 2 would refuse it."""
+    """Return the name of a node; raise `ConfigError` if ROS 2 would refuse it."""
     namespace = "/" + namespace.strip("/")
     if namespace != "/":
         checked(namespace, f"the namespace '{namespace}'")
@@ -98,7 +106,7 @@ def dds_type(name: str) -> str:
 
 
 def ros_type(dds: str) -> str:
-    """Return ``std_msgs/msg/String`` for ``std_msgs::msg::dds_::String_``; others unchanged."""
+    """Return ``std_msgs/msg/String`` for ``std_msgs::msg::dds_::String_``; keep other texts."""
     parts = dds.split("::")
     if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
         return dds
@@ -106,20 +114,20 @@ def ros_type(dds: str) -> str:
 
 
 def key_expression(domain: int, name: str, kind: str, type_hash: str) -> str:
-    """Return the key on which a topic is published or a service asked.
+    """Return the key expression of a topic or service.
 
     Args:
         domain: The domain.
         name: Fully qualified name of the topic or service.
         kind: Full name of the type.
-        type_hash: Its hash.
+        type_hash: Hash of the type.
     """
-    # Zenoh refuses keys with empty chunks, such as the one before a leading slash.
+    # Zenoh refuses keys with empty chunks, such as that before a leading slash.
     return f"{domain}/{name.strip('/')}/{dds_type(kind)}/{type_hash}"
 
 
 def _mangled(name: str) -> str:
-    # A slash would split the name into chunks of the key, and no chunk may be empty.
+    # A slash would split the name into several chunks, and no chunk may be empty.
     return name.replace("/", "%") or "%"
 
 
@@ -135,15 +143,15 @@ class Entity:
         domain: The domain.
         session: Identifier of its Zenoh session.
         node_id: Number of its node.
-        entity_id: Its own number; of a node the same.
-        kind: What it is.
-        node: Its node.
+        entity_id: Number of the entity; that of a node is its ``node_id``.
+        kind: Kind of the entity.
+        node: Name of its node.
         topic: Fully qualified name of the topic or service; empty for a node.
         type: Full name of the type; empty for a node.
         type_hash: Hash of the type; empty for a node.
-        qos: Its QoS.
-        enclave: Its enclave of security.
-        more: Chunks that newer versions append.
+        qos: Quality of service.
+        enclave: Security enclave.
+        more: Chunks that newer versions of rmw_zenoh append.
     """
 
     domain: str
@@ -161,7 +169,7 @@ class Entity:
 
     @property
     def token(self) -> str:
-        """Its liveliness token."""
+        """The liveliness token of the entity."""
         names = map(_mangled, (self.enclave, self.node.namespace, self.node.name))
         ids = (self.domain, self.session, self.node_id, self.entity_id, self.kind.value)
         begin = "/".join((GRAPH, *ids, *names))
@@ -171,14 +179,15 @@ class Entity:
         return "/".join((begin, *last, *self.more))
 
 
+# Number of chunks of the token of a node, and of a publisher, subscription, service or client.
 _NODE_CHUNKS = 9
 _ENDPOINT_CHUNKS = 13
 
 
 def parse_token(token: str) -> Entity | None:
-    """Return the entity of a token, or ``None`` if it is none that could be understood.
+    """Return the entity of a token, or ``None`` if the token is malformed.
 
-    Chunks at the end that are not known, and numbers in the QoS that are not known, are taken.
+    Accepts unknown chunks at the end and unknown numbers in the QoS, for newer versions.
     """
     if len(token) > LONGEST_TOKEN:
         return None

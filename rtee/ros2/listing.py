@@ -1,4 +1,4 @@
-"""The ROS graph as people list it: nodes, topics, services and actions with their types."""
+"""Lists of the ROS graph for people: nodes, topics, services and actions with their types."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from enum import StrEnum
 
 from rtee.ros2.keys import Entity, Kind
 
+# Endings of the services and topics that make up an action, and of the type of its goals' service.
 _GOALS = "/_action/send_goal"
 _PARTS = "/_action/"
 _GOAL_TYPE = "_SendGoal"
@@ -17,7 +18,7 @@ _TOPIC = (Kind.PUBLISHER, Kind.SUBSCRIPTION)
 
 
 class Sort(StrEnum):
-    """What is listed."""
+    """Kind of a row of a list."""
 
     NODE = "node"
     TOPIC = "topic"
@@ -29,13 +30,14 @@ class Sort(StrEnum):
 class Listed:
     """A node, topic, service or action of the graph.
 
-    Those of the same name whose type or hash differs are listed apart: they do not hear each other.
+    Entities of the same name with another type or hash are listed separately, since they do not
+    exchange messages.
 
     Attributes:
-        sort: What it is.
-        name: Its fully qualified name.
-        type: Full name of its type; empty for a node.
-        type_hash: Hash of its type, of an action of the service that takes goals; empty for a node.
+        sort: Node, topic, service or action.
+        name: Fully qualified name.
+        type: Full name of the type; empty for a node.
+        type_hash: Hash of the type, for an action that of its ``send_goal``; empty for a node.
         offered: Nodes that publish the topic, or offer the service or action.
         used: Nodes that subscribe to the topic, or are clients.
     """
@@ -49,11 +51,11 @@ class Listed:
 
 
 def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
-    """Return what is in the graph, by sort and name.
+    """Return the rows of a list of the graph, ordered by sort and name.
 
     Args:
         entities: The entities of the graph.
-        parts: Also the topics and services that actions are made of.
+        parts: Whether to list the topics and services of actions, too.
     """
     nodes: set[str] = set()
     found: dict[tuple[Sort, str, str, str], tuple[set[str], set[str]]] = {}
@@ -65,7 +67,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
         keys = [(sort, one.topic, one.type, one.type_hash)]
         if _PARTS in one.topic and not parts:
             keys = []
-        # Of an action's five parts, one counts: it would be listed five times.
+        # One of the five parts of an action stands for it, or it would be listed five times.
         if sort is Sort.SERVICE and one.topic.endswith(_GOALS):
             name, kind = one.topic.removesuffix(_GOALS), one.type.removesuffix(_GOAL_TYPE)
             keys.append((Sort.ACTION, name, kind, one.type_hash))
@@ -79,17 +81,17 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
 
 
 def unheard(rows: Iterable[Listed]) -> list[str]:
-    """Return a sentence for each node that uses what nobody offers, since type or hash differ.
+    """Return a sentence for each topic, service or action used with a type that nobody offers.
 
     Args:
-        rows: What is in the graph.
+        rows: Rows of the graph; see `listed`.
     """
     rows = list(rows)
     offered: dict[tuple[Sort, str], list[Listed]] = {}
     for row in rows:
         if row.offered:
             offered.setdefault((row.sort, row.name), []).append(row)
-    said = []
+    sentences = []
     for row in rows:
         others = offered.get((row.sort, row.name), [])
         if row.offered or not row.used or not others:
@@ -100,8 +102,8 @@ def unheard(rows: Iterable[Listed]) -> list[str]:
             difference = f"with another hash ({row.type_hash}, not {other.type_hash})"
         else:
             difference = f"as {row.type}, not {other.type}"
-        said.append(
+        sentences.append(
             f"{users} {who} for the {row.sort} {row.name} {difference}: it hears nothing of"
             f" {', '.join(other.offered)}"
         )
-    return said
+    return sentences

@@ -1,9 +1,10 @@
 """Messages of ROS 2 as Python objects, and their bytes (CDR).
 
-A class per message, made from its definition: ``JointState(name=["a"], position=[0.5])``; what is
-not given is zero, empty, or the definition's default. Fields are attributes; constants are
-attributes of the class. Sequences and arrays of numbers are decoded into numpy arrays, of
-``uint8``, ``byte`` and ``char`` into `bytes`; any sequence of the right kind is encoded.
+Each message has a class made from its definition: ``JointState(name=["a"], position=[0.5])``.
+Fields that are not given are zero, empty, or the definition's default. Fields are attributes of the
+message, constants attributes of the class. Sequences and arrays of numbers are decoded into NumPy
+arrays, those of ``uint8``, ``byte`` and ``char`` into `bytes`; any sequence of the right kind is
+encoded.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ Find = Callable[[str], "type[Message]"]
 
 
 class Message:
-    """A message; see the module for its fields.
+    """Base class of messages; see the module for their fields.
 
     Attributes:
-        STRUCTURE: Its definition.
+        STRUCTURE: Definition of the message.
     """
 
     __slots__ = ()
@@ -59,16 +60,16 @@ class Message:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Message) or other.STRUCTURE != self.STRUCTURE:
             return NotImplemented
-        # Compared by bytes: a list and an array of the same numbers are the same field.
+        # Compare the bytes, since a list and an array of the same numbers are equal fields.
         return self.encode() == other.encode()
 
     __hash__ = None  # type: ignore[assignment]  # it can be changed
 
     def encode(self) -> bytes:
-        """Return its CDR bytes.
+        """Return the CDR bytes of the message.
 
         Raises:
-            MessageError: if a field holds what its type cannot.
+            MessageError: if a value does not fit its field.
         """
         writer = Writer()
         self._write(writer)
@@ -79,7 +80,7 @@ class Message:
         """Return the message of CDR bytes.
 
         Raises:
-            MessageError: if the bytes are no such message.
+            MessageError: if the bytes are not those of such a message.
         """
         reader = Reader(data)
         try:
@@ -92,15 +93,15 @@ class Message:
         return message
 
     def to_dict(self) -> dict[str, Any]:
-        """Return its fields by name, nested messages as dictionaries, arrays as lists."""
+        """Return the fields by name, nested messages as dictionaries and arrays as lists."""
         return {name: _plain(getattr(self, name)) for name in self._DEFAULTS}
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> Any:
-        """Return the message of fields by name; nested messages are mappings, too.
+        """Return a message with these fields; nested messages are mappings, too.
 
         Raises:
-            MessageError: if there is no such field, or it holds what its type cannot.
+            MessageError: if there is no such field, or a value does not fit its field.
         """
         if not isinstance(fields, Mapping):
             raise MessageError(f"{cls.STRUCTURE.name}: fields by name expected, not '{fields}'")
@@ -113,7 +114,7 @@ class Message:
                 value = inner.from_dict(value)
             made[name] = value
         message = cls(**made)
-        message.encode()  # so that a wrong value is told here, with its field
+        message.encode()  # to report a wrong value here, with its field
         return message
 
     def _write(self, writer: Writer) -> None:
@@ -121,7 +122,7 @@ class Message:
 
     @classmethod
     def _read(cls, reader: Reader) -> Any:
-        # Without `__init__`, whose defaults would all be replaced.
+        # Skip `__init__`, all of whose defaults would be replaced.
         message = cls.__new__(cls)
         for name, read in cls._READERS:
             setattr(message, name, read(reader))
@@ -129,13 +130,12 @@ class Message:
 
 
 def write_fields(kind: Message | type[Message], writer: Writer, message: Any) -> None:
-    """Append the fields of a message; raises `MessageError` for what cannot be one."""
+    """Append the fields of a message; raise `MessageError` if a value does not fit its field."""
     name = ""
     try:
         for name, write in kind._WRITERS:  # noqa: SLF001 - of the same module
             write(writer, getattr(message, name))
-    except MessageError:
-        # It names the innermost field already.
+    except MessageError:  # which already names the innermost field
         raise
     except (TypeError, ValueError, AttributeError, OverflowError, struct.error) as error:
         raise MessageError(f"{kind.STRUCTURE.name}.{name}: {error}") from error
@@ -155,14 +155,14 @@ def message_class(structure: Structure, find: Find) -> type[Message]:
     """Return the class of a message.
 
     Args:
-        structure: Its definition.
-        find: Returns the class of a nested message by its full name.
+        structure: Definition of the message.
+        find: Function that returns the class of a nested message by its full name.
     """
     inner = {one.name: find(one.base) for one in structure.members if one.nested}
     members = structure.members
     space: dict[str, Any] = dict(structure.constants)
     space |= {
-        # Without a dictionary, a misspelt field raises instead of being left out of the bytes.
+        # With slots, a misspelt field raises an error instead of being ignored.
         "__slots__": tuple(one.name for one in members),
         "__module__": __name__,
         "__doc__": f"A message ``{structure.name}``.",
@@ -176,10 +176,10 @@ def message_class(structure: Structure, find: Find) -> type[Message]:
 
 
 def _default(member: Member, inner: type[Message] | None) -> Callable[[], Any]:
-    """Return what makes the value of a field that is not given."""
+    """Return a function that makes the default value of a field."""
     given, base, count = member.default, member.base, member.capacity
     if given is not None:
-        # A list of its own for each message, since fields may be changed.
+        # A new list for each message, since fields may be changed.
         return (lambda: list(given)) if isinstance(given, (list, tuple)) else (lambda: given)
     if member.many is not Many.ONE:
         count = count if member.many is Many.ARRAY else 0
@@ -196,7 +196,7 @@ def _default(member: Member, inner: type[Message] | None) -> Callable[[], Any]:
 
 
 def _sized(member: Member, values: Sequence[Any]) -> None:
-    """Raise `ValueError` if a sequence is longer, or an array shorter, than its type."""
+    """Raise `ValueError` if the length of a sequence or array does not fit its type."""
     count, capacity = len(values), member.capacity
     if member.many is Many.ARRAY and count != capacity:
         raise ValueError(f"{capacity} values expected, not {count}")
@@ -212,7 +212,7 @@ def _text(member: Member, value: str) -> None:
 
 
 def _writer(member: Member, inner: type[Message] | None) -> Write:
-    """Return what writes the values of a field."""
+    """Return a function that writes the values of a field."""
     if inner is not None:
         one: Write = lambda writer, value: write_fields(inner, writer, value)  # noqa: E731
     elif member.base == "string":
@@ -225,7 +225,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
         kind = _KINDS[member.base]
         if member.many is not Many.ONE:
             return _numbers_writer(member, kind)
-        # Most numbers of a hand are doubles: their own method saves a look-up for each.
+        # Most numbers of a hand are doubles; their own method saves a look-up for each.
         if kind == "float64":
             return Writer.double
         return lambda writer, value: writer.scalar(kind, value)
@@ -233,7 +233,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
         return one
 
     def many(writer: Writer, values: Any) -> None:
-        # Both are sequences, too: their elements would be written one by one.
+        # These are sequences, too, whose elements would be written one by one.
         if isinstance(values, (str, bytes)):
             raise TypeError("a list expected")
         _sized(member, values)
@@ -247,7 +247,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
 
 def _numbers_writer(member: Member, kind: str) -> Write:
     def write(writer: Writer, values: Any) -> None:
-        # Octets are read as bytes, which NumPy takes for one value instead of a sequence.
+        # NumPy would take bytes for a single value instead of a sequence.
         if isinstance(values, (bytes, bytearray)):
             values = np.frombuffer(values, np.uint8)
         _sized(member, values)
@@ -260,7 +260,7 @@ def _numbers_writer(member: Member, kind: str) -> Write:
 
 
 def _reader(member: Member, inner: type[Message] | None) -> Read:
-    """Return what reads the values of a field."""
+    """Return a function that reads the values of a field."""
     one: Read
     if inner is not None:
         one = inner._read  # noqa: SLF001 - of the same module
@@ -275,7 +275,7 @@ def _reader(member: Member, inner: type[Message] | None) -> Read:
         return one
     if member.many is Many.ARRAY:
         return lambda reader: [one(reader) for _ in range(member.capacity)]
-    # An element takes a byte at least, a string five: its length and its closing NUL.
+    # Least size of an element [bytes]: a string has 4 for its length and a closing NUL.
     least = 5 if member.base == "string" else 1
 
     def many(reader: Reader) -> list[Any]:

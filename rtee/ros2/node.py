@@ -1,4 +1,4 @@
-"""Nodes of ROS 2, with what they publish, subscribe to and serve, and the context they are in."""
+"""Nodes of ROS 2 with their publishers, subscriptions, services and clients, and their context."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 import logging
 import math
 import os
-from collections.abc import AsyncIterator, Coroutine, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
@@ -29,7 +29,7 @@ from rtee.ros2.types import ServiceType, TopicType
 log = logging.getLogger(__name__)
 
 _WATCH = 1.0
-"""Time between two looks at the router [s], and between two attempts at the start."""
+"""Time between two checks of the connection to the router, and between two attempts [s]."""
 
 
 class _Closable(Protocol):
@@ -39,7 +39,7 @@ class _Closable(Protocol):
 C = TypeVar("C", bound=_Closable)
 
 AT_ONCE = 16
-"""Requests of a service that are handled at once, unless said otherwise."""
+"""Default number of requests that a service handles at once."""
 
 
 class Node:
@@ -67,18 +67,32 @@ class Node:
         ids = str(self._participant.domain), self._participant.zid, str(self._id), str(number)
         return Entity(*ids, kind, self.name)
 
-    def _endpoint(
-        self, kind: Kind, name: str, type_: TopicType | ServiceType, qos: Qos
-    ) -> tuple[Entity, str]:
+    def _add(
+        self,
+        make: Callable[..., C],
+        kind: Kind,
+        name: str,
+        type_: TopicType | ServiceType,
+        qos: Qos,
+        *options: object,
+    ) -> C:
+        """Make an endpoint, add it to the node and return it.
+
+        Args:
+            make: Class of the endpoint.
+            kind: Kind of the endpoint in the graph.
+            name: Name of the topic or service.
+            type_: Type of the topic or service.
+            qos: Quality of service.
+            options: Further arguments of the class.
+        """
         full = self.name.resolve(name)
         key = key_expression(self._participant.domain, full, type_.name, type_.hash)
         entity = self._entity(kind, self._participant.next_id())
-        made = replace(entity, topic=full, type=type_.name, type_hash=type_.hash, qos=qos)
-        return made, key
-
-    def _kept(self, made: C) -> C:
-        self._open.append(made)
-        return made
+        entity = replace(entity, topic=full, type=type_.name, type_hash=type_.hash, qos=qos)
+        endpoint = make(self._participant, entity, key, type_, *options)
+        self._open.append(endpoint)
+        return endpoint
 
     def _topic(self, type_: str | TopicType) -> TopicType:
         return self.context.interfaces.topic(type_) if isinstance(type_, str) else type_
@@ -90,12 +104,10 @@ class Node:
         """Return a new publisher.
 
         Raises:
-            ConfigError: if the name is none of ROS 2.
+            ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
-        kind = self._topic(type_)
-        entity, key = self._endpoint(Kind.PUBLISHER, topic, kind, qos)
-        return self._kept(Publisher(self._participant, entity, key, kind))
+        return self._add(Publisher, Kind.PUBLISHER, topic, self._topic(type_), qos)
 
     def subscription(
         self,
@@ -110,20 +122,18 @@ class Node:
 
         Args:
             topic: Name of the topic.
-            type_: Its type.
-            callback: Called in the event loop with one message after the other; what it returns is
-                awaited if it can be. When it is slow, the oldest messages beyond the QoS's depth
-                are dropped.
-            qos: The QoS.
-            longest: Longest message that is taken [bytes].
+            type_: Type of the topic.
+            callback: Called in the event loop with one message after another; may return an
+                awaitable. While it is slow, the oldest messages beyond the QoS's depth are dropped.
+            qos: Quality of service.
+            longest: Length of the longest message accepted [bytes].
 
         Raises:
-            ConfigError: if the name is none of ROS 2.
+            ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
         kind = self._topic(type_)
-        entity, key = self._endpoint(Kind.SUBSCRIPTION, topic, kind, qos)
-        return self._kept(Subscription(self._participant, entity, key, kind, callback, longest))
+        return self._add(Subscription, Kind.SUBSCRIPTION, topic, kind, qos, callback, longest)
 
     def service(
         self,
@@ -137,31 +147,28 @@ class Node:
         """Return a new service.
 
         Args:
-            name: Its name.
-            type_: Its type.
-            handler: Answers a request; it may take as long as it likes. When it raises, the client
-                gets no answer: ROS 2 knows no other.
-            qos: The QoS.
-            at_once: How many requests are handled at once. A hundred more wait, others are dropped.
+            name: Name of the service.
+            type_: Type of the service.
+            handler: Returns the response to a request; may take any time. If it raises an error,
+                the client gets no response, since ROS 2 has no error responses.
+            qos: Quality of service.
+            at_once: Most requests handled at once; 100 more wait, and further ones are dropped.
 
         Raises:
-            ConfigError: if the name is none of ROS 2.
+            ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
         kind = self._service(type_)
-        entity, key = self._endpoint(Kind.SERVICE, name, kind, qos)
-        return self._kept(Service(self._participant, entity, key, kind, handler, at_once))
+        return self._add(Service, Kind.SERVICE, name, kind, qos, handler, at_once)
 
     def client(self, name: str, type_: str | ServiceType, qos: Qos = DEFAULT) -> Client:
         """Return a new client of a service.
 
         Raises:
-            ConfigError: if the name is none of ROS 2.
+            ConfigError: if ROS 2 would refuse the name.
             MessageError: if there is no such type.
         """
-        kind = self._service(type_)
-        entity, key = self._endpoint(Kind.CLIENT, name, kind, qos)
-        return self._kept(Client(self._participant, entity, key, kind))
+        return self._add(Client, Kind.CLIENT, name, self._service(type_), qos)
 
     def discard(self, made: _Closable) -> None:
         """Close a publisher, subscription, service or client of this node."""
@@ -169,7 +176,7 @@ class Node:
         made.close()
 
     def close(self) -> None:
-        """Leave the graph with all that belongs to the node."""
+        """Leave the graph with all endpoints of the node."""
         while self._open:
             self._open.pop().close()
         # Last, so that no endpoint is in the graph without its node.
@@ -177,18 +184,18 @@ class Node:
 
 
 class Context:
-    """A program's part in a ROS 2 domain; made by `Context.open`.
+    """A program's participation in a ROS 2 domain; made by `Context.open`.
 
-    Its methods are called in the thread of the event loop in which it was opened.
+    Call its methods in the thread of the event loop in which it was opened.
 
     Attributes:
-        settings: What it was opened with.
-        participant: The session with what all nodes share.
+        settings: Domain, distribution and router.
+        participant: The session and the objects that all nodes share.
         domain: The domain.
         interfaces: The interfaces of the distribution.
         graph: The ROS graph.
-        complaints: What was dropped of what others sent.
-        log: Where it tells what goes wrong.
+        complaints: Problems with the messages of others.
+        log: Logger of its nodes.
     """
 
     def __init__(self, settings: Ros2Settings, participant: Participant) -> None:
@@ -208,15 +215,15 @@ class Context:
         insecure: bool = False,
         router_needed: bool = False,
     ) -> AsyncIterator[Context]:
-        """Open a session; it and all nodes are closed at the end.
+        """Open a session; close it and all nodes at the end of the context.
 
-        A router that is not there is told once and tried again. A program on the router's computer
-        need not wait for it, others must; `rtee.ros2.session.ROUTER_CHECK` says how long to look
-        for it here.
+        Logs a missing router once and keeps trying to connect. A program on the router's computer
+        may go on without the router, others must wait for it; the variable
+        `rtee.ros2.session.ROUTER_CHECK` sets how long to look for it.
 
         Args:
             settings: Domain, distribution and router.
-            environment: Variables as rmw_zenoh reads them; unless given, those of the process.
+            environment: Environment variables of rmw_zenoh; by default those of the process.
             insecure: Allow a router on another computer without certificates.
             router_needed: Raise `NoRouter` if the router is not there instead of going on.
 
@@ -235,7 +242,7 @@ class Context:
             f"no router of ROS 2 at {settings.router}: nobody is found until it runs"
             " (ros2 run rmw_zenoh_cpp rmw_zenohd, or rtee ros2 router)"
         )
-        # A client's session needs its router to open: whoever must not fail waits for it.
+        # A client's session cannot open without its router, so that 0 attempts wait for ever.
         session = await _opened(config, attempts if router_needed else 0, missing)
         try:
             context = cls(settings, Participant(session, domain, settings.distro.value))
@@ -246,7 +253,7 @@ class Context:
             try:
                 yield context
             finally:
-                # When cancelled, too: otherwise the nodes stay in the graph with the process.
+                # Also on cancellation, or the nodes would stay in the graph with the process.
                 with anyio.CancelScope(shield=True):
                     await context._close()
         finally:
@@ -262,14 +269,14 @@ class Context:
         if attempts == 0 and not self.connected:
             log.warning("%s; waiting for it", missing)
         with anyio.move_on_after(_WATCH * attempts if attempts else math.inf):
-            while attempts >= 0 and not self.connected:  # noqa: ASYNC110 - Zenoh tells only this
+            while attempts >= 0 and not self.connected:  # noqa: ASYNC110 - Zenoh has no event
                 await anyio.sleep(_WATCH / 20)
 
     async def _watch(self, missing: str) -> None:
-        """Tell once when the router is lost, and when it is back."""
+        """Log once when the router is lost, and once when it is back."""
         was: bool | None = None
         while True:
-            disable_linger()  # a frozen node must not hold up Zenoh's thread when it is dropped
+            disable_linger()  # dropping the link to a frozen node must not block Zenoh's thread
             now = self.connected
             if now and was is False:
                 log.info("the router of ROS 2 at %s is there", self.settings.router)
@@ -304,12 +311,12 @@ class Context:
 
 
 async def _opened(config: zenoh.Config, attempts: int, missing: str) -> zenoh.Session:
-    """Open a session, of a client as soon as its router answers.
+    """Open a session; that of a client opens once its router answers.
 
     Args:
-        config: Its configuration.
-        attempts: How often to try; 0: for ever.
-        missing: What to say when the router does not answer.
+        config: Configuration of the session.
+        attempts: Number of attempts; 0: no limit.
+        missing: Sentence about a router that does not answer.
 
     Raises:
         NoRouter: if the router does not answer.

@@ -1,10 +1,9 @@
-"""The notation in which ROS 2 defines messages, services and actions, and what is known here.
+"""Parser of ROS 2's definitions of messages, services and actions, and the known definitions.
 
 A definition has one line per field, ``TYPE NAME [DEFAULT]``, or constant, ``TYPE NAME = VALUE``;
 the parts of a service (request, response) and of an action (goal, result, feedback) are separated
-by ``---``. The texts stand in ``rtee/ros2/interfaces``, a file per package. The messages of
-recordings (`rtee.messages.schema.DEFINITIONS`), those of rtee's own package ``rtee_msgs`` among
-them, are not defined there again.
+by ``---``. The definitions are in ``rtee/ros2/interfaces``, with one file per package, except those
+of recordings (`rtee.messages.schema.DEFINITIONS`), which include rtee's own package ``rtee_msgs``.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from rtee.errors import MessageError
 from rtee.messages.schema import DEFINITIONS
 
 EMPTY_MEMBER: Final = "structure_needs_at_least_one_member"
-"""The only member, a ``uint8``, of what is defined without any: structures of C are never empty."""
+"""The only member, a ``uint8``, of a definition without members: C has no empty structures."""
 
 PRIMITIVES: Final = {
     "int8": 2,
@@ -40,10 +39,13 @@ PRIMITIVES: Final = {
     "string": 17,
 }
 """Primitive types and their numbers in ``type_description_interfaces/msg/FieldType``; a ``char``
-counts as ``uint8`` (REP 2016). Wide strings are left out: no hand needs one."""
+counts as ``uint8`` (REP 2016). Wide strings are missing, since no message for hands has one."""
 
 _RULE = "=" * 80 + "\n"
+"""Line between two definitions of a file."""
+
 _PARTS = {"MSG": 1, "SRV": 2, "ACTION": 3}
+"""Number of parts of a definition."""
 
 _FIELD = re.compile(
     r"(?P<base>[A-Za-z][\w/]*)(<=(?P<chars>\d+))?(?P<many>\[((?P<bounded><=)?(?P<count>\d+))?\])?"
@@ -52,7 +54,7 @@ _FIELD = re.compile(
 
 
 class Many(Enum):
-    """How many values a field holds; the value is what it adds to a type's number in a hash."""
+    """Number of values of a field; each member is the offset of a type's number in a hash."""
 
     ONE = 0
     ARRAY = 48
@@ -65,12 +67,12 @@ class Member:
     """A field of a message.
 
     Attributes:
-        name: Its name.
+        name: Name of the field.
         base: A primitive type, or the full name of a message.
-        many: How many of those it holds.
-        capacity: Length of an array, greatest length of a bounded sequence, otherwise 0.
-        longest: Greatest length of its strings [characters]; 0: no bound.
-        default: What it holds unless given; ``None``: zero, or nothing.
+        many: Single value, array or sequence.
+        capacity: Length of an array, largest length of a bounded sequence, otherwise 0.
+        longest: Largest length of its strings [characters]; 0: no bound.
+        default: Default value; ``None``: zero or empty.
     """
 
     name: str
@@ -82,12 +84,12 @@ class Member:
 
     @property
     def nested(self) -> bool:
-        """Whether it holds messages."""
+        """Whether the field holds messages."""
         return self.base not in PRIMITIVES
 
     @property
     def notation(self) -> str:
-        """Its type as written in a definition."""
+        """The type as written in a definition."""
         bound = f"<={self.longest}" if self.longest else ""
         many = {
             Many.ONE: "",
@@ -104,8 +106,8 @@ class Structure:
 
     Attributes:
         name: Full name, such as ``std_srvs/srv/SetBool_Request``.
-        members: Its fields; never none, see `EMPTY_MEMBER`.
-        constants: Its constants, by name.
+        members: The fields, at least one; see `EMPTY_MEMBER`.
+        constants: The constants, by name.
     """
 
     name: str
@@ -117,23 +119,23 @@ def _value(text: str, base: str) -> Any:
     """Return a constant or default as written in a definition."""
     if base == "bool":
         return text.lower() in {"true", "1"}
-    # Definitions write texts without quotes, too.
+    # Strings may be written without quotes.
     if base == "string" and text[:1] not in {'"', "'"}:
         return text
     value = ast.literal_eval(text)
-    # Definitions write whole numbers where a float is meant: `float64 w 1`.
+    # Floats may be written as whole numbers: `float64 w 1`.
     return float(value) if base.startswith("float") and isinstance(value, int) else value
 
 
 def parse(name: str, text: str) -> Structure:
-    """Return what a definition without ``---`` describes.
+    """Return the structure of a definition without ``---``.
 
     Args:
-        name: Its full name, of which the package is that of types named without one.
+        name: Full name; its package is that of types named without a package.
         text: The definition.
 
     Raises:
-        MessageError: if a line is none of a field or a constant.
+        MessageError: if a line defines neither a field nor a constant.
     """
     package = name.partition("/")[0]
     members: list[Member] = []
@@ -174,7 +176,7 @@ def full_name(name: str, kind: str = "msg") -> str:
 
 
 def split(name: str, text: str) -> list[str]:
-    """Return the parts of a definition; raises `MessageError` unless they are as many as due."""
+    """Return the parts of a definition; raise `MessageError` if their number is wrong."""
     kind = name.split("/")[1].upper()
     parts: list[list[str]] = [[]]
     for line in text.splitlines():
@@ -209,7 +211,7 @@ def definitions(distro: str = "jazzy") -> dict[str, str]:
     found = dict(DEFINITIONS)
     folder = files("rtee.ros2").joinpath("interfaces")
     for file in sorted(folder.iterdir(), key=lambda one: one.name):
-        # Files of newer distributions would replace the definitions of Jazzy.
+        # A file of newer distributions would replace definitions of Jazzy.
         if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in differing:
             found |= _read(file.read_text("utf-8"))
     if distro in _NEWER:

@@ -22,7 +22,7 @@ def interface_files() -> dict[str, str]:
 
 
 def _needed(files: dict[str, str]) -> list[str]:
-    """Return the packages that the definitions refer to."""
+    """Return the other packages that the definitions refer to."""
     codes = (
         line.partition("#")[0].split() for text in files.values() for line in text.splitlines()
     )
@@ -31,7 +31,7 @@ def _needed(files: dict[str, str]) -> list[str]:
 
 
 def _package_xml(needed: list[str]) -> str:
-    # No definition names action_msgs, but the code that is generated for actions needs it.
+    # No definition names action_msgs, but the generated code of actions needs it.
     depends = "".join(f"  <depend>{one}</depend>\n" for one in needed)
     return f"""\
 <?xml version="1.0"?>
@@ -73,13 +73,13 @@ ament_package()
 
 
 def write_package(parent: Path) -> Path:
-    """Write the package into a folder of its own, and return that.
+    """Write the package into a new folder, and return that folder.
 
     Args:
-        parent: The folder in which it is made, such as ``src`` of a workspace.
+        parent: Folder of the new one, such as ``src`` of a workspace.
 
     Raises:
-        ConfigError: if there is one already, or the folder cannot be written.
+        ConfigError: if the new folder exists already or cannot be written.
     """
     folder = parent / NAME
     files = interface_files()

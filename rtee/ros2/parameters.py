@@ -17,12 +17,13 @@ from rtee.errors import RteeError
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
 from rtee.ros2.qos import PARAMETERS
+from rtee.ros2.services import fields_handler
 
 Value = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str]
-"""What a parameter can be."""
+"""Types of a parameter's value."""
 
 _KINDS: tuple[tuple[type, int, str], ...] = (
-    # A bool is an int in Python, so that it stands first.
+    # First, since a bool is an int in Python.
     (bool, 1, "bool"),
     (int, 2, "integer"),
     (float, 3, "double"),
@@ -30,7 +31,7 @@ _KINDS: tuple[tuple[type, int, str], ...] = (
 )
 _NOT_SET, _DOUBLE, _DOUBLES, _BYTES = 0, 3, 8, 5
 _TO_ARRAY = 5
-"""What an array's kind is above that of its elements."""
+"""Offset of an array's kind from that of its elements."""
 
 _FIELDS = (
     "",
@@ -53,15 +54,15 @@ class Parameter:
     """A parameter of a node.
 
     Attributes:
-        name: Its name; dots part it into groups.
-        value: Its value at the start; its type never changes.
-        description: What it is, with its unit.
-        lower: Least value of a number, or of each in an array.
-        upper: Greatest value.
-        step: Numbers that differ from ``lower`` by other than multiples are refused; 0: none are.
-        read_only: It cannot be changed.
-        change: Called with a new value before it is kept; refuses it by raising `RteeError`. What
-            it returns is awaited if it can be.
+        name: Name; dots separate groups.
+        value: Value at the start, whose type never changes.
+        description: Sentence about the parameter, with its unit.
+        lower: Least value of a number, or of each number of an array.
+        upper: Largest value.
+        step: Values must differ from ``lower`` by multiples of this; 0: by any amount.
+        read_only: Whether the parameter cannot be changed.
+        change: Called with a new value before it is stored; raises `RteeError` to refuse it; may
+            return an awaitable.
     """
 
     name: str
@@ -75,11 +76,11 @@ class Parameter:
 
     @property
     def kind(self) -> int:
-        """Its type, as in ``rcl_interfaces/msg/ParameterType``."""
+        """Number of the type in ``rcl_interfaces/msg/ParameterType``."""
         return kind_of(self.value)
 
     def refusal(self, value: Value | None) -> str:
-        """Return why it cannot take a value; empty if it can."""
+        """Return the reason for which the parameter refuses a value; ``""`` if it accepts it."""
         if self.read_only:
             return f"parameter '{self.name}' cannot be set because it is read-only"
         if value is None or kind_of(value) != self.kind:
@@ -114,10 +115,10 @@ class Parameter:
 
 
 def kind_of(value: Value) -> int:
-    """Return a value's type, as in ``rcl_interfaces/msg/ParameterType``."""
+    """Return the number of a value's type in ``rcl_interfaces/msg/ParameterType``."""
     if isinstance(value, bytes):
         return _BYTES
-    # An empty list is one of doubles: those are the arrays that a hand's parameters are.
+    # An empty list counts as one of doubles, as all arrays among a hand's parameters are.
     one = (value[0] if value else 0.0) if isinstance(value, list) else value
     kind = next(number for type_, number, _ in _KINDS if isinstance(one, type_))
     return kind + _TO_ARRAY if isinstance(value, list) else kind
@@ -128,14 +129,15 @@ class Parameters:
 
     Args:
         node: The node.
-        declared: Its parameters.
+        declared: The parameters.
     """
 
     def __init__(self, node: Node, declared: Iterable[Parameter]) -> None:
         self._node = node
         self._declared = {one.name: one for one in declared}
         self._values: dict[str, Value] = {one.name: one.value for one in self._declared.values()}
-        self._messages = node.context.interfaces
+        interfaces = node.context.interfaces
+        self._messages = interfaces
         self._events = node.publisher(
             "/parameter_events", "rcl_interfaces/msg/ParameterEvent", PARAMETERS
         )
@@ -147,9 +149,10 @@ class Parameters:
             ("describe_parameters", "DescribeParameters", self._describe),
             ("list_parameters", "ListParameters", self._list),
         ):
-            # One at a time, so that changes come in an order that everybody sees.
-            kind = f"rcl_interfaces/srv/{kind}"
-            node.service(f"~/{name}", kind, handler, PARAMETERS, at_once=1)
+            service = interfaces.service(f"rcl_interfaces/srv/{kind}")
+            # One request at a time, so that all clients see the same order of changes.
+            answer = fields_handler(service, handler)
+            node.service(f"~/{name}", service, answer, PARAMETERS, at_once=1)
         self._publish("new_parameters", self._values)
 
     @property
@@ -158,7 +161,7 @@ class Parameters:
         return self._values
 
     def update(self, values: Mapping[str, Value]) -> None:
-        """Keep values that the hand itself has changed, and tell of those that are new."""
+        """Store values that the hand has changed, and publish those that differ."""
         changed = {name: value for name, value in values.items() if self._values[name] != value}
         if changed:
             self._values |= changed
@@ -172,8 +175,8 @@ class Parameters:
         event = self._message("ParameterEvent")(node=self._node.name.full)
         event.stamp.sec, event.stamp.nanosec = seconds, nanoseconds
         parameter = self._message("Parameter")
-        told = [parameter(name=name, value=self._value(value)) for name, value in values.items()]
-        setattr(event, field, told)
+        changes = [parameter(name=name, value=self._value(value)) for name, value in values.items()]
+        setattr(event, field, changes)
         self._events.publish(event)
 
     def _value(self, value: Value | None) -> Message:
@@ -183,21 +186,15 @@ class Parameters:
             setattr(made, _FIELDS[made.type], value)
         return typing.cast("Message", made)
 
-    async def _get(self, request: Any) -> Message:
-        values = [self._value(self._values.get(name)) for name in request.names]
-        return self._messages.service("rcl_interfaces/srv/GetParameters").response(values=values)
+    async def _get(self, request: Any) -> dict[str, Any]:
+        return {"values": [self._value(self._values.get(name)) for name in request.names]}
 
-    async def _types(self, request: Any) -> Message:
-        kinds = [
-            self._declared[name].kind if name in self._declared else _NOT_SET
-            for name in request.names
-        ]
-        return self._messages.service("rcl_interfaces/srv/GetParameterTypes").response(types=kinds)
+    async def _types(self, request: Any) -> dict[str, Any]:
+        declared = (self._declared.get(name) for name in request.names)
+        return {"types": [_NOT_SET if one is None else one.kind for one in declared]}
 
-    async def _describe(self, request: Any) -> Message:
-        descriptors = [self._descriptor(name) for name in request.names]
-        service = self._messages.service("rcl_interfaces/srv/DescribeParameters")
-        return service.response(descriptors=descriptors)
+    async def _describe(self, request: Any) -> dict[str, Any]:
+        return {"descriptors": [self._descriptor(name) for name in request.names]}
 
     def _descriptor(self, name: str) -> Any:
         made = self._message("ParameterDescriptor")(name=name)
@@ -225,8 +222,8 @@ class Parameters:
                     ]
         return made
 
-    async def _list(self, request: Any) -> Message:
-        def asked(name: str) -> bool:
+    async def _list(self, request: Any) -> dict[str, Any]:
+        def wanted(name: str) -> bool:
             if not request.prefixes:
                 return not request.depth or name.count(".") < request.depth
             return any(
@@ -238,25 +235,22 @@ class Parameters:
                 for prefix in request.prefixes
             )
 
-        names = [name for name in sorted(self._declared) if asked(name)]
+        names = [name for name in sorted(self._declared) if wanted(name)]
         prefixes = sorted({name.rpartition(".")[0] for name in names if "." in name})
-        result = self._message("ListParametersResult")(names=names, prefixes=prefixes)
-        return self._messages.service("rcl_interfaces/srv/ListParameters").response(result=result)
+        return {"result": self._message("ListParametersResult")(names=names, prefixes=prefixes)}
 
-    async def _set(self, request: Any) -> Message:
-        results = [await self._change([one]) for one in request.parameters]
-        return self._messages.service("rcl_interfaces/srv/SetParameters").response(results=results)
+    async def _set(self, request: Any) -> dict[str, Any]:
+        return {"results": [await self._change([one]) for one in request.parameters]}
 
-    async def _set_atomically(self, request: Any) -> Message:
-        service = self._messages.service("rcl_interfaces/srv/SetParametersAtomically")
-        return service.response(result=await self._change(request.parameters))
+    async def _set_atomically(self, request: Any) -> dict[str, Any]:
+        return {"result": await self._change(request.parameters)}
 
-    async def _change(self, asked: Sequence[Any]) -> Message:
-        """Change all of some parameters or none; return a ``SetParametersResult``."""
+    async def _change(self, changes: Sequence[Any]) -> Message:
+        """Change all of these parameters or none; return a ``SetParametersResult``."""
         result = self._message("SetParametersResult")
         wanted: dict[str, Value] = {}
-        # All are checked before any is told, so that a change rarely has to be undone.
-        for each in asked:
+        # Check all before changing any, so that a change rarely has to be undone.
+        for each in changes:
             value = self._taken(each.name, _content(each.value))
             declared = self._declared.get(each.name)
             if declared is None:
@@ -268,19 +262,19 @@ class Parameters:
         before: dict[str, Value] = {}
         for name, value in wanted.items():
             try:
-                await self._tell(name, value)
+                await self._apply(name, value)
             except RteeError as error:
                 for done, old in before.items():
-                    # A hand that has gone refuses this, too; the client still gets its answer.
+                    # A hand that has ended refuses this, too; the client still gets its response.
                     with contextlib.suppress(RteeError):
-                        await self._tell(done, old)
+                        await self._apply(done, old)
                 return _result(result, str(error))
             before[name] = self._values[name]
         self.update(wanted)
         return _result(result, "")
 
     def _taken(self, name: str, value: Value | None) -> Value | None:
-        """Return a value as its parameter takes it: a whole number may stand for a double."""
+        """Return a value converted to its parameter's type: an integer may stand for a double."""
         declared = self._declared.get(name)
         if declared is None or value is None or isinstance(value, bool):
             return value
@@ -290,7 +284,7 @@ class Parameters:
             return value if declared.kind == _DOUBLES else None
         return value
 
-    async def _tell(self, name: str, value: Value) -> None:
+    async def _apply(self, name: str, value: Value) -> None:
         change = self._declared[name].change
         if change is not None:
             done = change(value)
@@ -299,7 +293,7 @@ class Parameters:
 
 
 def _content(value: Any) -> Value | None:
-    """Return what a ``ParameterValue`` holds; ``None`` if nothing, or a type that is not known."""
+    """Return the value in a ``ParameterValue``; ``None`` if it has none, or of an unknown type."""
     if not 0 < value.type < len(_FIELDS):
         return None
     content: Value | np.ndarray = getattr(value, _FIELDS[value.type])

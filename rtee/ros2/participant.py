@@ -1,4 +1,4 @@
-"""A program's part in a ROS 2 domain, as its publishers, subscriptions and services need it."""
+"""A program's session in a ROS 2 domain, shared by its publishers, subscriptions and services."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ log = logging.getLogger(__name__)
 
 
 class Participant:
-    """A session in a domain, with what all that belongs to it shares.
+    """A session in a domain, with the objects that its nodes share.
 
-    To be made in the event loop's thread.
+    Must be made in the event loop's thread.
 
     Args:
         session: The session.
@@ -33,7 +33,7 @@ class Participant:
         zid: Identifier of the session.
         interfaces: The interfaces of the distribution.
         graph: The ROS graph.
-        complaints: What was dropped of what others sent.
+        complaints: Problems with the messages of others.
     """
 
     def __init__(self, session: zenoh.Session, domain: int, distro: str) -> None:
@@ -52,7 +52,7 @@ class Participant:
     def start(self, work: Coroutine[Any, Any, None]) -> None:
         """Run a coroutine until it or the context ends."""
         if self._closed:
-            # Otherwise Python warns of a coroutine that was never awaited.
+            # Or Python would warn of a coroutine that was never awaited.
             work.close()
             return
         task = asyncio.get_running_loop().create_task(work)
@@ -60,7 +60,7 @@ class Participant:
         task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
-        """Cancel what runs and watch the graph no more."""
+        """Cancel all tasks and stop observing the graph."""
         self._closed = True
         for task in tuple(self._tasks):
             task.cancel()

@@ -1,4 +1,4 @@
-"""The stream through which a hand follows set-points from ROS 2, of topics and of actions."""
+"""The stream through which a hand follows set-points from topics and actions of ROS 2."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from rtee.ros2.parameters import Parameter
 from rtee.ros2.trajectory import Motion, Posture, movable_joints
 
 STREAM_RATE = "stream_rate"
-"""Name of the parameter with the rate of the stream."""
+"""Name of the parameter for the rate of the stream."""
 
 SETTLED = 0.3
-"""The end of a motion is repeated for this long [s]: a stream plays a lag behind its samples, and
-brakes where it is when it ends."""
+"""Time for which the last set-point of a motion is repeated [s]: a stream plays its samples with a
+lag, and brakes where it is when it ends."""
 
 LINGER = 0.5
-"""A stream without set-points is ended after this long [s], so that others may move the hand."""
+"""Time without set-points after which the stream ends [s], so that others may move the hand."""
 
 
 @dataclass(eq=False, slots=True)
 class Play:
-    """A motion that the hand is to follow.
+    """A motion for the hand to follow.
 
     Attributes:
         motion: The motion.
-        source: What it came by, in words.
-        until: Until when its set-points are sent, those after its end being the last one [s].
-        failed: Called with the reason if the hand does not follow it, or no more.
-        replaced: Called with the source of another motion that takes its place.
+        source: Description of its source, such as a topic.
+        until: Time until which to send set-points [s]; after its end, the last one is repeated.
+        failed: Called with the reason if the hand refuses or stops to follow the motion.
+        replaced: Called with the source of another motion that replaces this one.
     """
 
     motion: Motion
@@ -45,14 +45,14 @@ class Play:
 
 
 class Player:
-    """Has the hand follow motions; the newest counts, whatever it came by.
+    """Streams motions to the hand; the newest replaces any other, whatever its source.
 
     Args:
         face: The hand and its node.
 
     Attributes:
         joints: The joints that motions may move.
-        last: The motion that was begun last, unless the hand refused to follow it.
+        last: The motion that began last, unless the hand refused to follow it.
     """
 
     def __init__(self, face: Face) -> None:
@@ -63,7 +63,7 @@ class Player:
         self._wake = anyio.Event()
 
     def play(self, play: Play) -> None:
-        """Follow a motion from now on, in place of the one before."""
+        """Follow a motion from now on, instead of the present one."""
         before, self._current = self._current, play
         self.last = play
         self._wake.set()
@@ -71,29 +71,29 @@ class Player:
             before.replaced(play.source)
 
     def hold(self, names: Iterable[str], source: str, failed: Callable[[str], None]) -> None:
-        """Hold joints where they are measured to be.
+        """Hold joints at their measured positions.
 
         Args:
             names: The joints.
-            source: What asked for that, in words.
-            failed: Called with the reason if the hand does not.
+            source: Description of the source of this command.
+            failed: Called with the reason if the hand refuses.
         """
         now = time.monotonic()
         self.play(Play(self.here(names), source, now + SETTLED, failed))
 
     def here(self, names: Iterable[str]) -> Posture:
-        """Return where joints are measured to be, inside their limits, as a set-point for now."""
+        """Return the measured positions of joints, clamped to their limits, as a set-point."""
         position = {name: self.joints[name].clamped(self.where(name)) for name in names}
         return Posture(position, time.monotonic())
 
     def where(self, name: str) -> float:
-        """Return where a joint is measured to be [rad | m]."""
+        """Return the measured position of a joint [rad | m]."""
         state = self._face.latest
-        found = state.positions.get(name)
-        return state.joints[name] if found is None else found
+        position = state.positions.get(name)
+        return state.joints[name] if position is None else position
 
     def parameter(self) -> Parameter:
-        """Return the rate of the stream."""
+        """Return the parameter for the rate of the stream."""
         return Parameter(
             STREAM_RATE,
             100.0,
@@ -104,7 +104,7 @@ class Player:
         )
 
     async def run(self) -> None:
-        """Stream while there are set-points, until the hand goes."""
+        """Stream while there are set-points, until the hand ends."""
         while True:
             await self._wake.wait()
             begun = self._current
@@ -117,29 +117,29 @@ class Player:
             except NoHand:
                 raise
             except (RequestRejected, GoalRejected, LeaseHeld) as error:
-                # Also what has pre-empted the stream: it is not begun again for what is left.
+                # A pre-empted stream ends here, too; the rest of its motion is not sent.
                 failed = self._current or self.last or begun
                 self._current = self.last = None
                 failed.failed(str(error))
 
     async def _follow(self, stream: Stream) -> None:
-        """Send set-points until there have been none for a while."""
+        """Send set-points until there are none for `LINGER`."""
         period = 1.0 / self._face.number(STREAM_RATE)
         while True:
-            # A new event before anything is awaited: no motion that comes from here on is missed.
+            # A new event before anything is awaited, so that no later motion is missed.
             play, self._wake = self._current, anyio.Event()
             if play is None:
                 with anyio.move_on_after(LINGER) as waiting:
                     await self._wake.wait()
-                # What has ended a stream that was at rest does not count for what comes next.
+                # The end of a stream at rest must not make the next motion fail.
                 if waiting.cancelled_caught or stream.ended:
                     return
                 continue
             now = time.monotonic()
             targets, velocity = play.motion.at(now)
-            # Stamped with the time it is meant for: if it is sent late, the motion keeps its shape.
+            # Stamped with the set-point's time, so that a late sample keeps the motion's shape.
             await stream.send(targets, velocity, stamp=now)
-            # While the sample was sent, another motion may have taken its place.
+            # Another motion may have replaced it while the sample was sent.
             if now >= play.until and play is self._current:
                 self._current = None
                 continue

@@ -1,4 +1,4 @@
-"""Quality of service of topics and services, and how rmw_zenoh writes it in the ROS graph."""
+"""Quality of service of topics and services, and its notation in rmw_zenoh's tokens."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Final
 
 
 class Reliability(IntEnum):
-    """Whether what is lost is sent again."""
+    """Whether lost messages are sent again."""
 
     RELIABLE = 1
     BEST_EFFORT = 2
 
 
 class Durability(IntEnum):
-    """Whether those who come later are sent what was published before."""
+    """Whether later subscribers are sent earlier messages."""
 
     TRANSIENT_LOCAL = 1
     VOLATILE = 2
 
 
 class History(IntEnum):
-    """How many messages are kept."""
+    """Whether a queue keeps the last messages or all."""
 
     KEEP_LAST = 1
     KEEP_ALL = 2
@@ -36,11 +36,11 @@ _DEPTH = 42
 class Qos:
     """Quality of service.
 
-    The numbers are those of rmw; in the graph of others they may be any, so that they are integers
-    here. Deadlines, lifespans and leases are always infinite.
+    The numbers are those of rmw. They are integers here, since other nodes may use unknown ones.
+    Deadlines, lifespans and leases are always infinite.
 
     Attributes:
-        depth: Messages that are kept.
+        depth: Number of messages kept.
         reliability: See `Reliability`.
         durability: See `Durability`.
         history: See `History`.
@@ -53,53 +53,53 @@ class Qos:
 
     @property
     def transient_local(self) -> bool:
-        """Whether those who come later are sent what was published before."""
+        """Whether later subscribers are sent earlier messages."""
         return self.durability == Durability.TRANSIENT_LOCAL
 
     @property
     def reliable(self) -> bool:
-        """Whether what is lost is sent again."""
+        """Whether lost messages are sent again."""
         return self.reliability == Reliability.RELIABLE
 
     @property
     def chunk(self) -> str:
-        """How it is written in a liveliness token; what is rmw_zenoh's default is left empty."""
+        """Notation in a liveliness token, where rmw_zenoh's defaults are left empty."""
         reliability = "" if self.reliable else str(int(self.reliability))
         durability = "" if self.durability == Durability.VOLATILE else str(int(self.durability))
         history = "" if self.history == History.KEEP_LAST else str(int(self.history))
         depth = "" if self.depth == _DEPTH else str(self.depth)
-        # After the history: deadline, lifespan and liveliness. Empty means the default.
+        # Deadline, lifespan and liveliness follow the history; empty means the default.
         return f"{reliability}:{durability}:{history},{depth}:,:,:,,"
 
 
 DEFAULT: Final = Qos()
-"""Topics, services, and the services and feedback of actions."""
+"""QoS of topics, services, and the services and feedback of actions."""
 
 SENSOR_DATA: Final = Qos(depth=5, reliability=Reliability.BEST_EFFORT)
-"""Measurements that are out of date when they would be sent again."""
+"""QoS of measurements that would be out of date if they were sent again."""
 
 LATCHED: Final = Qos(depth=1, durability=Durability.TRANSIENT_LOCAL)
-"""What those who come later need, too: the robot's description, an action's status."""
+"""QoS of messages for later subscribers, too: the robot's description, an action's status."""
 
 PARAMETERS: Final = Qos(depth=1000)
-"""Services of parameters and their events."""
+"""QoS of the services of parameters and of their events."""
 
 ROSOUT: Final = replace(LATCHED, depth=1000)
-"""The log of all nodes."""
+"""QoS of the log of all nodes."""
 
 
 def parse_chunk(chunk: str) -> Qos:
-    """Return the QoS of a chunk of a token.
+    """Return the QoS in a chunk of a token.
 
-    Numbers that are not known are kept, fields that are missing or no numbers count as defaults:
-    other nodes may be newer, and their QoS never prevents that they are heard.
+    Keeps unknown numbers, and takes defaults for missing or malformed fields: other nodes may be
+    newer, and their QoS must not keep them from exchanging messages.
     """
 
     def number(text: str, default: int) -> int:
-        # Few digits: nothing in a QoS is longer, and int() of long texts is slow.
+        # No number of a QoS has more than 18 digits, and int() of long texts is slow.
         return int(text) if text.isascii() and text.isdigit() and len(text) <= 18 else default
 
-    # Padded, so that a chunk that is too short has empty fields instead of missing ones.
+    # Pad a chunk that is too short with empty fields.
     fields = [*chunk.split(":"), "", "", ""]
     history, _, depth = fields[2].partition(",")
     return Qos(

@@ -1,14 +1,13 @@
 """The services of ROS End-Effector's ROS 2 packages, for programs that were written for it.
 
 Names, fields and numbers are those of its package ``rosee_msg`` and of its node: services in the
-namespace of the node, such as ``/grasping_actions_available``. Primitives are called as there:
+namespace of the node, such as ``/grasping_actions_available``. Primitives have its names:
 ``pinchTight``, ``trig``, ``multiplePinchTight_3``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from rtee.errors import RteeError
 from rtee.remote.client import RemoteHand
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
+from rtee.ros2.services import fields_handler
 from rtee.ros2.types import Interfaces
 
 PRIMITIVES: dict[PrimitiveKind, str] = {
@@ -30,7 +30,7 @@ PRIMITIVES: dict[PrimitiveKind, str] = {
     PrimitiveKind.FING_FLEX: "fingFlex",
     PrimitiveKind.SINGLE_JOINT_MULTIPLE_TIPS: "singleJointMultipleTips",
 }
-"""The kinds of primitives as they are called there; their places are their numbers."""
+"""Names of the kinds of primitives in ROS End-Effector, in the order of their numbers."""
 
 _NUMBERS = {kind: number for number, kind in enumerate(PRIMITIVES)}
 _NO_PRIMITIVE = len(PRIMITIVES)
@@ -46,13 +46,13 @@ _ASKED = (
     {ActionKind.GENERIC, ActionKind.COMPOSED},
     {ActionKind.TIMED},
 )
-"""The kinds of actions that a request of the actions asks for, by its number."""
+"""The kinds of actions by the number in a request for actions."""
 
 _MSG, _SRV = "rosee_msg/msg", "rosee_msg/srv"
 
 
 def name_there(action: Action) -> str:
-    """Return what an action is called in ROS End-Effector."""
+    """Return the name of an action in ROS End-Effector."""
     if not isinstance(action, Primitive):
         return action.name
     name = PRIMITIVES[action.kind]
@@ -60,7 +60,7 @@ def name_there(action: Action) -> str:
 
 
 def name_here(name: str) -> str:
-    """Return what an action of ROS End-Effector is called here."""
+    """Return the name in rtee of an action of ROS End-Effector."""
     for kind, there in PRIMITIVES.items():
         begin, _, tips = name.partition("_")
         if normalise(begin) == normalise(there) and (tips.isdigit() or not tips):
@@ -91,7 +91,7 @@ class RosEndEffector:
         )
         for name, kind, handler in offered:
             service = self._interfaces.service(f"{_SRV}/{kind}")
-            node.service(name, service, partial(_answer, service.response, handler))
+            node.service(name, service, fields_handler(service, handler))
 
     async def _actions(self, request: Any) -> dict[str, Any]:
         if request.action_type >= len(_ASKED):
@@ -128,7 +128,7 @@ class RosEndEffector:
         try:
             return {"pair_elements": list(await self._hand.partners(name, element))}
         except RteeError:
-            return {}  # as there: nothing is paired with what does not exist
+            return {}  # as in ROS End-Effector, an unknown element has no partners
 
     async def _new_generic(self, request: Any) -> dict[str, Any]:
         asked = request.new_action
@@ -183,22 +183,16 @@ class RosEndEffector:
         return made
 
 
-async def _answer(
-    response: type[Message], handler: Callable[[Any], Awaitable[dict[str, Any]]], request: Any
-) -> Message:
-    return response(**await handler(request))
-
-
 def _same(action: Action, name: str) -> bool:
     return normalise(name) in (normalise(name_there(action)), normalise(action.name))
 
 
 def _filtered(actions: Iterable[Action], request: Any) -> Iterable[Action]:
-    """Yield the primitives that a request asks for; its number 0 stands for all kinds."""
+    """Yield the primitives that match a request, whose number 0 stands for all kinds."""
     for one in actions:
         if not isinstance(one, Primitive):
             continue
-        # As there: where a kind is asked for, the name does not count.
+        # As in ROS End-Effector, a kind takes precedence over the name.
         if request.primitive_type:
             wanted = _NUMBERS[one.kind] + 1 == request.primitive_type
         else:
@@ -232,7 +226,7 @@ def _described(known: Interfaces, action: Action) -> Message:
 
 
 def _counted(known: Interfaces, postures: Iterable[Posture]) -> Message:
-    """Return 1 for each actuator that any of some postures moves, and 0 for the others."""
+    """Return 1 for each actuator that any of the postures moves, and 0 for the others."""
     counts: dict[str, int] = {}
     for one in postures:
         for name in one.position:

@@ -5,16 +5,14 @@ Its name is that of its node's parameter: ``/action_command``, in the namespace 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from rtee.actions.types import ActionKind
 from rtee.errors import GoalRejected
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.hand_goals import HandJob
 from rtee.ros2.message import Message
-from rtee.ros2.parameters import Parameter
 from rtee.ros2.ros_end_effector import name_here
 from rtee.types import Feedback, Goal, Result
 
@@ -22,14 +20,14 @@ COMMAND = "action_command"
 """Name of the action."""
 
 _TOLERANCE = 0.01
-"""Error norm that counts where a goal gives 0 [rad | m], as there."""
+"""Error norm of a goal that gives 0 [rad | m], the default of ROS End-Effector."""
 
 _FULL = 100.0
-"""What its feedback calls a completed action: percent, while its goals have a fraction."""
+"""Progress of a completed action in its feedback [%]; its goals have fractions instead."""
 
 
-class ActionCommand:
-    """Offers the action.
+class ActionCommand(Part):
+    """Offers the action ``action_command``.
 
     Args:
         face: The hand and its node.
@@ -40,12 +38,8 @@ class ActionCommand:
         self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
         self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
 
-    def parameters(self) -> Iterable[Parameter]:
-        """Return none: a goal says all."""
-        return ()
-
     async def run(self) -> None:
-        """Offer it until cancelled; goals that are under way then are cancelled, too."""
+        """Offer the action until cancelled, and then cancel its active goals."""
         await self._server.run()
 
     async def _accept(self, message: Any) -> HandJob:
@@ -68,11 +62,11 @@ def goal_of(asked: Any) -> Goal:
     """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
 
     Args:
-        asked: The message. Its percentage is a fraction, 0 to 1, and does not count for a timed
-            action, as there.
+        asked: The message. Its percentage is a fraction, 0 to 1, and is ignored for a timed
+            action, as in ROS End-Effector.
 
     Raises:
-        GoalRejected: if it is of no type, or has commands for single motors.
+        GoalRejected: if its type is unknown, or it has commands for single motors.
     """
     if any(asked.optional_motors_commands):
         raise GoalRejected(
@@ -88,7 +82,7 @@ def goal_of(asked: Any) -> Goal:
             intensity=asked.percentage,
             tolerance=tolerance,
         )
-    if asked.action_type in (asked.GENERIC, asked.COMPOSED):  # one kind there
+    if asked.action_type in (asked.GENERIC, asked.COMPOSED):  # ROS End-Effector's are the same
         return Goal(asked.action_name, intensity=asked.percentage, tolerance=tolerance)
     if asked.action_type == asked.TIMED:
         return Goal(asked.action_name, kind=ActionKind.TIMED, tolerance=tolerance)

@@ -15,7 +15,7 @@ from rtee.errors import ConfigError
 from rtee.remote.session import is_safe
 
 PLACE = "tcp/localhost:7447"
-"""Where the router of ROS 2 is expected."""
+"""Default endpoint of the router of ROS 2."""
 
 _SETTINGS: dict[str, Any] = {
     "mode": "router",
@@ -32,14 +32,14 @@ _SETTINGS: dict[str, Any] = {
 
 @asynccontextmanager
 async def router(listen: str = PLACE, *, insecure: bool = False) -> AsyncIterator[zenoh.Session]:
-    """Be the router for as long as the context lasts.
+    """Run a router for the duration of the context.
 
     Args:
         listen: The endpoint to listen on.
-        insecure: Allow one that others in the network reach without certificates.
+        insecure: Allow an endpoint that others in the network reach without certificates.
 
     Raises:
-        ConfigError: if it cannot listen there, or everybody in the network could.
+        ConfigError: if the router cannot listen there, or would be open to the network.
     """
     if not insecure and not is_safe(listen):
         raise ConfigError(

@@ -26,25 +26,38 @@ from rtee.ros2.message import Message
 from rtee.ros2.participant import Participant
 from rtee.ros2.types import ServiceType
 
+__all__ = ["Client", "Service"]  # `fields_handler` serves only the other modules of this room
+
 log = logging.getLogger(__name__)
 
 _MOST_WAITING = 100
-"""Requests that wait for their turn; further ones are dropped, and their clients time out."""
+"""Most requests that wait for their turn; further ones are dropped, and their clients time out."""
 
 _MOST_A_SECOND = 200
-"""Requests of a service that are taken in a second: tools send some dozen, and each takes 0.2 ms of
-the one interpreter that the hand's loop needs, too."""
+"""Most requests of a service per second: tools send some dozen, and each takes 0.2 ms of the
+interpreter, which the hand's loop needs, too."""
 
 FOREVER = 86_400.0 * 365
-"""Time after which a query without a timeout ends [s]: Zenoh has no infinite one."""
+"""Timeout of a query without one [s]: a year, since Zenoh has no infinite timeout."""
 
 Handler = Callable[[Any], Awaitable[Any]]
-"""What answers a request of a service: takes the request and returns the response."""
+"""Returns the response to a request of a service."""
+
+
+def fields_handler(
+    service: ServiceType, handler: Callable[[Any], Awaitable[dict[str, Any]]]
+) -> Handler:
+    """Return the handler of a service for a function that returns the response's fields."""
+
+    async def handle(request: Any) -> Message:
+        return service.response(**await handler(request))
+
+    return handle
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """A request as it came: it is answered through its query, which ends when it is dropped."""
+class _Received:
+    """A request before decoding, with its query, which ends when the last reference is dropped."""
 
     query: zenoh.Query
     payload: bytes
@@ -71,20 +84,20 @@ class Service:
         self.type, self.name = kind, entity.topic
         self._participant, self._key, self._handler, self._most = participant, key, handler, at_once
         self._under_way: set[tuple[bytes, int]] = set()
-        self._waiting: deque[_Asked] = deque()
+        self._waiting: deque[_Received] = deque()
         self._closed = False
         self._limit = Limit(_MOST_A_SECOND)
-        self._inbox: Inbox[_Asked] = Inbox(
+        self._inbox: Inbox[_Received] = Inbox(
             self._take, _MOST_WAITING, keep_newest=False, dropped=self._too_many
         )
-        # Complete, since clients of rmw_zenoh ask only queryables that say so.
+        # Complete, since clients of rmw_zenoh query only complete queryables.
         self._queryable = participant.session.declare_queryable(
             key, direct(self._on_query), complete=True
         )
-        # Last: whoever sees the service in the graph can ask it already.
+        # Last, so that whoever sees the service in the graph can call it.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
-    def _tell(self, why: str) -> None:
+    def _drop(self, why: str) -> None:
         self._participant.complaints.tell(f"a request of {self.name} is dropped", why)
 
     def _too_many(self) -> None:
@@ -93,7 +106,7 @@ class Service:
         )
 
     def _on_query(self, query: zenoh.Query) -> None:
-        # Before anything is read: refusing a flood should cost as little as it can.
+        # First, so that refusing a flood of requests costs little.
         if not self._limit.passes():
             self._too_many()
             return
@@ -104,60 +117,60 @@ class Service:
                 length = 0 if payload is None else len(payload)
                 raise MessageError(f"{length} bytes are no {self.type.request.STRUCTURE.name}")
         except MessageError as error:
-            self._tell(str(error))
+            self._drop(str(error))
             return
-        self._inbox.put(_Asked(query, bytes(payload), attachment))
+        self._inbox.put(_Received(query, bytes(payload), attachment))
 
-    def _take(self, asked: _Asked) -> None:
+    def _take(self, received: _Received) -> None:
         if len(self._under_way) >= self._most:
             if len(self._waiting) >= _MOST_WAITING:
                 self._too_many()
             else:
-                self._waiting.append(asked)
+                self._waiting.append(received)
             return
-        self._begin(asked)
+        self._begin(received)
 
-    def _begin(self, asked: _Asked) -> None:
-        number = (asked.attachment.gid, asked.attachment.sequence)
+    def _begin(self, received: _Received) -> None:
+        number = (received.attachment.gid, received.attachment.sequence)
         if number in self._under_way:
-            self._tell("its number is that of a request which is not answered yet")
+            self._drop("its number is that of a request which is not answered yet")
             return
         try:
-            request = self.type.request.decode(asked.payload)
+            request = self.type.request.decode(received.payload)
         except MessageError as error:
-            self._tell(str(error))
+            self._drop(str(error))
             return
         self._under_way.add(number)
-        self._participant.start(self._answer(asked, number, request))
+        self._participant.start(self._answer(received, number, request))
 
-    async def _answer(self, asked: _Asked, number: tuple[bytes, int], request: Any) -> None:
+    async def _answer(self, received: _Received, number: tuple[bytes, int], request: Any) -> None:
         try:
             response = await self._handler(request)
             if not self._closed:
-                self._reply(asked, response)
+                self._reply(received, response)
         except RteeError as error:
-            # A ROS service can only answer with its response: its client times out.
+            # ROS 2 has no error responses, so that the client times out.
             self._participant.complaints.tell(f"a request of {self.name} fails", str(error))
         except Exception:
             log.exception("the service %s failed", self.name)
         finally:
             self._under_way.discard(number)
-            # A loop, since a request that `_begin` refuses leaves its place to the next one.
+            # A loop, since a request that `_begin` refuses makes room for the next one.
             while self._waiting and len(self._under_way) < self._most:
                 self._begin(self._waiting.popleft())
 
-    def _reply(self, asked: _Asked, response: Any) -> None:
+    def _reply(self, received: _Received, response: Any) -> None:
         if not isinstance(response, self.type.response):
             raise MessageError(f"{self.type.response.STRUCTURE.name} expected, not {response!r}")
         attachment = attachments.encode(
-            asked.attachment.sequence, time.time_ns(), asked.attachment.gid
+            received.attachment.sequence, time.time_ns(), received.attachment.gid
         )
-        # Leaving the context ends the query at once instead of when it is collected.
-        with asked.query as query:
+        # Leaving the context ends the query at once instead of at garbage collection.
+        with received.query as query:
             query.reply(self._key, response.encode(), attachment=attachment)
 
     def close(self) -> None:
-        """Answer nothing more, and leave the graph."""
+        """Drop the waiting requests, and leave the graph."""
         self._closed = True
         self._inbox.close()
         self._waiting.clear()
@@ -185,17 +198,17 @@ class Client:
 
     @property
     def available(self) -> bool:
-        """Whether somebody offers the service."""
+        """Whether any node offers the service."""
         return bool(self._participant.graph.of(Kind.SERVICE, self.name, self.type.name))
 
     async def wait(self, timeout: float = math.inf) -> None:
-        """Wait until somebody offers the service.
+        """Wait until a node offers the service.
 
         Args:
-            timeout: Longest time [s].
+            timeout: Longest time to wait [s].
 
         Raises:
-            TimeoutError: if nobody does.
+            TimeoutError: if no node does by then.
         """
         with anyio.move_on_after(timeout) as scope:
             await self._participant.graph.wait_until(lambda: self.available)
@@ -203,16 +216,16 @@ class Client:
             raise TimeoutError(f"nobody offers the service {self.name} ({self.type.name})")
 
     async def call(self, request: Message, timeout: float = 5.0) -> Any:
-        """Ask the service and return its response.
+        """Call the service and return its response.
 
         Args:
             request: The request.
             timeout: Longest time until the response [s]; may be infinite.
 
         Raises:
-            TimeoutError: if nobody answers.
-            MessageError: if a field of the request holds what its type cannot, or the response is
-                none.
+            TimeoutError: if there is no response.
+            MessageError: if a value of the request does not fit its field, or the response is
+                malformed.
         """
         if not isinstance(request, self.type.request):
             raise MessageError(f"{self.type.request.STRUCTURE.name} expected, not {request!r}")
@@ -220,7 +233,7 @@ class Client:
         answer: asyncio.Future[bytes] = loop.create_future()
 
         def settle(payload: bytes | None) -> None:
-            # Given up meanwhile, or the end of the query that has been answered.
+            # After a timeout, or at the end of a query that has been answered.
             if answer.done():
                 return
             if payload is None:
@@ -246,7 +259,7 @@ class Client:
             self._key,
             direct(on_reply, lambda: hand_over(None)),
             target=zenoh.QueryTarget.ALL_COMPLETE,
-            # Otherwise Zenoh would hold the response back until the query ends.
+            # With consolidation, Zenoh would hold the response back until the query ends.
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=min(timeout, FOREVER),
             payload=payload,
@@ -258,7 +271,7 @@ class Client:
                 return self.type.response.decode(await answer)
             raise TimeoutError(f"the service {self.name} does not answer")
         finally:
-            # A query that nobody waits for would stay open until its timeout: up to a year.
+            # An abandoned query would stay open until its timeout, up to a year.
             token.cancel()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Hands as nodes of ROS 2, for as long as they run."""
+"""Service that shows running hands as nodes of ROS 2."""
 
 from __future__ import annotations
 
@@ -32,11 +32,10 @@ from rtee.ros2.type_descriptions import TypeDescriptions
 log = logging.getLogger(__name__)
 
 _AGAIN = 0.5
-"""Time until a hand that has gone is looked for again [s]."""
+"""Time until the next search for a hand that has ended [s]."""
 
 _AFTER_FAILURE = 10.0
-"""Time until a node that has failed for an unknown reason is made anew [s]: it may fail again, and
-each time is logged."""
+"""Time until a node is made again after an unexpected error [s]: each further failure is logged."""
 
 PARTS: tuple[Callable[[Face], Part], ...] = (
     Topics,
@@ -46,20 +45,20 @@ PARTS: tuple[Callable[[Face], Part], ...] = (
     Grasp,
     ActionCommand,
 )
-"""The parts of a node besides its services, which need to know the actions first."""
+"""The parts of a node except its services, whose constructor needs the hand's actions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A hand to be shown.
+    """A hand to show as a node.
 
     Attributes:
-        name: Its name.
-        settings: Domain, distribution, router, namespace.
-        insecure: A router on another computer needs no certificates.
-        configured: Its model as it is configured here; ``None``: it is not.
-        thermal: At which temperatures it warns.
-        endpoint: Where it runs; ``None``: on this computer.
+        name: Name of the hand.
+        settings: Domain, distribution, router and namespace.
+        insecure: Allow a router on another computer without certificates.
+        configured: Model of the hand if it is configured here, else ``None``.
+        thermal: Temperatures at which the hand warns and disables.
+        endpoint: Address of the hand; ``None``: this computer.
     """
 
     name: str
@@ -71,15 +70,15 @@ class Shown:
 
     @property
     def node(self) -> str:
-        """The fully qualified name of its node."""
+        """The fully qualified name of the node."""
         return node_name(ros_name(self.name), self.settings.namespace).full
 
 
 def warnings(hands: Sequence[Shown]) -> list[str]:
-    """Return what a person should know before hands are shown, one sentence each.
+    """Return sentences about the risks of showing these hands.
 
     Raises:
-        ConfigError: if a namespace is none, or two hands would be the same node.
+        ConfigError: if a namespace is malformed, or two hands would have the same node.
     """
     found = [
         f"whoever reaches the router of ROS 2 at {router} can move {_listed(names)}: ROS 2 knows no"
@@ -104,32 +103,32 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
 
 
 def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
-    """Return settings with those that a command line gives; ``None`` gives nothing.
+    """Return settings with the options of a command line that are not ``None``.
 
     Raises:
-        ConfigError: if one cannot be used.
+        ConfigError: if an option has an invalid value.
     """
-    found = {name: value for name, value in given.items() if value is not None}
-    distro = found.get("distro")
+    changes = {name: value for name, value in given.items() if value is not None}
+    distro = changes.get("distro")
     if distro is not None:
         if distro not in list(Distro):
             known = ", ".join(one.value for one in Distro)
             raise ConfigError(f"--distro {distro}: there are {known}")
-        found["distro"] = Distro(distro)
+        changes["distro"] = Distro(distro)
     try:
-        return replace(settings, **found)
+        return replace(settings, **changes)
     except ValueError as error:
         raise ConfigError(f"the command line: {error}") from None
 
 
 async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = None) -> None:
-    """Show hands as nodes of ROS 2 until cancelled; each while it runs.
+    """Show hands as nodes of ROS 2 while they run, until cancelled.
 
     Hands with the same domain, distribution and router share a session.
 
     Args:
         hands: The hands.
-        environment: Variables as rmw_zenoh reads them; unless given, those of the process.
+        environment: Environment variables of rmw_zenoh; by default those of the process.
 
     Raises:
         ConfigError: if a setting cannot be used.
@@ -137,8 +136,8 @@ async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = 
     """
     sessions: dict[tuple[int, Distro, str, bool], list[Shown]] = {}
     for hand in hands:
-        of = hand.settings
-        key = of.domain, of.distro, of.router, hand.insecure
+        settings = hand.settings
+        key = settings.domain, settings.distro, settings.router, hand.insecure
         sessions.setdefault(key, []).append(hand)
     async with anyio.create_task_group() as group:
         for together in sessions.values():
@@ -154,7 +153,7 @@ async def _serve_together(hands: Sequence[Shown], environment: Mapping[str, str]
 
 
 async def _keep_showing(context: Context, hand: Shown) -> None:
-    """Show a hand whenever it runs."""
+    """Show a hand each time it runs."""
 
     def waiting(reason: str) -> None:
         log.info("%s is not a node of ROS 2 yet: %s", hand.name, reason)
@@ -173,10 +172,10 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
                     group.start_soon(part.run)
         except* (RemoteError, MessageError) as errors:
             log.warning("%s has left ROS 2: %s", hand.name, _first(errors))
-        # A wrong setting does not mend itself: the command ends with the reason.
+        # Trying again does not help against a wrong setting, so that the command ends.
         except* UserError:
             raise
-        except* Exception:  # the nodes of other hands go on
+        except* Exception:  # an error here must not end the nodes of other hands
             log.exception("the node of %s has failed; it is made anew", hand.name)
             await anyio.sleep(_AFTER_FAILURE)
         await anyio.sleep(_AGAIN)
@@ -186,17 +185,17 @@ async def _keep_showing(context: Context, hand: Shown) -> None:
 async def shown(
     context: Context, hand: Shown, remote: RemoteHand
 ) -> AsyncIterator[Collection[Part]]:
-    """Make the node of a running hand; it leaves the graph at the end of the context.
+    """Make the node of a running hand, which leaves the graph at the end of the context.
 
     Args:
-        context: The part in the domain.
+        context: Context of the node.
         hand: The hand.
-        remote: The same, running.
+        remote: Client of the hand.
 
     Yields:
-        The parts of the node, which are to run.
+        The parts of the node, whose ``run`` the caller has to start.
     """
-    # All is asked before the node is made: a hand that goes meanwhile never shows in the graph.
+    # Query the hand before making the node: a hand that ends meanwhile never shows in the graph.
     model = await model_of(remote, hand.configured)
     info, openings, latest = await remote.info(), await remote.openings(), await remote.state()
     actions, status = await remote.actions(), await remote.status()
@@ -219,7 +218,7 @@ async def shown(
             for gain, value in zip(device.gains, device.gain_values, strict=False)
         }
         parts.append(Services(face, actions, gains, status.grip_effort))
-        # The node keeps the services of both, and they have nothing to run.
+        # The node keeps the services of these two, which need no task.
         RosEndEffector(node, remote)
         TypeDescriptions(node)
         face.declare(one for part in parts for one in part.parameters())

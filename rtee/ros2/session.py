@@ -1,4 +1,4 @@
-"""Zenoh sessions as rmw_zenoh opens them."""
+"""Zenoh sessions with the settings of rmw_zenoh."""
 
 from __future__ import annotations
 
@@ -18,20 +18,21 @@ from rtee.remote.session import TLS, check_endpoints, is_safe
 
 log = logging.getLogger(__name__)
 
+# Environment variables of ROS 2 and rmw_zenoh.
 DOMAIN = "ROS_DOMAIN_ID"
 SESSION_CONFIG = "ZENOH_SESSION_CONFIG_URI"
 CONFIG_OVERRIDE = "ZENOH_CONFIG_OVERRIDE"
 ROUTER_CHECK = "ZENOH_ROUTER_CHECK_ATTEMPTS"
 
 _LARGEST_DOMAIN = 232
-"""Largest domain of ROS 2."""
+"""Largest domain of ROS 2, limited by the ports of DDS."""
 
 _LARGEST = 1 << 26
-"""Largest message that is assembled [bytes]: those of cameras have some 10 MB. Zenoh allows 1 GiB
-for each peer."""
+"""Largest message that Zenoh assembles [bytes]: those of cameras have some 10 MB. By default, Zenoh
+allows 1 GiB per peer."""
 
 _CONNECT_WITHIN = 1000
-"""Time until a router must answer a client [ms]; then it is tried again."""
+"""Longest time until a router answers a client, before the next attempt [ms]."""
 
 _SETTINGS: dict[str, Any] = {
     # Nodes find each other through the router, by gossip.
@@ -41,10 +42,10 @@ _SETTINGS: dict[str, Any] = {
     "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
     "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
     "scouting/gossip/autoconnect_strategy": {
-        # Of two peers only one connects: otherwise they could have two links.
+        # Only one of two peers connects, or they could have two links.
         "peer": {"to_router": "always", "to_peer": "greater-zid"}
     },
-    # The samples kept for those who come later are told apart by their time.
+    # Zenoh distinguishes the samples kept for later subscribers by their time.
     "timestamping/enabled": True,
     "queries_default_timeout": 600_000,
     "routing/router/peers_failover_brokering": True,
@@ -57,11 +58,11 @@ _SETTINGS: dict[str, Any] = {
 _PEER: dict[str, Any] = {
     "mode": "peer",
     "listen/endpoints": ["tcp/localhost:0"],
-    # A hand does not end because the router does not run yet: Zenoh keeps trying.
+    # Without a router, a hand goes on and Zenoh keeps trying to connect.
     "connect/timeout_ms": -1,
     "connect/exit_on_failure": False,
 }
-"""Sessions on the router's own computer: nodes exchange messages directly."""
+"""Settings of sessions on the router's own computer, where nodes exchange messages directly."""
 
 _CLIENT: dict[str, Any] = {
     "mode": "client",
@@ -69,15 +70,15 @@ _CLIENT: dict[str, Any] = {
     "connect/timeout_ms": _CONNECT_WITHIN,
     "connect/exit_on_failure": True,
 }
-"""Sessions whose messages all go through the router: those of another computer, since a router does
-not pass on messages between peers, and those with certificates, which it checks."""
+"""Settings of sessions whose messages all pass through the router: those of another computer, since
+a router does not forward messages between peers, and those with certificates, which it checks."""
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
-    """Return the domain: of the environment if it says one.
+    """Return the domain of the environment, or else of the settings.
 
     Raises:
-        ConfigError: if it is none.
+        ConfigError: if the environment variable is not a domain.
     """
     environment = os.environ if environment is None else environment
     text = environment.get(DOMAIN, "").strip()
@@ -89,10 +90,10 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
 
 
 def router_attempts(environment: Mapping[str, str] | None = None) -> int:
-    """Return how often a router is looked for at the start: 0 for ever, below 0 not at all.
+    """Return the number of checks for a router at the start; 0: no limit, negative: none.
 
     Raises:
-        ConfigError: if the environment says something else than a whole number.
+        ConfigError: if the environment variable is not a whole number.
     """
     environment = os.environ if environment is None else environment
     text = environment.get(ROUTER_CHECK, "").strip() or "1"
@@ -111,13 +112,13 @@ def configuration(
     """Return the configuration of a session.
 
     Args:
-        settings: Where the router is.
-        environment: Variables of rmw_zenoh, by name; unless given, those of the process.
+        settings: Settings with the router's endpoint.
+        environment: Environment variables of rmw_zenoh; by default those of the process.
         insecure: Allow a router on another computer without certificates.
 
     Raises:
-        ConfigError: if the router, a variable or the file that it names cannot be used, or
-            everybody in the network could reach the router.
+        ConfigError: if the router, a variable or the file that it names is invalid, or the router
+            is open to the network.
     """
     environment = os.environ if environment is None else environment
     if file := environment.get(SESSION_CONFIG, ""):
@@ -133,12 +134,12 @@ def configuration(
                 key="ros2.router",
             )
         near = is_safe(router) and not router.startswith(TLS)
-        found = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
+        entries = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
         if router.startswith(TLS):
-            found |= identity().settings()
-        for key, value in found.items():
+            entries |= identity().settings()
+        for key, value in entries.items():
             _insert(config, key, json.dumps(value), f"the router '{settings.router}'")
-    # After the file, since it overrides this, too.
+    # Last, since this variable overrides the file, too.
     for entry in environment.get(CONFIG_OVERRIDE, "").split(";"):
         if entry.strip():
             key, equals, value = entry.partition("=")
@@ -151,7 +152,7 @@ def configuration(
 def _from_file(file: str) -> zenoh.Config:
     path = Path(file.removeprefix("file://"))
     try:
-        # Read first: Zenoh's error does not say plainly why a file cannot be opened.
+        # Read it first, since Zenoh's error hides why a file cannot be opened.
         path.read_bytes()
         return zenoh.Config.from_file(str(path))
     except (OSError, zenoh.ZError) as error:
@@ -178,7 +179,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         words = str(error).partition(" at /")[0]
-        # Zenoh has one exception for everything: only its words tell the reasons apart.
+        # Zenoh has a single exception, whose text alone distinguishes the reasons.
         if words.startswith("Unable to connect"):
             raise NoRouter(words) from None
         raise ConfigError(f"the ROS 2 session cannot be opened: {words}") from None
@@ -189,5 +190,5 @@ def close_session(session: zenoh.Session) -> None:
     try:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:
-        # What it had declared is gone for others as soon as their links end with the process.
+        # Its declarations vanish for others when the process ends and closes their links.
         log.warning("the ROS 2 session did not close: %s", str(error).partition(" at /")[0])

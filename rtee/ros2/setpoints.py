@@ -1,4 +1,4 @@
-"""Set-points from ROS 2: postures, trajectories and jogging that a hand follows as a stream."""
+"""Topics with set-points for a hand: postures, trajectories and jogging, followed as a stream."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from rtee.errors import MessageError
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.player import LINGER, SETTLED, Play, Player
 from rtee.ros2.trajectory import Jog, Motion, Posture, checked_position, jog_of, trajectory_of
@@ -20,17 +20,16 @@ log = logging.getLogger(__name__)
 
 COMMANDS, TRAJECTORY, JOG = "~/commands", "~/joint_trajectory", "~/joint_jog"
 
-_TOLD_AGAIN = 10.0
-"""Time until a topic's refusals are told again [s]: who is wrong is wrong a hundred times a
-second."""
+_LOGGED_AGAIN = 10.0
+"""Time until refusals of a topic are logged again [s]: a sender may repeat them at 100 Hz."""
 
 _JOGGED_FOR = 0.1
-"""How long the velocities of a message without a duration count [s]: so often does a person's
-device send at least."""
+"""Duration of the velocities of a message without one [s]: input devices send at least every
+0.1 s."""
 
 
-class Setpoints:
-    """Moves the hand as topics and the action of trajectories ask for; the newest counts.
+class Setpoints(Part):
+    """Moves the hand by the topics and the action of trajectories; the newest command counts.
 
     Args:
         face: The hand and its node.
@@ -49,7 +48,7 @@ class Setpoints:
             face.node.subscription(topic, kind, partial(self._take, topic, read))
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the order of the commands, and the rate of the stream."""
+        """Return the parameters for the order of commands, the stream's rate and the action."""
         yield Parameter(
             "joints",
             list(self._face.actuators),
@@ -60,13 +59,13 @@ class Setpoints:
         yield from self._action.parameters()
 
     async def run(self) -> None:
-        """Have the hand follow what comes, until it goes."""
+        """Stream set-points to the hand until it ends."""
         try:
             await self._player.run()
         finally:
             await self._action.end("the hand has gone from ROS 2")
 
-    # --- what the topics send
+    # --- messages of the topics
 
     def _take(self, topic: str, read: Callable[[Any], Motion], message: Any) -> None:
         try:
@@ -74,21 +73,21 @@ class Setpoints:
         except MessageError as error:
             self._refuse(topic, str(error))
             return
-        # A posture is sent once: when its sender falls silent, the stream's deadline applies.
+        # A posture is sent once, so that the stream's deadline applies when its sender stops.
         until = motion.end if isinstance(motion, Posture) else motion.end + SETTLED
         self._player.play(
             Play(motion, f"a message on {topic}", until, partial(self._refuse, topic))
         )
 
     def _refuse(self, topic: str, reason: str) -> None:
-        """Tell why a message moves nothing, at most once in a while for each topic."""
+        """Log the reason for a refused message, at most every `_LOGGED_AGAIN` for each topic."""
         now = time.monotonic()
-        told, untold = self._refused.get(topic, (-math.inf, 0))
-        if now < told + _TOLD_AGAIN:
-            self._refused[topic] = told, untold + 1
+        logged, unlogged = self._refused.get(topic, (-math.inf, 0))
+        if now < logged + _LOGGED_AGAIN:
+            self._refused[topic] = logged, unlogged + 1
             return
         name = self._face.node.name.resolve(topic)
-        more = f" ({untold} more were refused before)" if untold else ""
+        more = f" ({unlogged} more were refused before)" if unlogged else ""
         log.warning("a message on %s is refused: %s%s", name, reason, more)
         self._refused[topic] = now, 0
 
@@ -117,8 +116,8 @@ class Setpoints:
         now = time.monotonic()
 
         def where(name: str) -> float:
-            # A jog that goes on continues where the last one was to bring the joint, else the lag
-            # of the measurement would hold it back at every message.
+            # A jog continues from the set-point of the last one; from the measured position, the
+            # lag of the measurement would slow it down with every message.
             last = self._player.last
             if last is not None and isinstance(last.motion, Jog) and now < last.motion.end + LINGER:
                 at = last.motion.at(now).position.get(name)

@@ -1,4 +1,4 @@
-"""What a hand's node publishes: joints, transforms, openings, forces, goals, events."""
+"""The topics that a hand's node publishes: joints, transforms, openings, forces, goals, events."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rtee.messages.layout import TransformsEncoder
 from rtee.messages.state import State
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, measured_at, sensors_fields
 from rtee.ros2.endpoints import Publisher
-from rtee.ros2.face import Face
+from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
 from rtee.ros2.qos import LATCHED, Qos
@@ -36,27 +36,27 @@ from rtee.touch import TouchState
 T = TypeVar("T")
 
 RATE = "rate"
-"""Name of the parameter with the rate at which states are published."""
+"""Name of the parameter for the rate of published states."""
 
 _TRANSFORMS = Qos(depth=100)
-"""QoS of ``/tf``, as tf2_ros has it."""
+"""QoS of ``/tf``, that of tf2_ros."""
 
 _NANO = 1_000_000_000
 """Nanoseconds of a second."""
 
 
 def ros_name(name: str) -> str:
-    """Return a name as ROS 2 allows it: letters, digits and underscores, and no digit first."""
+    """Return a name that ROS 2 allows: letters, digits and underscores, with no digit first."""
     made = re.sub(r"\W", "_", name, flags=re.ASCII)
     return made if made[:1].isalpha() or made[:1] == "_" else f"_{made}"
 
 
 def description(model: Hand, urdf: str) -> str:
-    """Return a URDF with the absolute addresses of the meshes that are found here.
+    """Return a URDF with the absolute addresses of the meshes that exist on this computer.
 
     Args:
-        model: The hand: where its meshes are looked up.
-        urdf: The text, of the running hand.
+        model: Model of the hand, with the folders of its meshes.
+        urdf: Text of the URDF of the running hand.
     """
     addresses = {}
     links = model.urdf.links.values()
@@ -65,16 +65,16 @@ def description(model: Hand, urdf: str) -> str:
             try:
                 path = resolve_mesh(shape.mesh, model.urdf.path, model.package_dirs)
             except ModelError:
-                continue  # it may be found where the description is read
+                continue  # the reader of the description may find it on its computer
             addresses[shape.mesh] = path.resolve().as_uri()
     return with_mesh_addresses(urdf, addresses)
 
 
 class JointStates:
-    """Encodes ``sensor_msgs/msg/JointState`` of all moving joints of a hand.
+    """Encoder of ``sensor_msgs/msg/JointState`` for all moving joints of a hand.
 
-    Velocities and efforts that are not measured are ``NaN``, as joint_state_broadcaster has them;
-    efforts are those of the actuators.
+    Velocities and efforts that are not measured are ``NaN``, as in joint_state_broadcaster; efforts
+    are those of the actuators.
 
     Args:
         model: The hand.
@@ -84,7 +84,7 @@ class JointStates:
         self._transmission = model.transmission
         self._encoder = JointStateEncoder(model.joint_names)
         self._rows = np.array([model.joint_index(name) for name in model.actuator_names], np.intp)
-        # Joints that follow others keep NaN: only the rows of actuators are written later.
+        # Only the rows of actuators are written later; joints that follow others keep NaN.
         self._effort = np.full(len(model.joint_names), math.nan)
 
     def encode(self, state: State) -> bytes:
@@ -94,8 +94,8 @@ class JointStates:
         return self._encoder.encode(state.wall_ns, state.joint_position, velocity, self._effort)
 
 
-class Topics:
-    """Publishes the states of a hand, its description, and what happens to its goals.
+class Topics(Part):
+    """Publishes the states of a hand, its description, and the feedback and results of goals.
 
     Args:
         face: The hand and its node.
@@ -139,7 +139,7 @@ class Topics:
         self._touch = TouchTopics(face)
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return the rate."""
+        """Return the parameter `RATE`."""
         yield Parameter(
             RATE,
             float(self._face.settings.rate),
@@ -151,7 +151,7 @@ class Topics:
         )
 
     async def run(self) -> None:
-        """Publish until the hand goes."""
+        """Publish until the hand ends."""
         hand = self._face.hand
         async with anyio.create_task_group() as group:
             group.start_soon(self._relay, hand.feedback(), self._feedback, encode_feedback)
@@ -160,7 +160,7 @@ class Topics:
             group.start_soon(self._touch.run)
             while True:
                 with anyio.CancelScope() as self._again:
-                    # After a change of the rate, which is kept once it has been told.
+                    # A changed rate is stored only after this scope was cancelled.
                     await anyio.lowlevel.checkpoint()
                     async for state in hand.states(self._face.number(RATE)):
                         self._face.latest = state
@@ -174,7 +174,7 @@ class Topics:
             publisher.publish(encode(message))
 
     def publish(self, state: State) -> None:
-        """Publish what a state tells, on the topics that somebody listens to."""
+        """Publish a state on the topics that have subscribers."""
         if self._joints.heard:
             self._joints.publish(self._joint_states.encode(state))
         if self._tf is not None and self._transforms is not None and self._tf.heard:
@@ -188,11 +188,11 @@ class Topics:
         self._control.publish(state)
 
     def _publish_forces(self, state: State) -> None:
-        felt = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
-        # One header serves all tips: a message is encoded before the next one changes it.
+        forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+        # All tips share a header, since a message is encoded before the next one changes it.
         header = stamped(self._face, state.wall_ns)
         wrench = self._face.message("geometry_msgs/msg/WrenchStamped")
-        for (frame, publisher), force in zip(self._tips, tip_forces(felt), strict=False):
+        for (frame, publisher), force in zip(self._tips, tip_forces(forces), strict=False):
             if not math.isnan(force):
                 message = wrench(header=header)
                 header.frame_id, message.wrench.force.z = frame, force
@@ -200,7 +200,7 @@ class Topics:
 
 
 class TouchTopics:
-    """Publishes ``~/touch`` as it is measured, and ``~/touch_sensors`` for whoever comes later.
+    """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too.
 
     Args:
         face: The hand and its node.
@@ -215,14 +215,14 @@ class TouchTopics:
         )
 
     async def run(self) -> None:
-        """Publish until the hand goes."""
+        """Publish until the hand ends."""
         known: dict[str, TouchState] = {}
         try:
             async for state in self._face.hand.touch_states():
                 before = known.get(state.device)
                 known[state.device] = state
                 now = self._face.latest
-                # By identity: a device's states share their sensors until it is another device.
+                # Compare by identity: the states of one device share their tuple of sensors.
                 if before is None or before.sensors is not state.sensors:
                     fields = sensors_fields(known.values(), now.wall_ns)
                     self._sensors.publish(TOUCH_SENSORS.encode(fields))
@@ -230,13 +230,13 @@ class TouchTopics:
                     wall = measured_at(now, state)
                     self._touch.publish(self._encoder.encode(state, wall))
         except RequestRejected:
-            return  # an older hand cannot tell
+            return  # a hand of an earlier version has no such request
 
 
 class ControllerStates:
     """Publishes ``~/controller_state`` as the joint_trajectory_controller of ros2_control does.
 
-    It tells what is sent to the actuators, what they measure, and the difference.
+    The message holds the set-points of the actuators, their measured states, and the differences.
 
     Args:
         face: The hand and its node.
@@ -250,7 +250,7 @@ class ControllerStates:
         self._publisher = face.node.publisher("~/controller_state", kind)
 
     def publish(self, state: State) -> None:
-        """Publish a state if somebody listens."""
+        """Publish a state if anybody subscribes."""
         if self._publisher.heard:
             self._publisher.publish(self._message(state))
 
@@ -275,13 +275,13 @@ class ControllerStates:
 
 
 def stamped(face: Face, wall_ns: int) -> Any:
-    """Return a ``std_msgs/msg/Header`` with a time since 1970 [ns]."""
+    """Return a ``std_msgs/msg/Header`` for a time since 1970 [ns]."""
     header = face.message("std_msgs/msg/Header")()
     header.stamp.sec, header.stamp.nanosec = divmod(wall_ns, _NANO)
     return header
 
 
 def _ends(frames: Iterable[tuple[str, str]]) -> tuple[list[str], list[str]]:
-    """Return the parents and the children of pairs of both."""
+    """Return the parents and the children of pairs."""
     pairs = list(frames)
     return [parent for parent, _ in pairs], [child for _, child in pairs]

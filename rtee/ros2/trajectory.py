@@ -1,7 +1,7 @@
-"""Set-points over time as ROS 2 sends them: trajectories of joints, jogging, single postures.
+"""Motions from messages of ROS 2: trajectories of joints, jogging, single postures.
 
-Time is CLOCK_MONOTONIC of this computer [s]; the stamps of messages, which are of ROS's clock, are
-brought to it when a message arrives.
+Time is CLOCK_MONOTONIC of this computer [s]; stamps of messages, by ROS's clock, are converted when
+a message arrives.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from rtee.errors import MessageError, suggestion
 from rtee.hand.model import Hand
 
 _BEYOND = 0.01
-"""Share of a joint's range by which a position may be beyond its limits: planners round."""
+"""Share of a joint's range by which a position may exceed its limits, since planners round."""
 
 _LONGEST = 600.0
-"""Longest trajectory or jog that is taken [s]: no hand moves for ten minutes."""
+"""Longest trajectory or jog accepted [s]: no hand moves for ten minutes."""
 
 _MOST_POINTS = 10_000
 """Most points of a trajectory: far more than a planner sends."""
 
 _STILL = 1e-6
-"""Velocity at the end of a trajectory that is none [rad/s | m/s]: planners round."""
+"""Velocity at the end of a trajectory that counts as 0 [rad/s | m/s], since planners round."""
 
 Where = Callable[[str], float]
-"""Returns where a joint is [rad | m]."""
+"""Returns the position of a joint [rad | m]."""
 
 
 class OldTrajectory(MessageError):
-    """A trajectory was over before it arrived."""
+    """A trajectory ended before it arrived."""
 
 
 class SetPoint(NamedTuple):
-    """Where joints should be at a moment.
+    """Set-points of joints at a time.
 
     Attributes:
-        position: By joint [rad | m].
-        velocity: How fast there, for those where it is known [rad/s | m/s].
+        position: Position by joint [rad | m].
+        velocity: Velocity by joint [rad/s | m/s]; joints without a known one are missing.
     """
 
     position: Mapping[str, float]
@@ -53,7 +53,7 @@ class Motion(Protocol):
 
     @property
     def end(self) -> float:
-        """When the last set-point is reached [s]."""
+        """Time of the last set-point [s]."""
 
     def at(self, now: float) -> SetPoint:
         """Return the set-point at a time [s]; after the end, the last one."""
@@ -71,24 +71,24 @@ class Range(NamedTuple):
     upper: float
 
     def clamped(self, value: float) -> float:
-        """Return a position inside the limits."""
+        """Return a position clamped to the limits."""
         return min(max(value, self.lower), self.upper)
 
 
 def movable_joints(model: Hand) -> dict[str, Range]:
-    """Return the joints that set-points may name: the actuators, and what follows one of them."""
-    found = {actuator.name: Range(actuator.lower, actuator.upper) for actuator in model.actuators}
+    """Return the joints that set-points may name: actuators, and joints that follow one."""
+    ranges = {actuator.name: Range(actuator.lower, actuator.upper) for actuator in model.actuators}
     for row, joint in enumerate(model.joints):
-        if joint.name not in found and model.transmission.moves(row) is not None:
-            found[joint.name] = Range(joint.lower, joint.upper)
-    return found
+        if joint.name not in ranges and model.transmission.moves(row) is not None:
+            ranges[joint.name] = Range(joint.lower, joint.upper)
+    return ranges
 
 
 def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
-    """Check the joints of a message.
+    """Check the names of joints in a message.
 
     Raises:
-        MessageError: if there are none, one is unknown, or one is named twice.
+        MessageError: if there are none, or a name is unknown or occurs twice.
     """
     if not names:
         raise MessageError("it names no joints")
@@ -100,9 +100,9 @@ def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
 
 
 def checked_position(name: str, value: float, limits: Range) -> float:
-    """Return a position inside the limits; raises `MessageError` if it is none, or far beyond."""
+    """Return a position clamped to the limits; raise `MessageError` if it is NaN or far beyond."""
     slack = limits.upper - limits.lower
-    # In a range with one limit only, an infinite slack would lift that limit, too.
+    # In a range with a single limit, an infinite slack would remove that limit, too.
     slack = _BEYOND * slack if math.isfinite(slack) else 0.0
     if not limits.lower - slack <= value <= limits.upper + slack:  # NaN compares as false
         raise MessageError(
@@ -117,46 +117,46 @@ def seconds(duration: Any) -> float:
 
 
 def began(stamp: Any, now: float, ros_now: float) -> float:
-    """Return when a message with a stamp begins, by CLOCK_MONOTONIC [s]; without one, now.
+    """Return the time of a message's stamp by CLOCK_MONOTONIC [s]; without a stamp, ``now``.
 
     Args:
         stamp: The stamp in its header.
         now: CLOCK_MONOTONIC [s].
         ros_now: The time since 1970 at the same moment [s].
     """
-    given = seconds(stamp)
-    return now if given == 0.0 else now + (given - ros_now)
+    stamped = seconds(stamp)
+    return now if stamped == 0.0 else now + (stamped - ros_now)
 
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """One set-point, to be reached at once.
+    """A single set-point, to be reached as fast as the limits allow.
 
     Attributes:
-        position: By joint [rad | m].
-        end: When it is meant [s].
+        position: Position by joint [rad | m].
+        end: Time of the set-point [s].
     """
 
     position: Mapping[str, float]
     end: float
 
     def at(self, now: float) -> SetPoint:
-        """Return it."""
+        """Return the set-point, which is the same at any time."""
         return SetPoint(self.position, {})
 
 
 class Trajectory:
-    """A trajectory through points, which begins where the joints are.
+    """A trajectory through points, whose first one is the present position.
 
-    Between two points a joint follows the cubic polynomial through their positions and velocities,
-    or the straight line if the points have no velocities, as the joint_trajectory_controller of
+    Between two points, a joint follows the cubic polynomial through their positions and velocities,
+    or a straight line if the points have no velocities, as the joint_trajectory_controller of
     ros2_control does.
 
     Args:
         names: The joints.
-        times: When the points are to be reached, rising [s].
-        positions: Where the joints are then, by point and joint [rad | m].
-        velocities: How fast they are then [rad/s | m/s]; ``None``: not given.
+        times: Times of the points, rising [s].
+        positions: Positions by point and joint [rad | m].
+        velocities: Velocities by point and joint [rad/s | m/s]; ``None``: not given.
     """
 
     def __init__(
@@ -171,12 +171,12 @@ class Trajectory:
 
     @property
     def begin(self) -> float:
-        """When it begins [s]."""
+        """Time of the first point [s]."""
         return self._times[0]
 
     @property
     def end(self) -> float:
-        """When the last point is to be reached [s]."""
+        """Time of the last point [s]."""
         return self._times[-1]
 
     @property
@@ -185,9 +185,9 @@ class Trajectory:
         return dict(zip(self.names, self._positions[-1], strict=True))
 
     def at(self, now: float) -> SetPoint:
-        """Return the set-point at a time [s]; before the first point that, after the end the last.
+        """Return the set-point at a time [s]: the first point before the begin, the last after it.
 
-        After the end all velocities are zero, whatever the last point says: a hand stays there.
+        After the end all velocities are 0, whatever the last point has, since the hand stays there.
         """
         if now >= self.end:
             return SetPoint(self.goal, dict.fromkeys(self.names, 0.0))
@@ -204,7 +204,7 @@ class Trajectory:
             if self._velocities is None:
                 position[name], velocity[name] = p + s * (q - p), (q - p) / span
                 continue
-            # The cubic Hermite polynomial, with velocities for a unit of s.
+            # Cubic Hermite polynomial in s from 0 to 1, hence velocities per unit of s.
             v, w = self._velocities[before][k] * span, self._velocities[after][k] * span
             b, c = 3.0 * (q - p) - 2.0 * v - w, 2.0 * (p - q) + v + w
             position[name] = p + s * (v + s * (b + s * c))
@@ -217,19 +217,18 @@ def trajectory_of(
 ) -> Trajectory:
     """Return the trajectory in a ``trajectory_msgs/msg/JointTrajectory``.
 
-    Points that are over when it arrives are passed over, as ros2_control does. Accelerations and
-    efforts are not used.
+    Skips points in the past, as ros2_control does. Ignores accelerations and efforts.
 
     Args:
         message: The message.
-        joints: The joints that may be named.
-        where: Returns where a joint is now.
+        joints: The joints that the message may name.
+        where: Function that returns the present position of a joint [rad | m].
         now: CLOCK_MONOTONIC [s].
         ros_now: The time since 1970 at the same moment [s].
 
     Raises:
-        OldTrajectory: if it was over before it arrived.
-        MessageError: if it cannot be followed, with the reason.
+        OldTrajectory: if the trajectory ended before it arrived.
+        MessageError: if the hand cannot follow it, with the reason.
     """
     names = list(message.joint_names)
     checked_names(names, joints)
@@ -261,13 +260,13 @@ def trajectory_of(
         raise MessageError("some of its points have velocities and others none")
     if any(abs(value) > _STILL for value in velocities[-1]):
         raise MessageError("its last point has a velocity, and a hand stays where it ends")
-    # It begins where the joints are, at rest: what is between there and its first point counts.
+    # Begin at rest at the present position, and move from there to the first point in the future.
     first = next((k for k, time in enumerate(times) if begin + time > now), len(times) - 1)
     start = max(begin, now)
-    if begin + times[first] <= start:  # a single point for now: as fast as the limits allow
+    if begin + times[first] <= start:  # a point for now, reached as fast as the limits allow
         start = begin + times[first] - 1e-3
     moments = [start, *(begin + time for time in times[first:])]
-    # A joint may be measured slightly outside its limits, where no set-point may be.
+    # A measured position may exceed the limits slightly; a set-point must not.
     here = [joints[name].clamped(where(name)) for name in names]
     rest = [0.0] * len(names)
     return Trajectory(
@@ -279,14 +278,14 @@ def trajectory_of(
 
 
 class Jog:
-    """Joints that move at a velocity for a while, inside their limits.
+    """Joints that move at constant velocities for a time, inside their limits.
 
     Args:
-        begin: When it begins [s].
-        end: When it ends [s].
-        start: Where the joints are then [rad | m].
-        velocity: How fast they move [rad/s | m/s].
-        joints: Their limits.
+        begin: Time of the begin [s].
+        end: Time of the end [s].
+        start: Positions at the begin, by joint [rad | m].
+        velocity: Velocities by joint [rad/s | m/s].
+        joints: Limits by joint.
     """
 
     def __init__(
@@ -308,7 +307,7 @@ class Jog:
         for name, start in self._start.items():
             limits, wanted = self._joints[name], start + self._velocity[name] * time
             position[name] = limits.clamped(wanted)
-            # At a limit the velocity is zero, else the stream would extrapolate beyond it.
+            # With a velocity at a limit, the stream would extrapolate beyond it.
             inside = moving and position[name] == wanted
             velocity[name] = self._velocity[name] if inside else 0.0
         return SetPoint(position, velocity)
@@ -326,13 +325,13 @@ def jog_of(
     Args:
         message: The message: velocities for its duration, or displacements, at once unless it has
             a duration.
-        joints: The joints that may be named.
-        where: Returns where a joint is now, or where the last jog has brought it.
+        joints: The joints that the message may name.
+        where: Function that returns the position of a joint, or its last set-point [rad | m].
         now: CLOCK_MONOTONIC [s].
-        unsaid: Duration of velocities without one [s].
+        unsaid: Duration of a message with velocities but without a duration [s].
 
     Raises:
-        MessageError: if it cannot be followed, with the reason.
+        MessageError: if the hand cannot follow it, with the reason.
     """
     names, duration = list(message.joint_names), float(message.duration)
     checked_names(names, joints)

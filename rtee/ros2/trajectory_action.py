@@ -38,25 +38,25 @@ from rtee.ros2.trajectory import (
 
 ACTION = "~/follow_joint_trajectory"
 GOAL_TIME = "constraints.goal_time"
-"""Name of the parameter with the time that a hand may be late, as in ros2_control."""
+"""Name of the parameter for the time that a hand may be late, as in ros2_control."""
 
 _RATE = 50.0
-"""Times a second that tolerances are looked at [Hz]."""
+"""Rate of the checks of tolerances [Hz]: more often than the 20 Hz of ros2_control's feedback."""
 
 _EVERY = 2
-"""Feedback is published every so many times: 25 Hz, where ros2_control has 20 by default."""
+"""Number of checks per feedback: 25 Hz, where ros2_control has 20 Hz by default."""
 
 _LAG = "stream/lag"
-"""The channel of the state with the lag of the stream [s]."""
+"""Channel of the state with the lag of the stream [s]."""
 
 _ERASED = -1.0
-"""A tolerance that says that there is none, whatever the default."""
+"""Value of a tolerance that disables it, whatever the default."""
 
 _ANSWERED_WITHIN = 1.0
-"""Time to tell clients that their goals are aborted, when the hand leaves [s]."""
+"""Longest time to abort the goals when the hand ends [s]."""
 
 _TOLD_WITHIN = 0.05
-"""Time in which those who wait for the result of an ended goal are sent it [s]."""
+"""Time to send the results of aborted goals to the clients that wait for them [s]."""
 
 _Joints = dict[str, tuple[float, float]]
 """Positions [rad | m] and velocities [rad/s | m/s] by joint."""
@@ -74,11 +74,11 @@ class Code(IntEnum):
 
 
 class Tolerance(NamedTuple):
-    """How far a joint may be from where it should be; infinite: any distance.
+    """Largest errors allowed of a joint; infinite: any error.
 
     Attributes:
-        position: Distance [rad | m].
-        velocity: Difference of velocities [rad/s | m/s].
+        position: Error of the position [rad | m].
+        velocity: Error of the velocity [rad/s | m/s].
     """
 
     position: float
@@ -86,16 +86,16 @@ class Tolerance(NamedTuple):
 
 
 def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Tolerance]:
-    """Return tolerances by joint, of those joints that have one.
+    """Return the tolerances of those joints that have one.
 
-    Accelerations are not measured; their tolerances are not looked at.
+    Ignores tolerances of accelerations, which are not measured.
 
     Args:
         given: Messages ``control_msgs/msg/JointTolerance``.
         names: The joints of the trajectory.
 
     Raises:
-        MessageError: if one makes no sense, beginning with the name of the error code.
+        MessageError: if a tolerance is invalid; begins with the name of the error code.
     """
     found = {}
     for one in given:
@@ -106,14 +106,14 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
             )
         values = float(one.position), float(one.velocity)
         for value in values:
-            # Written so that NaN is refused, too.
+            # In this form, the condition refuses NaN, too.
             if not (value >= 0.0 or value == _ERASED):
                 raise _refusal(
                     Code.INVALID_GOAL,
                     f"a tolerance of '{one.name}' is {value:g}; it should be positive, 0 for the"
                     " default, or -1 for none",
                 )
-        # 0 asks for the default, which is not to enforce any, as in ros2_control.
+        # 0 stands for the default, which is no tolerance, as in ros2_control.
         if max(values) > 0.0:
             found[one.name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
     return found
@@ -124,7 +124,7 @@ class TrajectoryAction:
 
     Args:
         face: The hand and its node.
-        player: Has the hand follow trajectories, also those of topics.
+        player: Streams trajectories to the hand, also those of topics.
     """
 
     def __init__(self, face: Face, player: Player) -> None:
@@ -140,7 +140,7 @@ class TrajectoryAction:
         self._following: set[_Following] = set()
 
     def parameters(self) -> Iterable[Parameter]:
-        """Return how late the hand may be."""
+        """Return the parameter `GOAL_TIME`."""
         yield Parameter(
             GOAL_TIME,
             2.0,
@@ -151,27 +151,27 @@ class TrajectoryAction:
         )
 
     async def end(self, reason: str) -> None:
-        """Abort all goals, wait until that is told, and leave the graph."""
+        """Abort all goals, wait until their clients have the results, and leave the graph."""
         for one in tuple(self._following):
             one.fail(reason)
         with anyio.move_on_after(_ANSWERED_WITHIN, shield=True):
             for goal in self._server.goals:
-                # Shielded: the time limit must not cancel the future for which clients wait.
+                # Shielded, so that the time limit does not cancel the future of the clients.
                 await asyncio.shield(goal.ended)
             await anyio.sleep(_TOLD_WITHIN)
         self._server.close()
 
     async def _accept(self, message: Any) -> Job:
-        made = self._looked_at(message)
-        self._following.add(made)
-        return made
+        job = self._checked(message)
+        self._following.add(job)
+        return job
 
     def forget(self, job: _Following) -> None:
         """Forget a goal that has ended."""
         self._following.discard(job)
 
-    def _looked_at(self, message: Any) -> _Following:
-        """Return what a goal asks for; raises `MessageError`, with an error code first."""
+    def _checked(self, message: Any) -> _Following:
+        """Return the job of a goal; raise `MessageError`, which begins with the error code."""
         multi, names = message.multi_dof_trajectory, list(message.trajectory.joint_names)
         parts = (
             multi.joint_names,
@@ -231,19 +231,19 @@ class TrajectoryAction:
                 )
 
     def measured(self, state: State) -> _Joints:
-        """Return where joints and actuators are measured to be, and how fast they are."""
+        """Return the measured positions and velocities of joints and actuators."""
         rates = self.face.model.transmission.velocities(state.position, state.velocity)
         names = self.face.model.joint_names
-        found = {
+        joints = {
             name: (state.joints[name], rate)
             for name, rate in zip(names, rates.tolist(), strict=True)
         }
         pairs = zip(state.position.tolist(), state.velocity.tolist(), strict=True)
-        return found | dict(zip(state.names, pairs, strict=True))
+        return joints | dict(zip(state.names, pairs, strict=True))
 
 
 class _Limits(NamedTuple):
-    """What a goal allows: tolerances by joint, and how late it may be [s]."""
+    """Tolerances of a goal by joint, and the longest time after its end to reach it [s]."""
 
     path: Mapping[str, Tolerance]
     goal: Mapping[str, Tolerance]
@@ -251,7 +251,7 @@ class _Limits(NamedTuple):
 
 
 class _Following:
-    """A goal: has the hand follow a trajectory, and watches it."""
+    """Job of a goal: streams a trajectory to the hand and checks its tolerances."""
 
     def __init__(
         self,
@@ -263,7 +263,7 @@ class _Following:
     ) -> None:
         self._action, self._motion, self._names, self._limits = action, motion, names, limits
         self._times = times
-        # Feedback counts from where the points do, which the message's stamp may set.
+        # Times in feedback count from the begin of the points, which a stamp may set.
         self._begin = motion.end - (times[-1] if times else 0.0)
         self._outcome: Outcome | None = None
         self._changed = anyio.Event()
@@ -272,9 +272,9 @@ class _Following:
         )
 
     async def run(self, goal: ServerGoal) -> Outcome:
-        """Follow it until it ends, one way or the other."""
+        """Follow the trajectory to the end of the goal."""
         try:
-            # The hand may have gone, or the goal been cancelled, before this task began.
+            # The hand may have ended, or the goal been cancelled, before this task began.
             if self._outcome is None:
                 self._action.player.play(self._play)
                 async with anyio.create_task_group() as group:
@@ -285,18 +285,18 @@ class _Following:
                 raise RuntimeError("a goal has ended without an outcome")
             return self._outcome
         finally:
-            # Otherwise the player would repeat the last set-point for ever and keep the lease.
+            # Or the player would repeat the last set-point for ever and keep the lease.
             if math.isinf(self._play.until):
                 self._play.until = time.monotonic()
             self._action.forget(self)
 
     async def cancel(self) -> None:
-        """Hold the joints where they are."""
+        """Hold the joints at their present positions."""
         if self._end(GoalState.CANCELED, Code.SUCCESSFUL, "it was cancelled"):
             self._hold()
 
     def fail(self, reason: str) -> None:
-        """Abort it: the hand does not follow it, or no more."""
+        """Abort the goal, which the hand refuses or stops to follow."""
         self._end(GoalState.ABORTED, Code.INVALID_GOAL, reason)
 
     def _replaced(self, source: str) -> None:
@@ -313,7 +313,7 @@ class _Following:
             self._hold()
 
     def _end(self, state: GoalState, code: Code, text: str) -> bool:
-        """End the goal; return whether it had not ended before, thus was what the hand follows."""
+        """End the goal; return whether the hand was still following it."""
         first = self._outcome is None
         if first:
             result = self._action.type.result(error_code=code, error_string=text)
@@ -323,25 +323,25 @@ class _Following:
         return first
 
     async def _watch(self, goal: ServerGoal) -> None:
-        """Look at the hand until the goal is reached, or violated."""
+        """Check the hand's states until the goal is reached or a tolerance violated."""
         try:
             for_feedback = partial(next, count())
             async for state in self._action.face.hand.states(_RATE):
                 now = time.monotonic()
                 lag = state.channels.get(_LAG)
-                # What the hand is meant to do now was sent a lag ago.
+                # The stream plays set-points with a lag.
                 at = now - (0.0 if lag is None else float(lag[0]))
                 desired, actual = self._motion.at(at), self._action.measured(state)
                 if for_feedback() % _EVERY == 0 and goal.heard:
-                    self._tell(goal, at, desired, actual)
-                # Without a lag no stream plays yet, and there is nothing to compare.
+                    self._publish(goal, at, desired, actual)
+                # Without a lag, the stream does not play yet, and there is nothing to compare.
                 if lag is not None or now > self._motion.end:
                     self._judge(now, at, desired, actual)
         except RteeError as error:
             self.fail(str(error))
 
     def _judge(self, now: float, at: float, desired: SetPoint, actual: _Joints) -> None:
-        """End the goal if it is reached, or its tolerances are violated."""
+        """End the goal if it is reached or a tolerance is violated."""
         end, limits = self._motion.end, self._limits
         if at < end:
             outside = _outside(limits.path, desired, actual)
@@ -349,7 +349,7 @@ class _Following:
                 self._violated(Code.PATH_TOLERANCE_VIOLATED, f"on its way {outside}")
             return
         outside = _outside(limits.goal, desired, actual)
-        # Without goal tolerances nothing tells that it arrived: it has the time to settle.
+        # Without goal tolerances, the goal is reached after the time to settle.
         if not outside and (limits.goal or now >= end + SETTLED):
             self._play.until = end + SETTLED
             self._end(GoalState.SUCCEEDED, Code.SUCCESSFUL, _farthest(desired, actual))
@@ -357,11 +357,11 @@ class _Following:
             late = f"{now - end:.3g} s after its end {outside}"
             self._violated(Code.GOAL_TOLERANCE_VIOLATED, late)
 
-    def _tell(self, goal: ServerGoal, at: float, desired: SetPoint, actual: _Joints) -> None:
+    def _publish(self, goal: ServerGoal, at: float, desired: SetPoint, actual: _Joints) -> None:
         """Publish feedback."""
         wanted = [desired.position[name] for name in self._names]
         speeds = [desired.velocity.get(name, 0.0) for name in self._names]
-        found = [actual[name] for name in self._names]
+        measured = [actual[name] for name in self._names]
         since = at - self._begin
         duration = self._action.duration(**time_fields(round(max(0.0, since) * 1e9)))
 
@@ -374,10 +374,10 @@ class _Following:
             header=self._action.header(stamp=self._action.time(**time_fields(time.time_ns()))),
             joint_names=list(self._names),
             desired=point(wanted, speeds),
-            actual=point([p for p, _ in found], [v for _, v in found]),
+            actual=point([p for p, _ in measured], [v for _, v in measured]),
             error=point(
-                [p - q for p, (q, _) in zip(wanted, found, strict=True)],
-                [v - w for v, (_, w) in zip(speeds, found, strict=True)],
+                [p - q for p, (q, _) in zip(wanted, measured, strict=True)],
+                [v - w for v, (_, w) in zip(speeds, measured, strict=True)],
             ),
             index=max(0, bisect.bisect_right(self._times, since) - 1),
         )
@@ -388,11 +388,11 @@ def _outside(
     desired: SetPoint,
     actual: Mapping[str, tuple[float, float]],
 ) -> str:
-    """Return which joint is outside its tolerance, in words; empty: none is."""
+    """Return a sentence about a joint outside its tolerance; ``""`` if there is none."""
     for name, tolerance in tolerances.items():
         position, velocity = actual[name]
         error = abs(desired.position[name] - position)
-        # `not <=` rather than `>`: NaN must count as outside.
+        # `not <=` instead of `>`, so that NaN counts as outside.
         if not error <= tolerance.position:
             return f"'{name}' was off by {error:.3g}, more than {tolerance.position:g}"
         error = abs(desired.velocity.get(name, 0.0) - velocity)
@@ -404,7 +404,7 @@ def _outside(
 
 
 def _farthest(desired: SetPoint, actual: Mapping[str, tuple[float, float]]) -> str:
-    """Return how far the joint farthest from its goal is from it, in words."""
+    """Return a sentence about the joint with the largest error."""
     error, name = max((abs(q - actual[name][0]), name) for name, q in desired.position.items())
     return f"the goal is reached; '{name}' is off by {error:.3g}"
 

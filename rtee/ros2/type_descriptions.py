@@ -1,11 +1,11 @@
-"""The service that tells others what a type of this node looks like."""
+"""The service ``~/get_type_description``, which describes a type of a node to other nodes."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from rtee.errors import MessageError
-from rtee.ros2.hashes import Description, referred
+from rtee.ros2.hashes import referred
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
 from rtee.ros2.notation import full_name
@@ -14,7 +14,7 @@ _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _MESSAGES = "type_description_interfaces/msg"
 
 NO_SERVICE = frozenset({"humble"})
-"""Distributions whose nodes do not have it."""
+"""Distributions whose nodes do not have the service."""
 
 
 class TypeDescriptions:
@@ -38,37 +38,22 @@ class TypeDescriptions:
             tree = self._interfaces.description(name)
         except MessageError as error:
             return self._type.response(failure_reason=str(error))
-        others = tree["referenced_type_descriptions"]
-        described = self._interfaces.message(f"{_MESSAGES}/TypeDescription")(
-            type_description=self._individual(tree["type_description"]),
-            referenced_type_descriptions=[self._individual(one) for one in others],
-        )
+        # The tree has the names of the message's fields.
+        described = self._interfaces.message(f"{_MESSAGES}/TypeDescription").from_dict(tree)
         sources = self._sources(name) if request.include_type_sources else []
         return self._type.response(
             successful=True, type_description=described, type_sources=sources
         )
 
-    def _individual(self, description: Description) -> Message:
-        field, kind = (
-            self._interfaces.message(f"{_MESSAGES}/{one}") for one in ("Field", "FieldType")
-        )
-        made: Message = self._interfaces.message(f"{_MESSAGES}/IndividualTypeDescription")(
-            type_name=description["type_name"],
-            fields=[
-                field(name=one["name"], type=kind(**one["type"])) for one in description["fields"]
-            ],
-        )
-        return made
-
     def _sources(self, name: str) -> list[Message]:
         structure = self._interfaces.structure(name)
         source = self._interfaces.message(f"{_MESSAGES}/TypeSource")
-        found = []
+        sources = []
         for one in (structure, *referred(structure, self._interfaces.structure)):
             text = self._interfaces.texts.get(one.name)
-            # What is derived from a service or action has no text of its own.
+            # Parts derived from a service or action have no definition of their own.
             encoding = one.name.split("/")[1] if text is not None else "implicit"
-            found.append(
+            sources.append(
                 source(type_name=one.name, encoding=encoding, raw_file_contents=text or "")
             )
-        return found
+        return sources

@@ -1,8 +1,8 @@
 """The interfaces of a distribution of ROS 2: messages, services and actions by name.
 
-``interfaces("jazzy").message("sensor_msgs/msg/JointState")`` is the class of a message,
+``interfaces("jazzy").message("sensor_msgs/msg/JointState")`` returns the class of a message,
 ``.service("std_srvs/srv/Trigger")`` the two messages and the hash of a service, and
-``.action("control_msgs/action/GripperCommand")`` all that an action is made of.
+``.action("control_msgs/action/GripperCommand")`` all messages, services and topics of an action.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class TopicType:
 
     Attributes:
         name: Full name, such as ``sensor_msgs/msg/JointState``.
-        hash: Its hash, or `NO_HASH`.
-        message: The class of its messages.
+        hash: Hash of the type, or `NO_HASH`.
+        message: Class of its messages.
     """
 
     name: str
@@ -42,9 +42,9 @@ class ServiceType:
 
     Attributes:
         name: Full name, such as ``std_srvs/srv/Trigger``.
-        hash: Its hash, or `NO_HASH`.
-        request: The class of requests.
-        response: The class of responses.
+        hash: Hash of the type, or `NO_HASH`.
+        request: Class of requests.
+        response: Class of responses.
     """
 
     name: str
@@ -83,7 +83,7 @@ class ActionType:
 
 
 class Interfaces:
-    """The interfaces of a distribution; `interfaces` returns the same object for the same one.
+    """The interfaces of a distribution; made by `interfaces`.
 
     Args:
         distro: The distribution: jazzy, kilted, rolling or humble.
@@ -100,10 +100,10 @@ class Interfaces:
         self._actions: dict[str, ActionType] = {}
 
     def structure(self, name: str) -> Structure:
-        """Return a structure by its full name; those of services and actions are derived.
+        """Return a structure by its full name; derive those of services and actions.
 
         Raises:
-            MessageError: if there is none.
+            MessageError: if there is no such type.
         """
         name = full_name(name)
         if name not in self._structures:
@@ -116,7 +116,7 @@ class Interfaces:
         return self._structures[name]
 
     def _derive(self, name: str) -> None:
-        """Add all structures of the service or action that a name belongs to."""
+        """Add all structures of the service or action to which a name belongs."""
         package, _, rest = name.partition("/")
         kind, _, last = rest.partition("/")
         if kind == "action":
@@ -138,8 +138,8 @@ class Interfaces:
 
     def _add_service(self, name: str, request: Structure, response: Structure) -> None:
         self._structures |= {request.name: request, response.name: response}
-        # Service events are never sent here, but they are part of the service's hash: without them
-        # no client would find the service.
+        # Service events are never sent here, but are part of the service's hash, without which no
+        # client would find the service.
         self._add(
             f"{name}_Event",
             Member("info", _EVENT_INFO),
@@ -174,8 +174,8 @@ class Interfaces:
             ),
         )
         self._add(f"{name}_FeedbackMessage", goal_id, Member("feedback", f"{name}_Feedback"))
-        # The service that cancels and the topic of states are the same for all actions, so that
-        # rosidl leaves them out of an action's type.
+        # rosidl leaves the service that cancels and the topic of states out of an action's type,
+        # since they are the same for all actions.
         self._add(
             name,
             Member("goal", f"{name}_Goal"),
@@ -187,29 +187,29 @@ class Interfaces:
         )
 
     def hash(self, name: str) -> str:
-        """Return the hash of a type, `NO_HASH` in Humble; raises `MessageError` without such."""
+        """Return the hash of a type, `NO_HASH` in Humble; raise `MessageError` if there is none."""
         return type_hash(self.structure(name), self.structure) if self._hashed else NO_HASH
 
     def description(self, name: str) -> Description:
-        """Return the description of a type; raises `MessageError` if there is none."""
+        """Return the description of a type; raise `MessageError` if there is none."""
         return description(self.structure(name), self.structure)
 
     def message(self, name: str) -> Any:
-        """Return the class of a message; raises `MessageError` if there is no such type."""
+        """Return the class of a message; raise `MessageError` if there is no such type."""
         name = full_name(name)
         if name not in self._classes:
             self._classes[name] = message_class(self.structure(name), self.message)
         return self._classes[name]
 
     def topic(self, name: str) -> TopicType:
-        """Return the type of a topic; raises `MessageError` if there is none."""
+        """Return the type of a topic; raise `MessageError` if there is none."""
         name = full_name(name)
         if name not in self._topics:
             self._topics[name] = TopicType(name, self.hash(name), self.message(name))
         return self._topics[name]
 
     def service(self, name: str) -> ServiceType:
-        """Return the type of a service; raises `MessageError` if there is none."""
+        """Return the type of a service; raise `MessageError` if there is none."""
         name = full_name(name, "srv")
         if name not in self._services:
             request, response = (self.message(f"{name}_{one}") for one in ("Request", "Response"))
@@ -217,7 +217,7 @@ class Interfaces:
         return self._services[name]
 
     def action(self, name: str) -> ActionType:
-        """Return the type of an action; raises `MessageError` if there is none."""
+        """Return the type of an action; raise `MessageError` if there is none."""
         name = full_name(name, "action")
         if name not in self._actions:
             goal, result, feedback = (
@@ -237,7 +237,7 @@ class Interfaces:
         return self._actions[name]
 
 
-# One object for each distribution: services check requests and responses by their class.
+# Cached, since services check requests and responses by their class.
 @cache
 def interfaces(distro: str = "jazzy") -> Interfaces:
     """Return the interfaces of a distribution."""

@@ -1,1 +1,1 @@
-"""Moving a hand from a gamepad, the keyboard or a file: what a person does, as a stream."""
+"""Teleoperation of a hand by gamepad, keyboard or recorded samples, through a stream."""

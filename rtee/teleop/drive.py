@@ -1,4 +1,4 @@
-"""From what a person moves, or what was recorded, to the samples of a stream."""
+"""Samples of a stream from an input device or a recording."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from rtee.messages import topics
 from rtee.teleop.inputs import Input
 
 RATE: Final = 50.0
-"""Samples per second [Hz]: more than a person's hand has to say."""
+"""Samples per second [Hz]: several times the bandwidth of a person's hand."""
 
 _LONGEST: Final = 10_000_000
-"""Longest table that is read [bytes]: an hour of a glove's twenty joints takes less."""
+"""Longest table read [bytes]: an hour of a glove's twenty joints takes less."""
 
 _LONGEST_GAP: Final = 0.08
-"""Time without a sample in a recording [s] that is filled with the sample before: what the person
-did there was to stay."""
+"""Gap between samples of a recording from which the sample before is repeated [s], since the person
+stayed there."""
 
 
 _PAUSE: Final = 1.5
-"""Periods of a recording's samples without a sample that count as a gap: fewer are jitter, and
-`rtee stream play` has the hand wait for three."""
+"""Gap between samples of a slow recording, in periods, from which the sample before is repeated:
+shorter ones are jitter, and `rtee stream play` makes the hand wait for three periods."""
 
 
 class Sink(Protocol):
-    """What takes samples: a `rtee.remote.stream.Stream`."""
+    """A receiver of samples, such as `rtee.remote.stream.Stream`."""
 
     async def send(
         self,
@@ -48,15 +48,15 @@ class Sink(Protocol):
 
 
 def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
-    """Return which axis moves which action.
+    """Return the actions by axis.
 
     Args:
-        actions: Actions with their elements, such as ``PinchTight index thumb``; with an axis
-            before, as in ``lt=Trig ring``, or by the next axis that is free.
-        axes: The axes that there are.
+        actions: Actions with their elements, such as ``PinchTight index thumb``; an axis may
+            precede one, as in ``lt=Trig ring``, and the others get the next free axes.
+        axes: The axes of the input device.
 
     Raises:
-        ConfigError: if an axis does not exist, is given twice, or there are not enough.
+        ConfigError: if an axis does not exist or is given twice, or there are too few axes.
     """
     found: dict[str, str] = {}
     given = [action.partition("=") for action in actions]
@@ -82,12 +82,12 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
 async def samples_of(
     source: Input, actions: Mapping[str, str], rate: float = RATE
 ) -> AsyncIterator[dict[str, float]]:
-    """Yield what a person asks for, as often as a stream has samples.
+    """Yield targets of an input device at a rate.
 
-    Nothing comes before the person has moved something: the hand stays as it is.
+    Yields nothing until the person moves an axis, so that the hand stays as it is.
 
     Args:
-        source: What the person moves.
+        source: The input device.
         actions: Action by axis.
         rate: Samples per second [Hz].
     """
@@ -96,7 +96,7 @@ async def samples_of(
         moved = source.read()
         if any(axis in moved for axis in actions):
             yield {action: moved.get(axis, 0.0) for axis, action in actions.items()}
-        # After a stall, samples that were missed are not made up for: they would come in a burst.
+        # After a stall, skip the missed samples, which would come in a burst.
         due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
         await anyio.sleep(max(0.0, due - time.monotonic()))
 
@@ -106,9 +106,9 @@ class Played:
     """A recorded sample.
 
     Attributes:
-        time: When it is meant, since the first one [s].
-        targets: Where to, as for `rtee.remote.stream.Stream.send`.
-        velocity: How fast there.
+        time: Time since the first sample [s].
+        targets: Targets, as for `rtee.remote.stream.Stream.send`.
+        velocity: Velocities at the targets.
     """
 
     time: float
@@ -117,10 +117,11 @@ class Played:
 
 
 def recorded(path: Path) -> list[Played]:
-    """Return the samples in a recording (MCAP; a folder: the newest one) or in a table (CSV).
+    """Return the samples in a recording (MCAP, or a folder with it) or in a table (CSV).
 
-    A table has a line of names, the first of which is ``t``, the time [s]; the others are targets,
-    and an empty cell leaves one out. Of a recording the newest stream is taken.
+    The first line of a table has the names: ``t``, the time [s], and the targets. An empty cell
+    leaves a target out. Takes the newest recording of a folder, and the newest stream of a
+    recording.
 
     Raises:
         LogError: if the file cannot be read or holds no samples.
@@ -138,7 +139,7 @@ def _of_recording(path: Path) -> list[Played]:
     last = taken[-1].stream if taken else ""
     found: list[Played] = []
     for sample in taken:
-        # What came twice or out of order is not played again.
+        # Skip duplicates and samples out of order.
         if sample.stream == last and not (found and sample.stamp <= found[-1].time):
             found.append(Played(sample.stamp, sample.targets, sample.velocity))
     return found
@@ -162,7 +163,7 @@ def _of_table(path: Path) -> list[Played]:
             if len(row) != len(rows[0]):
                 raise ValueError(f"{len(row)} cells for {len(rows[0])} names")
             when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
-            # NaN stands for an empty cell; a cell that itself says nan is a mistake.
+            # NaN stands for an empty cell, but the text "nan" in a cell is a mistake.
             for cell, value in zip(row, (when, *values), strict=True):
                 if cell.strip() and not math.isfinite(value):
                     raise ValueError(f"'{cell.strip()}' is not a finite number")
@@ -176,18 +177,18 @@ def _of_table(path: Path) -> list[Played]:
 
 
 def rate_of(samples: Sequence[Played]) -> float:
-    """Return the rate of recorded samples [Hz]: from the median time between them."""
+    """Return the rate of recorded samples [Hz], by the median time between them."""
     steps = sorted(b.time - a.time for a, b in pairwise(samples))
-    # The median, since the mean would count pauses, in which nothing was sent.
+    # The mean would include pauses, in which nothing was sent.
     return 1.0 / steps[len(steps) // 2] if steps else RATE
 
 
 async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
-    """Send recorded samples when they are due, with stamps as exact as they were.
+    """Send recorded samples when they are due, with their recorded stamps.
 
     Args:
         samples: The samples.
-        stream: Takes them.
+        stream: The stream.
         speed: Scale of time: 2 is twice as fast.
 
     Raises:
@@ -196,7 +197,7 @@ async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> N
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
     begin = time.monotonic()
-    # A slow recording has no pauses only because its samples are far apart.
+    # The samples of a slow recording are far apart without being pauses.
     longest = max(_LONGEST_GAP, _PAUSE / (rate_of(samples) * speed))
     before: Played | None = None
     for sample in samples:
@@ -204,9 +205,9 @@ async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> N
         while (left := stamp - time.monotonic()) > 0.0:
             await anyio.sleep(min(left, longest))
             now = time.monotonic()
-            # After a late wake-up the sample itself is due: its stamp would be the older one.
+            # After a late wake-up, the sample itself is due and must not follow a newer stamp.
             if before is not None and left > longest and now < stamp:
-                # Without the recorded velocity, which would carry the hand on during the pause.
+                # The recorded velocity would move the hand on during the pause.
                 await stream.send(before.targets, {}, now)
         velocity = {name: speed * value for name, value in sample.velocity.items()}
         await stream.send(sample.targets, velocity, stamp)

@@ -1,6 +1,6 @@
-"""What a person moves: gamepads as evdev has them, and keys of a terminal.
+"""Input devices: gamepads, through evdev, and the keys of a terminal.
 
-Both are read without waiting, as often as a stream has samples. Axes are 0 (let go) to 1.
+Both are read without blocking, at the rate of a stream. Axes are 0 (released) to 1.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, Final, Protocol, Self
 from rtee.errors import ConfigError, needing_extra
 
 EV_SYN, SYN_DROPPED = 0, 3
-"""Type and code of evdev's event that says that others before it were lost."""
+"""Type and code of evdev's event after lost events."""
 
 EV_KEY: Final = 1
 """Type of evdev's events of buttons (linux/input-event-codes.h)."""
@@ -27,7 +27,7 @@ EV_ABS: Final = 3
 """Type of evdev's events of axes."""
 
 TRIGGERS: Final[Mapping[str, tuple[int, ...]]] = {"rt": (5, 9), "lt": (2, 10)}
-"""Triggers by name, with the codes they may have: ABS_RZ or ABS_GAS, ABS_Z or ABS_BRAKE."""
+"""Codes of triggers by name: ABS_RZ or ABS_GAS, ABS_Z or ABS_BRAKE."""
 
 STICKS: Final[Mapping[str, tuple[int, int]]] = {
     "up": (1, -1),  # evdev's y grows downwards
@@ -41,34 +41,34 @@ BUTTONS: Final[Mapping[str, int]] = {"a": 304, "b": 305, "x": 307, "y": 308, "rb
 """Buttons by name: BTN_SOUTH, BTN_EAST, BTN_NORTH, BTN_WEST, BTN_TR, BTN_TL."""
 
 _DEAD: Final = 0.08
-"""Part of a stick's or trigger's way around its rest that counts as nothing: they rarely come back
-to the very same value."""
+"""Dead zone of a stick or trigger around its rest, as a share of its range: sticks rarely return to
+exactly the same value."""
 
 _STEP: Final = 0.05
-"""A key press changes an axis by this much; held, a terminal repeats it 30 times a second."""
+"""Change of an axis per key press; a terminal repeats a held key about 30 times per second."""
 
 KEYS: Final = (("q", "a"), ("w", "s"), ("e", "d"), ("r", "f"), ("t", "g"), ("z", "h"))
 """The keys of each axis: more and less."""
 
 
 class Input(Protocol):
-    """Something that a person moves."""
+    """An input device."""
 
     @property
     def axes(self) -> Sequence[str]:
-        """Names of its axes, the best one first."""
+        """Names of the axes, in the order of their use."""
 
     def read(self) -> Mapping[str, float]:
-        """Return the axes that have been moved so far, 0 to 1; does not wait.
+        """Return the values of the axes moved so far, 0 to 1, without blocking.
 
         Raises:
             OSError: if the device is gone.
-            KeyboardInterrupt: if the person wants to leave.
+            KeyboardInterrupt: if the person ends the input.
         """
 
 
 class InputEvent(Protocol):
-    """An event as evdev has it."""
+    """An event of evdev."""
 
     type: int
     code: int
@@ -76,21 +76,21 @@ class InputEvent(Protocol):
 
 
 class EventDevice(Protocol):
-    """A device of input events, as ``evdev.InputDevice`` is one."""
+    """A device of input events, such as ``evdev.InputDevice``."""
 
     def read(self) -> Iterable[Any]:
-        """Return the events since the last call; raises `BlockingIOError` if there are none."""
+        """Return the events since the last call; raise `BlockingIOError` if there are none."""
 
     def absinfo(self, axis_num: int) -> Any:
-        """Return an axis: its range, ``min`` and ``max``, and where it is now, ``value``."""
+        """Return the range of an axis, ``min`` and ``max``, and its present ``value``."""
 
     def active_keys(self) -> Iterable[Any]:
-        """Return the codes of the buttons that are pressed now."""
+        """Return the codes of the pressed buttons."""
 
 
 @dataclass(slots=True)
 class _Seen:
-    """Where an axis is, as an event would tell it."""
+    """The present value of an axis, in the form of an event."""
 
     type: int
     code: int
@@ -101,7 +101,7 @@ class Gamepad:
     """A gamepad, read from its input events.
 
     Args:
-        device: The device, opened without waiting.
+        device: The device, opened in non-blocking mode.
     """
 
     axes: Sequence[str] = (*TRIGGERS, *STICKS, *BUTTONS)
@@ -125,7 +125,7 @@ class Gamepad:
         return self._moved
 
     def _look(self) -> None:
-        """Take where all is that was moved before: what was let go may be among what was lost."""
+        """Read the present values of all moved axes, since lost events may have released some."""
         for code in tuple(self._ranges):
             self._take(_Seen(EV_ABS, code, self._device.absinfo(code).value))
         pressed = set(self._device.active_keys())
@@ -148,8 +148,8 @@ class Gamepad:
                     self._moved[name] = _beyond_rest(sign * (2.0 * share - 1.0))
 
     def _share(self, event: InputEvent) -> float:
-        """Return where an axis is in its range, 0 to 1."""
-        # A range never changes, and asking for it is a system call.
+        """Return the value of an axis as a share of its range, 0 to 1."""
+        # Cached, since a range never changes and reading it is a system call.
         if event.code not in self._ranges:
             info = self._device.absinfo(event.code)
             self._ranges[event.code] = (float(info.min), float(info.max))
@@ -165,10 +165,11 @@ def open_gamepad(path: str | None = None) -> Gamepad:
     """Return a gamepad.
 
     Args:
-        path: Its device, such as ``/dev/input/event5``; ``None``: the first one that there is.
+        path: Its device, such as ``/dev/input/event5``; ``None``: the first gamepad.
 
     Raises:
-        ConfigError: if there is none, or it cannot be read; `MissingExtra` without evdev.
+        ConfigError: if there is none, or it cannot be read.
+        MissingExtra: if evdev is not installed.
     """
     with needing_extra("a gamepad", "teleop"):
         import evdev
@@ -176,9 +177,9 @@ def open_gamepad(path: str | None = None) -> Gamepad:
         for each in [path] if path else sorted(evdev.list_devices()):
             device = evdev.InputDevice(each)
             axes = {axis for axis, _ in device.capabilities().get(EV_ABS, ())}
-            # Touchpads and tablets have axes, too; what has a trigger is taken for a gamepad.
+            # Touchpads and tablets have axes, too, but only gamepads have triggers.
             if path or axes.intersection(code for codes in TRIGGERS.values() for code in codes):
-                # Reading must not wait for an event: samples are due while nothing moves, too.
+                # Non-blocking, since samples are due while nothing moves, too.
                 os.set_blocking(device.fd, False)
                 return Gamepad(device)
             device.close()
@@ -191,7 +192,7 @@ def open_gamepad(path: str | None = None) -> Gamepad:
 
 
 class Keyboard:
-    """Keys of the terminal: pairs of them move axes up and down; a context.
+    """Keys of the terminal, pairs of which move axes up and down; use it as a context.
 
     Args:
         axes: Number of axes, up to six.
@@ -211,7 +212,7 @@ class Keyboard:
         self._moved: dict[str, float] = {}
 
     def __enter__(self) -> Self:
-        """Have keys arrive one by one, and unseen; Ctrl-C still interrupts."""
+        """Turn off line mode and echo of the terminal; Ctrl-C still interrupts."""
         tty.setcbreak(self._file)
         return self
 
@@ -227,16 +228,16 @@ class Keyboard:
         """See `Input.read`."""
         while select.select([self._file], [], [], 0.0)[0]:
             keys = os.read(self._file, 256)
-            # Escape only if it came alone: the codes of arrow keys begin with it.
+            # Escape only if it is alone, since the codes of arrow keys begin with it.
             if not keys or keys == b"\x1b" or b"\x04" in keys:  # closed, Escape or Ctrl-D
                 raise KeyboardInterrupt
-            # What was read may end within a character; the keys of axes are all ASCII.
+            # The bytes may end inside a character; the keys of axes are ASCII.
             for key in keys.decode("utf-8", "ignore"):
                 self._press(key)
         return self._moved
 
     def _press(self, key: str) -> None:
-        if key == " ":  # lets go of everything
+        if key == " ":  # releases all axes
             self._moved = dict.fromkeys(self.axes, 0.0)
         for axis, pair in zip(self.axes, KEYS, strict=False):
             if key in pair:

@@ -172,7 +172,7 @@ def test_viser_opens_its_server_by_way_of_us() -> None:
     visitors = Visitors(Access())
     serve = websockets.asyncio.server.serve
     visitors.open_server(0).stop()
-    assert visitors.met
+    assert visitors.guarded
     assert websockets.asyncio.server.serve is serve
 
 

@@ -55,7 +55,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 async def shows(app: App, text: str) -> None:
     """Wait until the banner says something; the test's timeout ends it."""
-    while text not in app.said:  # noqa: ASYNC110
+    while text not in app.message:  # noqa: ASYNC110
         await anyio.sleep(0.02)
 
 
@@ -259,12 +259,12 @@ async def test_the_card_of_trig_names_abduction(server: viser.ViserServer) -> No
         assert app.session is not None
         card = app.session.cards[ActionKind.PRIMITIVE, "Trig"]
         assert card.action.fingers == ("index",)
-        assert "also swings sideways (abduction): joint_0" in card._said.content
-        assert card._said.visible
+        assert "also swings sideways (abduction): joint_0" in card._remark_line.content
+        assert card._remark_line.visible
         assert card._choice is not None
         card._choice._boxes[0].value = "thumb"
         card._on_choice()
-        assert not card._said.visible
+        assert not card._remark_line.visible
         group.cancel_scope.cancel()
 
 

@@ -24,7 +24,7 @@ from rtee.gui.panels.recordings import files_in
 from rtee.gui.panels.table import table
 from rtee.gui.trial_results import Tried, key_of, line, tried_in, verdict
 from rtee.gui.trial_results import table as tried_table
-from rtee.gui.wording import described, said, short_names, units
+from rtee.gui.wording import described, outcome, short_names, units
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.messages.state import State
@@ -134,7 +134,7 @@ def test_a_use_is_described_as_people_write_it() -> None:
     ],
 )
 def test_a_result_is_said_in_words(result: Result, words: str) -> None:
-    assert said(result)[0] == words
+    assert outcome(result)[0] == words
 
 
 def test_a_device_line_says_fault_and_hint_and_escapes_them() -> None:

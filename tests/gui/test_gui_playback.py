@@ -8,9 +8,10 @@ import pytest
 
 import rtee
 from rtee.errors import LogError
-from rtee.gui.playback import Playback, open_playback, timeline
+from rtee.gui.playback import Playback, timeline
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
+from rtee.log import read
 from rtee.run import RunOptions, run_hands
 
 HAND = "robotiq_2f_85"
@@ -47,7 +48,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def playback(file: Path, hand: Hand) -> Playback:
-    return open_playback(file, hand)
+    return Playback(read(file), hand)
 
 
 def test_the_state_is_that_of_the_time(playback: Playback, hand: Hand) -> None:
@@ -89,4 +90,4 @@ def test_actions_and_marks_are_on_the_line(playback: Playback) -> None:
 
 def test_a_recording_of_another_hand_is_refused(file: Path) -> None:
     with pytest.raises(LogError, match="not of 'schunk_svh'"):
-        open_playback(file, load_hand("schunk_svh"))
+        Playback(read(file), load_hand("schunk_svh"))

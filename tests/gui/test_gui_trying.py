@@ -117,7 +117,7 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     jobs, said = Jobs(), list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
     job = Job(folder, "box:0.04x0.04x0.1", actions=(("Grasp", ()),), variations=2)
-    assert await jobs.do(job, "a trial", said.append)
+    assert await jobs.run(job, "a trial", said.append)
     (result,) = [each["result"] for each in said if "result" in each]
     assert result["held"]
     assert result["variations"]["tried"] == 2
@@ -126,23 +126,23 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     assert len(progress) >= 3
 
     with pytest.raises(RequestRejected, match="no_such_action"):
-        await jobs.do(Job(folder, "sphere:0.03", actions=(("no_such_action", ()),)), "it", print)
+        await jobs.run(Job(folder, "sphere:0.03", actions=(("no_such_action", ()),)), "it", print)
 
     ended: list[bool] = []
     begun = anyio.Event()
 
     async def run() -> None:
         long = Job(folder, "sphere:0.03", actions=(("Grasp", ()),), variations=100)
-        ended.append(await jobs.do(long, "a trial", lambda _: begun.set()))
+        ended.append(await jobs.run(long, "a trial", lambda _: begun.set()))
 
     async with anyio.create_task_group() as group:
         group.start_soon(run)
         await begun.wait()
         with pytest.raises(RequestRejected, match="a trial is under way"):
-            await jobs.do(job, "another", print)
+            await jobs.run(job, "another", print)
         jobs.cancel()
     assert ended == [False]
-    assert jobs.doing == ""
+    assert jobs.running == ""
 
 
 @pytest.mark.anyio
@@ -150,8 +150,8 @@ async def test_grasps_are_planned_apart(repository: Path) -> None:
     pytest.importorskip("coal")
     said = list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
-    assert await Jobs().do(Job(folder, "box:0.04x0.04x0.1", checked=0), "planning", said.append)
+    assert await Jobs().run(Job(folder, "box:0.04x0.04x0.1", checked=0), "planning", said.append)
     (ranking,) = [each["ranking"] for each in said if "ranking" in each]
     assert ranking["plans"][0]["reasons"]
     with pytest.raises(RequestRejected, match="does not fit"):
-        await Jobs().do(Job(folder, "sphere:0.5", checked=0), "planning", said.append)
+        await Jobs().run(Job(folder, "sphere:0.5", checked=0), "planning", said.append)

@@ -1,8 +1,8 @@
-"""Editing actions: jog, save a posture, compose, sequence, rename, delete, undo."""
+"""Panels that edit actions: jog, save a posture, compose, sequence, rename, delete, undo."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 
 from rtee.actions.types import Action, CustomAction, Primitive
 from rtee.gui.bridge import Bridge
@@ -15,8 +15,6 @@ from rtee.messages.requests import Role
 from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
-
-Refresh = Callable[[], Awaitable[object]]
 
 
 class EditPanel:
@@ -39,11 +37,12 @@ class EditPanel:
 
     def offer(self, actions: Sequence[Action]) -> None:
         """Offer the custom actions among these."""
+        # Primitives are left out: `rtee extract` writes them, and would write them again.
         self._custom = {a.name: a for a in actions if not isinstance(a, Primitive)}
         offer(self._which, self._custom)
 
-    def _clicked(self, what: str) -> None:
-        work = {"Rename": self._rename, "Delete": self._delete, "Undo": self._undo}[what]
+    def _clicked(self, button: str) -> None:
+        work = {"Rename": self._rename, "Delete": self._delete, "Undo": self._undo}[button]
         self._bridge.call(work)
 
     async def _rename(self) -> None:
@@ -65,14 +64,14 @@ class EditPanel:
             return
         action = self._deleted[-1]
         await self._remote.add_action(action, store=True)
-        self._deleted.pop()
+        self._deleted.pop()  # only now: if the hand refuses it, the user may try again
         self._bridge.notify("Undone", f"action '{action.name}' is there again", "green")
 
 
 class MakingPanel:
-    """The panels with which people make actions."""
+    """The panels of the tab "Make"."""
 
-    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, refresh: Refresh) -> None:
+    def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
         """Add the panel to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
@@ -105,6 +104,7 @@ class MakingPanel:
             name: float(value)
             for name, value in zip(self._state.names, self._state.position, strict=True)
         }
+        # A measured position may lie a little beyond a limit, which the hand would refuse.
         within = dict(
             zip(measured, self._hand.clamp(list(measured.values())).tolist(), strict=True)
         )
@@ -113,7 +113,7 @@ class MakingPanel:
         self._bridge.notify("Saved", f"action '{name}'", "green")
 
     async def leave(self) -> None:
-        """Give the hand back if it is held for jogging."""
+        """Release the lease if it is held for jogging."""
         await self._jog.leave()
 
     def show_actions(self, actions: Sequence[Action]) -> None:

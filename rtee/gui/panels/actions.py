@@ -1,4 +1,4 @@
-"""All actions of a hand as cards, grouped by kind, and updated when they change."""
+"""Cards of all actions of a hand, grouped by kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rtee.remote.client import RemoteHand
 from rtee.trials.result import TrialResult
 
 _FEW = 3
-"""Cards of primitives that are open at first: these fit on the screen."""
+"""Number of primitives whose cards are open at first: as many as fit on the screen."""
 
 
 def _title(kind: ActionKind) -> str:
@@ -32,7 +32,7 @@ def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Acti
 
 
 class ActionsPanel:
-    """The cards, with a search above them."""
+    """The cards, with a search field above them."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class ActionsPanel:
         return dict(self._cards)
 
     async def refresh(self) -> list[Action]:
-        """Ask the hand for its actions; rebuilds only the cards whose actions have changed."""
+        """Return the hand's present actions; rebuild the cards of those that have changed."""
         actions = await self._hand.actions()
         offered = await self._hand.openings()
         openings = {(each.action, each.elements): each for each in offered}
@@ -76,7 +76,7 @@ class ActionsPanel:
             self._cards.pop(key).remove()
             del self._known[key]
         for place, (key, group) in enumerate(groups.items()):
-            # Rebuilding a card resets its controls, so unchanged ones are kept.
+            # Rebuilding a card would reset what the user has set in its controls.
             signature = tuple(_signature(action) for action in group)
             if self._known.get(key) == signature:
                 self._cards[key].place(place)
@@ -108,12 +108,12 @@ class ActionsPanel:
         return tuple(dict.fromkeys(moved))
 
     def show_trials(self, tried: Tried) -> None:
-        """Take what trials of the actions found."""
+        """Show stored results of trials beside those of this page."""
         self._tried = replace(tried, own={**self._tried.own, **tried.own})
         self._show_tried()
 
     def add_trial(self, result: TrialResult) -> None:
-        """Take the result of a trial of this page."""
+        """Show the result of a trial that was started in this page."""
         self._tried = self._tried.with_own(result)
         self._show_tried()
 
@@ -122,12 +122,13 @@ class ActionsPanel:
             card.show_trials(self._tried)
 
     def remove(self) -> None:
-        """Remove the cards and their commands."""
+        """Remove the cards with their commands, which are not part of any folder."""
         while self._cards:
             self._cards.popitem()[1].remove()
 
     def _filter(self) -> None:
         wanted = str(self._search.value).lower().split()
+        # In one message; otherwise each card would appear or vanish by itself.
         with self._bridge.server.atomic():
             for card in self._cards.values():
                 card.visible = all(word in card.words for word in wanted)
@@ -138,4 +139,5 @@ class ActionsPanel:
 
 
 def _signature(action: Action) -> object:
+    # The text, since postures hold arrays, whose comparison gives an array instead of a bool.
     return (action.name, action.elements, repr(action))

@@ -1,4 +1,4 @@
-"""A card per grasping action: elements, intensity, Do, Preview, Cancel, and its progress."""
+"""Card of a grasping action: elements, intensity, Do, Preview, Cancel, and progress."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rtee.actions.types import Action, Evidence, Posture, Primitive, Timed
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.choice import ElementChoice
 from rtee.gui.panels.contacts import ContactChoice
-from rtee.gui.panels.execution import Execution, last_posture
+from rtee.gui.panels.execution import Execution
 from rtee.gui.trial_results import Tried, key_of, object_name, verdict
 from rtee.gui.trial_results import line as tried_line
 from rtee.gui.trial_results import table as tried_table
@@ -24,13 +24,14 @@ from rtee.remote.openings import OpeningRange
 from rtee.types import Stage
 
 Show = Callable[[Posture | None, float, Evidence | None], None]
-"""Shows a posture at an intensity as a ghost, with its contact; ``None`` hides the ghost."""
+"""Shows a posture at an intensity as a ghost, with the contact; ``None`` hides the ghost."""
 
 _STAGES = {
     "to the grasp": Stage.BOTH,
     "to just before contact": Stage.PRE_GRASP,
     "on to the grasp": Stage.GRASP,
 }
+"""Stages of a pinch by their labels."""
 
 _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
 
@@ -40,7 +41,7 @@ class Card:
 
     Attributes:
         name: Name of the action.
-        words: The text in which a search looks.
+        words: Text that the search field is compared with, in lower case.
     """
 
     def __init__(
@@ -61,11 +62,11 @@ class Card:
             bridge: Carries clicks.
             hand: The hand.
             actions: The primitives of one name, or one other action.
-            show: Shows a posture.
+            show: Shows a posture as a ghost.
             expanded: Whether the card is open at first.
             order: Position among the cards.
-            remark: Returns what an action does besides what its name says, in words.
-            fingers: Returns the fingers that an action moves.
+            remark: Function that returns a remark about an action, or ``""``.
+            fingers: Function that returns the fingers that an action moves.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -78,6 +79,7 @@ class Card:
         self._contact: float | None = None
         self._tried = Tried()
         self._openings: dict[tuple[str, tuple[str, ...]], OpeningRange] = {}
+        # The slider moved last decides: the opening, or else the intensity.
         self._by_opening = False
         self._remark = remark
         self._fingers = fingers
@@ -104,10 +106,8 @@ class Card:
         )
         bridge.need(Role.OPERATOR, self._touch, self._command)
         self._command.on_trigger(lambda _: self._begin())
-        self.words = " ".join((self.name, *self._elements_of_all())).lower()
-
-    def _elements_of_all(self) -> list[str]:
-        return [e for a in self._actions for e in a.elements]
+        elements = [element for action in actions for element in action.elements]
+        self.words = " ".join((self.name, *elements)).lower()
 
     def _describe(self, gui: viser.GuiApi) -> None:
         action = self._actions[0]
@@ -116,7 +116,7 @@ class Card:
                 whole = [a.elements for a in self._actions]
                 noun = action.kind.noun.capitalize()
                 self._choice = ElementChoice(gui, whole, self._on_choice, noun)
-                self._said = gui.add_html("", visible=False, order=0.5)
+                self._remark_line = gui.add_html("", visible=False, order=0.5)
                 self._show_remark()
             case Timed():
                 pass  # its steps are listed below, with their progress
@@ -164,7 +164,7 @@ class Card:
         self._force.on_update(self._on_force)
 
     def _add_more(self, gui: viser.GuiApi) -> None:
-        self._found = gui.add_html("", visible=False, order=2)
+        self._trials = gui.add_html("", visible=False, order=2)
         with gui.add_folder("More", expand_by_default=False, order=3):
             self._speed = gui.add_slider(
                 "Speed [%]", 5, 100, 5, 100, hint="Share of the hand's velocity limits [%]"
@@ -172,6 +172,7 @@ class Card:
             self._effort = gui.add_slider(
                 "Effort [%]", 5, 100, 5, 100, hint="Share of the actuators' effort limits [%]"
             )
+            # Only a pinch whose contact is known has a posture just before it.
             if self._contact is not None:
                 self._stage = gui.add_dropdown(
                     "Stage", tuple(_STAGES), hint="How far a pinch goes: up to the contact, or on"
@@ -187,7 +188,7 @@ class Card:
     # --- millimetres and newtons
 
     def show_openings(self, openings: Mapping[tuple[str, tuple[str, ...]], OpeningRange]) -> None:
-        """Take the openings and forces that goals may ask for, by action and elements."""
+        """Offer the openings and forces that goals may ask for, by action and elements."""
         self._openings = dict(openings)
         self._show_opening()
 
@@ -196,49 +197,50 @@ class Card:
         return self._openings.get(key_of(self.action))
 
     def _show_opening(self) -> None:
-        found = self._opening
-        self._width.visible = self._force.visible = found is not None
-        if found is None:
+        opening = self._opening
+        self._width.visible = self._force.visible = opening is not None
+        if opening is None:
             self._by_opening = False
             self._show_forces()
             return
-        # Rounded inwards, so that neither end is refused.
-        self._width.min = math.ceil(found.narrowest * 1e4 - 1e-6) / 10.0
-        self._width.max = math.floor(found.widest * 1e4 + 1e-6) / 10.0
+        # Round inwards to 0.1 mm, so that the hand refuses neither end; 1e-6 of that absorbs
+        # errors of the multiplication.
+        self._width.min = math.ceil(opening.narrowest * 1e4 - 1e-6) / 10.0
+        self._width.max = math.floor(opening.widest * 1e4 + 1e-6) / 10.0
         self._follow_intensity()
 
     def _show_forces(self) -> None:
-        """Offer the forces that can be asked for at the opening that is shown."""
-        found = self._opening
-        self._forces.visible = found is not None
-        if found is None:
+        """Offer the forces that goals may ask for at the opening that is shown."""
+        opening = self._opening
+        self._forces.visible = opening is not None
+        if opening is None:
             self._contacts.limit(0.0)
             return
         width = float(self._width.value)
-        low, high = found.forces_at(width / 1e3)
-        # Rounded inwards, so that neither end is refused.
+        low, high = opening.forces_at(width / 1e3)
+        # Round inwards to 0.1 N, so that the hand refuses neither end.
         low, high = math.ceil(low * 10.0) / 10.0, math.floor(high * 10.0) / 10.0
         self._contacts.limit(high)
         self._force.disabled = high <= 0.0
         if high <= 0.0:
             self._force.value = 0.0
-            why = found.unlimited or f"no force can be limited at {width:g} mm"
-            self._forces.content = small(escape(why))
+            reason = opening.unlimited or f"no force can be limited at {width:g} mm"
+            self._forces.content = small(escape(reason))
             return
         self._force.max = high
         self._force.value = min(float(self._force.value), high)
         self._forces.content = small(f"{low:g} to {high:g} N at {width:g} mm")
 
     def _follow_intensity(self) -> None:
-        """Show the opening of the intensity, or the intensity of the opening that was chosen."""
-        found = self._opening
-        if found is None:
+        """Set the slider moved less recently, opening or intensity, from the other one."""
+        opening = self._opening
+        if opening is None:
             return
         if self._by_opening:
             width = min(max(float(self._width.value), self._width.min), self._width.max)
-            self._slider.value = round(100.0 * found.intensity_at(width / 1e3))
+            self._slider.value = round(100.0 * opening.intensity_at(width / 1e3))
         else:
-            width = round(1e3 * found.at(self._slider.value / 100.0), 1)
+            width = round(1e3 * opening.at(self._slider.value / 100.0), 1)
             width = min(max(width, self._width.min), self._width.max)
         self._width.value = width
         self._show_forces()
@@ -246,7 +248,7 @@ class Card:
     async def _on_intensity(self, event: viser.GuiEvent) -> None:
         if event.client is not None:  # moved by a person, not by the other slider
             self._by_opening = False
-            self._force.value = 0.0  # a force goes with an opening
+            self._force.value = 0.0  # a goal takes a force only together with an opening
             self._follow_intensity()
         self._preview_if_shown()
 
@@ -293,34 +295,35 @@ class Card:
         self._preview_if_shown()
 
     def _show_remark(self) -> None:
-        words = self._remark(self.action)
-        self._said.content = small(escape(words))
-        self._said.visible = bool(words)
+        remark = self._remark(self.action)
+        self._remark_line.content = small(escape(remark))
+        self._remark_line.visible = bool(remark)
 
     def show_trials(self, tried: Tried) -> None:
-        """Take what trials found."""
+        """Show the results of trials of the action."""
         self._tried = tried
         self._show_tried()
 
     def _show_tried(self) -> None:
         results = self._tried.results.get(key_of(self.action), ())
         own = self._tried.own.get(key_of(self.action), ())
-        self._found.content = ""
+        html = ""
         if results:
             outdated = any(one.trial.key in self._tried.outdated for one in results)
             title = "Of the objects it was tried on in simulation (rtee try --all)"
             if outdated:
                 title += "; the hand, this action, or how trials are made, has changed since: try"
                 title += " them again"
-            said = tried_line(results, outdated=outdated)
-            self._found.content = small(
-                f'<details><summary title="{title}">{said}</summary>'
+            summary = tried_line(results, outdated=outdated)
+            html = small(
+                f'<details><summary title="{title}">{summary}</summary>'
                 f"{tried_table(results)}</details>"
             )
         for one in reversed(own):
-            said = escape(f"{object_name(one.trial.object)}: {verdict(one)}")
-            self._found.content += small(f"Tried now: {said}")
-        self._found.visible = bool(results or own)
+            summary = escape(f"{object_name(one.trial.object)}: {verdict(one)}")
+            html += small(f"Tried now: {summary}")
+        self._trials.content = html
+        self._trials.visible = bool(results or own)
 
     # --- clicks
 
@@ -335,7 +338,7 @@ class Card:
                 self._preview_if_shown(hide=True)
 
     def _begin(self) -> None:
-        self._bridge.call(self._do)  # first: the hand moves before anything is drawn
+        self._bridge.call(self._do)  # first, so that drawing does not delay the hand
         self._previewing = False
         self._show(None, 0.0, self.evidence)
 
@@ -344,7 +347,7 @@ class Card:
             intensity = self._slider.value / 100.0
             if self._by_opening and self._opening is not None:
                 intensity = self._opening.intensity_at(float(self._width.value) / 1e3)
-            self._show(last_posture(self.action), intensity, self.evidence)
+            self._show(self.action.waypoints[-1], intensity, self.evidence)
         elif hide:
             self._show(None, 0.0, None)
 
@@ -359,6 +362,7 @@ class Card:
         elif self._stage is not None:
             options["stage"] = _STAGES[str(self._stage.value)]
         self._contacts.add_to(options)
+        # The hand derives the effort from a force, and refuses both together.
         effort = 1.0 if "force" in options else self._effort.value / 100.0
         await self._execution.do(self.action, options, effort)
 
@@ -366,7 +370,7 @@ class Card:
         name, elements = key_of(self.action)
         await self._execution.follow(self._hand.start_touch(elements, action=name))
 
-    # --- its place among the cards
+    # --- place among the cards
 
     @property
     def visible(self) -> bool:

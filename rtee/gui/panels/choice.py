@@ -1,4 +1,4 @@
-"""Choosing the elements of a primitive among the combinations that exist."""
+"""Choice of the elements of a primitive among the existing combinations."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ Combination = tuple[str, ...]
 def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tuple[str, ...]:
     """Return the elements that can follow the chosen ones, in the order of the combinations."""
     taken = set(chosen)
-    found: dict[str, None] = {}
-    for combination in combinations:
-        if taken.issubset(combination):
-            for element in combination:
-                if element not in taken:
-                    found[element] = None
-    return tuple(found)
+    fitting = (combination for combination in combinations if taken.issubset(combination))
+    # A dictionary drops duplicates and, unlike a set, keeps the order.
+    return tuple({e: None for combination in fitting for e in combination if e not in taken})
 
 
 class ElementChoice:
-    """One dropdown per element; each offers only what fits those before it.
+    """One dropdown per element; each offers only elements that fit those before it.
 
     Attributes:
         combinations: The existing combinations.
@@ -40,8 +36,8 @@ class ElementChoice:
         Args:
             gui: The browser's controls.
             combinations: The existing combinations, at least one, all of the same length.
-            changed: Called when the choice has changed.
-            noun: What an element is: ``Finger`` or ``Actuator``.
+            changed: Function to call when the choice has changed.
+            noun: Noun for an element: ``Finger`` or ``Actuator``.
         """
         self.combinations = tuple(combinations)
         self._changed = changed
@@ -65,7 +61,8 @@ class ElementChoice:
 
     @property
     def chosen(self) -> Combination:
-        """The chosen combination, as it is written in the action's file."""
+        """The chosen combination, in the order of the action's file."""
+        # As sets, since the dropdowns offer the elements of a combination in any order.
         values = {str(box.value) for box in self._boxes}
         for combination in self.combinations:
             if set(combination) == values:
@@ -77,7 +74,7 @@ class ElementChoice:
         for box in self._boxes[index + 1 :]:
             offered = options_at(self.combinations, chosen)
             wanted = str(box.value) if box.value in offered else offered[0]
-            # Changing the options calls back, so they are changed only if necessary.
+            # Each assignment calls back, so assign only changes.
             if tuple(box.options) != offered:
                 box.options = offered
             if box.value != wanted:

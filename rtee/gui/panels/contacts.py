@@ -1,4 +1,4 @@
-"""What fingers do when they touch something, as set on a card: for all, or finger by finger."""
+"""Settings of a card for fingers that touch something: for all of them, or finger by finger."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from rtee.remote.goal import GoalOptions
 from rtee.types import OnContact
 
 _AS_CONFIGURED: Final = "as configured"
-"""No word in the goal: what hand.yaml says counts."""
+"""Choice that leaves the setting out of the goal, so that hand.yaml decides."""
 
 _ALL: Final = "all fingers"
+"""Choice of all fingers that have no setting of their own."""
 
 _SLIP_HINT: Final = (
     "Force up to which a slip raises the force [N]; 0: it is not raised. It goes with a force"
@@ -24,7 +25,7 @@ _SLIP_HINT: Final = (
 
 
 class ContactChoice:
-    """A word for all fingers, words for single ones, and how far a slip raises the force."""
+    """A setting for all fingers, settings of single ones, and the force after a slip."""
 
     def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
         """Add the controls to the current container.
@@ -33,6 +34,7 @@ class ContactChoice:
             gui: The browser's controls.
             fingers: Fingers of the action, if they are known.
         """
+        # By finger; the empty name stands for all fingers.
         self._words: dict[str, OnContact] = {}
         self._finger = gui.add_dropdown(
             "Contact of", (_ALL,), hint="Which fingers the next field is about"
@@ -52,14 +54,15 @@ class ContactChoice:
         self.offer(fingers)
 
     def offer(self, fingers: Sequence[str]) -> None:
-        """Offer the fingers of another action; the words of other fingers are forgotten."""
+        """Offer the fingers of another action; drop the settings of other fingers."""
         self._words = {f: word for f, word in self._words.items() if f in ("", *fingers)}
         offer(self._finger, (_ALL, *fingers))
         self._finger.visible = len(fingers) > 1
         self._show()
 
     def limit(self, most: float) -> None:
-        """Take the strongest force that can be asked for [N]; 0: none can be."""
+        """Limit the force after a slip to the largest that a goal may ask for [N]; 0 hides it."""
+        # Round down to the step of the slider, so that the hand does not refuse the end.
         top = math.floor(most * 10.0) / 10.0
         self._slip.visible = top > 0.0
         if top > 0.0:
@@ -67,7 +70,7 @@ class ContactChoice:
         self._slip.value = min(float(self._slip.value), max(top, 0.0))
 
     def add_to(self, options: GoalOptions) -> None:
-        """Add what was chosen to the options of a goal."""
+        """Add the settings to the options of a goal."""
         if self._words:
             options["on_contact"] = dict(self._words)
         if "force" in options and self._slip.value > 0.0:
@@ -75,7 +78,7 @@ class ContactChoice:
 
     @property
     def _chosen(self) -> str:
-        """The finger that is being set, or the empty string for all."""
+        """The finger that is being set, or the empty name for all."""
         return "" if self._finger.value == _ALL else str(self._finger.value)
 
     async def _on_finger(self, event: viser.GuiEvent) -> None:
@@ -94,6 +97,6 @@ class ContactChoice:
     def _show(self) -> None:
         self._word.value = str(self._words.get(self._chosen, _AS_CONFIGURED))
         others = "others" if any(self._words) else _ALL
-        said = [f"{escape(finger or others)}: {word}" for finger, word in self._words.items()]
-        self._list.content = small(" · ".join(said))
+        items = [f"{escape(finger or others)}: {word}" for finger, word in self._words.items()]
+        self._list.content = small(" · ".join(items))
         self._list.visible = any(self._words)

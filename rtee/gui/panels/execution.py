@@ -1,4 +1,4 @@
-"""Executing the action of a card: progress bars, one per inner action, and the result."""
+"""Execution of the action of a card: progress bars, one per inner action, and the result."""
 
 from __future__ import annotations
 
@@ -8,27 +8,15 @@ from html import escape
 
 import viser
 
-from rtee.actions.types import Action, Posture, Step
+from rtee.actions.types import Action, Step
 from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, PREVIEW
 from rtee.gui.trial_results import key_of
-from rtee.gui.wording import described, said, small
+from rtee.gui.wording import coloured, described, outcome, small
 from rtee.remote.client import RemoteHand
 from rtee.remote.goal import GoalOptions, RunningGoal
 from rtee.types import Feedback, Result
-
-
-def last_posture(action: Action) -> Posture:
-    """Return the posture that an action leads to, as far as it moves actuators."""
-    return action.waypoints[-1]
-
-
-def _step(step: Step) -> str:
-    return small(
-        f"<b>{escape(step.alias)}</b> {escape(described(step.use))} · "
-        f"{step.before:g} s before, {step.after:g} s after"
-    )
 
 
 class Execution:
@@ -48,7 +36,9 @@ class Execution:
         self._removed = False
         self._inner: dict[str, viser.GuiProgressBarHandle] = {}
         for step in steps:
-            gui.add_html(_step(step), order=0)
+            margins = f"{step.before:g} s before, {step.after:g} s after"
+            title = f"<b>{escape(step.alias)}</b> {escape(described(step.use))} · {margins}"
+            gui.add_html(small(title), order=0)
             self._inner[step.alias] = gui.add_progress_bar(
                 0.0, animated=False, color=PREVIEW, order=0
             )
@@ -64,6 +54,7 @@ class Execution:
             effort: Share of the actuators' effort limits, 0 to 1.
         """
         if effort < 1.0:
+            # A goal takes limits by actuator [N·m | N]; actuators without a limit keep none.
             limits = {a.name: a.effort for a in (await self._hand.info()).actuators}
             options["effort"] = {
                 name: effort * limits[name]
@@ -74,14 +65,14 @@ class Execution:
         await self.follow(self._hand.start(name, *elements, **options))
 
     async def follow(self, start: Awaitable[RunningGoal], *, width: bool = False) -> None:
-        """Begin a goal and show its progress and result.
+        """Send a goal and show its progress and result.
 
         Args:
-            start: Sends the goal.
-            width: Whether the goal is to hold an object of some width.
+            start: Awaitable that sends the goal.
+            width: Whether the goal is to hold an object of a given width.
         """
         self._reset()
-        # The goal that this one replaces ends before the hand answers, which is no news here.
+        # The goal that this one replaces ends before the hand answers; its result is not shown.
         before, self._goal_id = self._goal_id, ""
         try:
             running = await start
@@ -101,7 +92,7 @@ class Execution:
         self._say("", "")
 
     def _progress(self, feedback: Feedback) -> None:
-        # Of a goal that this card has replaced, or the card is gone and another takes its place.
+        # Feedback of a replaced goal, or for a card that was rebuilt meanwhile.
         if feedback.goal_id != self._goal_id or self._removed:
             return
         self._bar.value = round(100.0 * feedback.progress, 1)
@@ -110,7 +101,7 @@ class Execution:
                 self._inner[name].value = round(100.0 * progress, 1)
 
     def remove(self) -> None:
-        """Show nothing any more; the card removes the controls, while the goal may go on."""
+        """Show nothing any more; the card removes the controls, but the goal may go on."""
         self._removed = True
 
     def _end(self, result: Result, *, width: bool) -> None:
@@ -120,9 +111,9 @@ class Execution:
             self._bar.value = 100.0
             for bar in self._inner.values():
                 bar.value = 100.0
-        self._say(*said(result, width=width))
+        self._say(*outcome(result, width=width))
 
     def _say(self, text: str, colour: str) -> None:
         if self._removed:
             return
-        self._word.content = small(f'<span style="color:{colour}">{escape(text)}</span>')
+        self._word.content = coloured(text, colour)

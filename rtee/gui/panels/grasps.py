@@ -1,4 +1,4 @@
-"""Planned grasps, the best first, each with its reasons and buttons that do it."""
+"""Planned grasps, the best first, each with its reasons and with buttons that execute it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rtee.errors import RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD
 from rtee.gui.trial_results import object_name
-from rtee.gui.wording import said, small
+from rtee.gui.wording import coloured, outcome, small
 from rtee.messages.requests import Role
 from rtee.planning.result import GraspPlan, Ranking
 from rtee.remote.client import RemoteHand
@@ -23,10 +23,10 @@ Preview = Callable[[GraspPlan | None], None]
 """Shows a planned grasp as a ghost; ``None`` hides it."""
 
 _MOST: Final = 8
-"""Grasps that are listed: the others are worse than any of these."""
+"""Most grasps listed; people rarely go further than the first few."""
 
 _COMPOSED: Final = "Planned"
-"""Name of an action that was composed for the object, while it is only in memory."""
+"""Name of an action that was composed for the object and is kept only in memory."""
 
 
 class GraspsPanel:
@@ -41,7 +41,7 @@ class GraspsPanel:
 
     @property
     def verdict(self) -> str:
-        """What was found, in words."""
+        """Summary of the plan in a sentence."""
         if self._ranking is None:
             return ""
         if not self._ranking.plans:
@@ -51,7 +51,7 @@ class GraspsPanel:
         return f"best: {first.label}" + ("" if held else ", but it loses the object")
 
     def show(self, ranking: Ranking | None) -> None:
-        """Show the grasps of a ranking instead of those before; ``None``: none."""
+        """Show the grasps of a ranking instead of the present ones; ``None`` shows none."""
         self._ranking = ranking
         if self._folder is not None:
             self._folder.remove()
@@ -86,15 +86,15 @@ class GraspsPanel:
             word = gui.add_html("")
         buttons.on_click(lambda event: self._clicked(str(event.target.value), plan, word))
 
-    def _clicked(self, what: str, plan: GraspPlan, word: viser.GuiHtmlHandle) -> None:
-        if what == "Show":
+    def _clicked(self, button: str, plan: GraspPlan, word: viser.GuiHtmlHandle) -> None:
+        if button == "Show":
             self._preview(plan)
             return
-        self._bridge.call(partial(self._do, plan, word, pre=what == "Pre-shape"))
-        self._preview(None)
+        self._bridge.call(partial(self._do, plan, word, pre=button == "Pre-shape"))
+        self._preview(None)  # the ghost would hide the hand that moves
 
     async def _do(self, plan: GraspPlan, word: viser.GuiHtmlHandle, *, pre: bool) -> None:
-        """Do a grasp, or its pre-shape, as it was planned."""
+        """Execute a planned grasp, or its pre-shape."""
         name, options = plan.action, GoalOptions(intensity=plan.intensity)
         if pre:
             options = GoalOptions(intensity=plan.preshape)
@@ -102,6 +102,7 @@ class GraspsPanel:
             options["effort"] = plan.effort
         word.content = ""
         try:
+            # A grasp without a name combines actions; the hand gets to know it as one action.
             if not name:
                 name = _COMPOSED
                 await self._remote.add_composed(
@@ -109,13 +110,9 @@ class GraspsPanel:
                 )
             result = await (await self._remote.start(name, *plan.elements, **options)).result()
         except RteeError as error:
-            _say(word, str(error), BAD)
-            raise
-        _say(word, *said(result))
-
-
-def _say(word: viser.GuiHtmlHandle, text: str, colour: str) -> None:
-    word.content = small(f'<span style="color:{colour}">{escape(text)}</span>')
+            word.content = coloured(str(error), BAD)
+            raise  # the bridge shows it as a notification, too
+        word.content = coloured(*outcome(result))
 
 
 def summary(plan: GraspPlan) -> str:

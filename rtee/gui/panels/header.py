@@ -1,4 +1,4 @@
-"""The part that is always visible and works: stop, open, the devices, who holds the lease."""
+"""The panel that is always visible: stop, open, the devices, and the holder of the lease."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 from rtee.types import DeviceStatus, Lifecycle
 
+# Colours that people with any colour vision tell apart; the shape of the sign says the same.
 _SIGNS = {
     Lifecycle.ACTIVE: ("●", "#009e73"),
     Lifecycle.INACTIVE: ("○", "#7a7f87"),
@@ -39,7 +40,7 @@ class Header:
     """Stop, Open, Recover, the devices and the holder of the lease."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Add them to the current container.
+        """Add the controls to the current container.
 
         Args:
             bridge: Carries clicks.
@@ -69,11 +70,13 @@ class Header:
         self._stop.on_click(bridge.clicked(self._do_stop))
         self._open.on_click(bridge.clicked(hand.open))
         self._recover.on_click(bridge.clicked(hand.recover))
+        # The same as commands, which have keys and work while any tab is open.
         self._commands = [
             gui.add_command("Stop the hand", description="Stop all devices now", hotkey="S"),
             gui.add_command("Open the hand", description="Go to the rest posture", hotkey="O"),
             gui.add_command("Cancel", description="Cancel what runs; hold as it is", hotkey="C"),
         ]
+        # Anybody who sees a hand do harm must be able to stop it.
         bridge.leave_to_everybody(self._stop, self._commands[0])
         bridge.need(Role.OPERATOR, self._open, self._recover, *self._commands[1:])
         self._commands[0].on_trigger(bridge.clicked(self._do_stop))
@@ -82,8 +85,8 @@ class Header:
 
     async def _do_stop(self) -> None:
         confirmed = await self._hand.stop()
-        # A device that has not confirmed may still move: say so in red.
-        silent = [name for name, word in confirmed.items() if not word]
+        # A device that has not confirmed may still move, hence the red.
+        silent = [name for name, done in confirmed.items() if not done]
         if silent:
             self._bridge.notify("Stop NOT confirmed", f"by {', '.join(silent)}", "red")
         else:
@@ -111,7 +114,7 @@ class Header:
     def _put(self, lines: list[str]) -> None:
         body = "<br>".join(lines)
         html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em">{body}</div>'
-        if self._state.content != html:  # each change is sent to all windows
+        if self._state.content != html:  # viser sends each assignment to all windows
             self._state.content = html
 
     def remove(self) -> None:

@@ -1,4 +1,4 @@
-"""Holding an object by its width and a force, with whichever action suits it best."""
+"""Panel that grasps an object of a given width with a force, with the action that suits it best."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.openings import OpeningRange
 
 _ANY: Final = "any"
-"""The choice that leaves the fingers to the hand."""
+"""Choice that leaves the fingers to the hand."""
 
 _JOINED: Final = " + "
+"""Separator of the fingers of a choice."""
 
 
 class HoldingPanel:
     """Width, force, speed and fingers, and a button that grasps."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Add the panel to the current container, hidden until something is offered."""
+        """Add the panel to the current container, hidden until the hand has openings."""
         gui = bridge.server.gui
         self._bridge, self._hand = bridge, hand
         self._openings: tuple[OpeningRange, ...] = ()
@@ -66,7 +67,7 @@ class HoldingPanel:
         self._button.on_click(bridge.clicked(self._grasp))
 
     def offer(self, openings: Sequence[OpeningRange]) -> None:
-        """Take the openings and forces that goals may ask for."""
+        """Offer the openings and forces that goals may ask for."""
         self._openings = tuple(openings)
         self._folder.visible = bool(openings)
         if not openings:
@@ -77,7 +78,7 @@ class HoldingPanel:
 
     @property
     def _chosen(self) -> list[OpeningRange]:
-        """The openings of the fingers that are chosen."""
+        """The openings of the chosen fingers."""
         fingers = str(self._fingers.value)
         if fingers == _ANY:
             return list(self._openings)
@@ -86,19 +87,20 @@ class HoldingPanel:
     def _offer_widths(self) -> None:
         """Limit the width to what the fingers reach around."""
         chosen = self._chosen
-        # Rounded inwards, so that neither end is refused; at its widest, an action cannot get
-        # around the object any more.
+        # Round inwards to 0.1 mm, so that the hand refuses neither end. The fingers must open
+        # wider than the object to get around it, hence 0.1 mm less than the widest opening.
         least = math.ceil(min(each.narrowest for each in chosen) * 1e4 - 1e-6) / 10.0
         most = math.floor(max(each.widest for each in chosen) * 1e4 + 1e-6) / 10.0 - 0.1
         most = max(most, least + 0.1)
         if (self._width.min, self._width.max) != (least, most):
             value = min(max(float(self._width.value), least), most)
+            # The value last, since viser clips it to the range.
             self._width.max, self._width.min = most, least
             self._width.value = value
         self._offer_forces()
 
     def _offer_forces(self) -> None:
-        """Limit the force to the most that any of the actions gives at the width."""
+        """Limit the force to the largest that any of the actions exerts at the width."""
         width = float(self._width.value) / 1e3
         strongest = max(
             (
@@ -119,6 +121,7 @@ class HoldingPanel:
 
     async def _grasp(self) -> None:
         fingers = str(self._fingers.value)
+        # A force or speed of 0 is left out of the goal: the hand then uses its own.
         await self._execution.follow(
             self._hand.start_grasp(
                 float(self._width.value) / 1e3,

@@ -1,4 +1,4 @@
-"""Jogging: a slider per actuator."""
+"""Jog panel: a slider per actuator."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rtee.messages.state import State
 from rtee.remote.client import RemoteHand
 
 _FOLD = 12
-"""With more actuators than this the folder of sliders is closed at first, or it fills the panel."""
+"""Most actuators whose folder of sliders is open at first: more would fill the panel."""
 
 _RATE = 30.0
-"""Samples per second of a slider that is followed [Hz]: a browser reports hardly more."""
+"""Samples per second while the hand follows the sliders [Hz]: browsers report hardly more."""
 
 _LEAVE_WITHIN = 0.5
-"""Time to wait for the answer when the hand is given back [s]: it may already be gone."""
+"""Longest time to wait for the release of the lease [s]: the hand may already be gone."""
 
 _STEPS = {"rad": 0.001, "m": 0.0001}
-"""Steps of the sliders: finer than a hand is repeatable."""
+"""Step of a slider by unit [rad | m]: finer than the repeatability of a hand."""
 
 
 class JogPanel:
@@ -55,7 +55,7 @@ class JogPanel:
         with gui.add_folder("Actuators", expand_by_default=len(hand.actuators) <= _FOLD):
             names = short_names(hand.actuator_names)
             for index, actuator in enumerate(hand.actuators):
-                # A continuous joint has no limits; a slider of one turn is enough for it.
+                # A continuous joint has no limits, or wide ones; one turn is enough for its slider.
                 lower = actuator.lower if actuator.lower > -7.0 else -3.1416
                 upper = actuator.upper if actuator.upper < 7.0 else 3.1416
                 unit = "m" if actuator.kind == "prismatic" else "rad"
@@ -81,15 +81,16 @@ class JogPanel:
             self._hold.value = False
             raise
         finally:
+            # A slider that works without the lease would only cause refusals.
             for slider in self._sliders:
                 slider.disabled = not self._hold.value
         await self._stream()
 
     async def _stream(self) -> None:
-        """Stream what the sliders were moved to, while both boxes are ticked."""
+        """Stream the positions of moved sliders while both boxes are ticked."""
         if not (self._hold.value and self._follow.value):
             return
-        self._wanted.clear()
+        self._wanted.clear()  # sliders moved earlier must not move the hand now
         try:
             async with self._remote.stream(_RATE) as stream:
                 while self._hold.value and self._follow.value:
@@ -112,20 +113,20 @@ class JogPanel:
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
 
     async def leave(self) -> None:
-        """Give the hand back if it is held; one that has gone is not waited for."""
+        """Release the lease if it is held; do not wait long for a hand that has gone."""
         if self._hold.value:
             with contextlib.suppress(RemoteError), anyio.move_on_after(_LEAVE_WITHIN):
                 await self._remote.release()
 
     def follow(self, state: State) -> None:
-        """Let the sliders follow the hand while nobody jogs."""
+        """Move the sliders with the hand while nobody jogs."""
         if self._hold.value:
             return
-        self._quiet = True  # else each slider that is moved here would jog the hand
+        self._quiet = True  # or the callbacks would take these moves for the user's
         try:
             for slider, position in zip(self._sliders, state.position, strict=True):
                 value = min(max(float(position), slider.min), slider.max)
-                # Not NaN, and moved by more than the noise of a measurement.
+                # Skip NaN, and changes within the noise of a measurement.
                 if value == value and abs(value - slider.value) > 2.0 * slider.step:
                     slider.value = value
         finally:

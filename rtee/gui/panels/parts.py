@@ -1,4 +1,4 @@
-"""Composing actions and putting them in sequence."""
+"""Panel that composes actions or puts them in sequence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.remote.client import RemoteHand
 
 
 class PartsPanel:
-    """Composing actions and putting them in sequence: a list of parts, then a name."""
+    """A list of parts, and a name for the composed or timed action made of them."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand) -> None:
         """Add the panel to the current container."""
@@ -24,7 +24,7 @@ class PartsPanel:
         self._remote = remote
         self._uses: dict[str, ActionReference] = {}
         self._parts: list[StepPlan] = []
-        self._what = gui.add_dropdown("Action", (NOTHING,), hint="What to add")
+        self._action = gui.add_dropdown("Action", (NOTHING,), hint="What to add")
         self._scale = gui.add_slider(
             "Scale [%]",
             0,
@@ -63,35 +63,34 @@ class PartsPanel:
 
     def offer(self, actions: Sequence[Action]) -> None:
         """Offer these actions as parts."""
-        self._uses = {}
-        for action in actions:
-            if not isinstance(action, Timed):
-                use = ActionReference(action.name, action.elements)
-                self._uses[described(use)] = use
-        offer(self._what, self._uses)
+        # A timed action cannot be a part of another action.
+        uses = [ActionReference(a.name, a.elements) for a in actions if not isinstance(a, Timed)]
+        self._uses = {described(use): use for use in uses}
+        offer(self._action, self._uses)
 
     def _append(self) -> None:
-        if self._what.value in self._uses:
-            use = replace(self._uses[str(self._what.value)], scale=self._scale.value / 100.0)
+        if self._action.value in self._uses:
+            use = replace(self._uses[str(self._action.value)], scale=self._scale.value / 100.0)
             alias = self._alias(use.action)
             self._parts.append(
                 StepPlan(use, alias, float(self._before.value), float(self._after.value))
             )
             self._draw(len(self._parts) - 1)
 
-    def _edited(self, what: str) -> None:
+    def _edited(self, button: str) -> None:
         names = tuple(self._part.options)
         if not self._parts or self._part.value not in names:
             return
         at = names.index(self._part.value)
-        to = at + {"Up": -1, "Down": 1, "Remove": 0}[what]
-        if what == "Remove":
+        to = at + {"Up": -1, "Down": 1, "Remove": 0}[button]
+        if button == "Remove":
             del self._parts[at]
         elif 0 <= to < len(self._parts):
             self._parts[at], self._parts[to] = self._parts[to], self._parts[at]
         self._draw(to)
 
     def _alias(self, action: str) -> str:
+        # The steps of a sequence are known by their aliases, which must differ.
         taken = {part.alias for part in self._parts}
         if action not in taken:
             return action
@@ -110,15 +109,15 @@ class PartsPanel:
         self._part.options = names
         self._part.value = names[min(max(chosen, 0), len(names) - 1)]
 
-    def _save(self, what: str) -> None:
-        self._bridge.call(lambda: self._make_action(what))
+    def _save(self, button: str) -> None:
+        self._bridge.call(lambda: self._make_action(button))
 
-    async def _make_action(self, what: str) -> None:
+    async def _make_action(self, button: str) -> None:
         name, store = str(self._name.value).strip(), bool(self._store.value)
-        if what == "Compose":
+        if button == "Compose":
             await self._remote.add_composed(name, [part.use for part in self._parts], store=store)
         else:
             await self._remote.add_timed(name, list(self._parts), store=store)
-        self._parts.clear()
+        self._parts.clear()  # only now: after a refusal, the user goes on with the same parts
         self._draw()
         self._bridge.notify("Saved", f"action '{name}'", "green")

@@ -1,9 +1,8 @@
-"""Live plots of the actuators, their references, and all joints."""
+"""Plots of the actuators, their references, and all joints, over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 import viser
@@ -18,7 +17,7 @@ from rtee.gui.history import (
     Source,
     nice_range,
 )
-from rtee.gui.wording import short_names, units
+from rtee.gui.wording import legend, short_names, units
 from rtee.hand.model import Hand
 from rtee.sample import MEASURED, FloatArray
 
@@ -26,7 +25,7 @@ _SHOWN = frozenset({"position", "velocity", "effort", *JOINT_QUANTITIES})
 """Quantities shown at first; those of joints appear once a joint is chosen."""
 
 _FOLD = 6
-"""Actuators shown at first: more lines would be hard to tell apart."""
+"""Number of actuators shown at first: more lines would be hard to tell apart."""
 
 _HEIGHT = 140
 """Height of a plot [pixels]: four fit on a laptop's screen."""
@@ -34,12 +33,8 @@ _HEIGHT = 140
 _SMALL = "10px system-ui, sans-serif"
 
 
-def _said(name: str) -> str:
-    return name.replace("_", " ")
-
-
 def _units(actuators: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
-    """Return the unit of each quantity for actuators and joints of these kinds."""
+    """Return the unit of each quantity, for actuators and joints of these kinds."""
     return {
         name: units(name.removeprefix("joint_"), kinds)
         for names, kinds in ((QUANTITIES, actuators), (JOINT_QUANTITIES, joints))
@@ -57,13 +52,13 @@ def chart(
     """Add a plot to the current container.
 
     Args:
-        gui: Where to add it.
+        gui: The browser's controls.
         data: Times, the lines, and last the lower and the upper end of the axis, ``(k,)`` each.
-        series: How time and each line are drawn.
-        title: Its title, with the unit.
-        height: Its height [pixels].
+        series: Styles of the time axis and of each line.
+        title: Title of the plot, with the unit.
+        height: Height of the plot [pixels].
     """
-    # Changing a plot's scales would rebuild it; invisible lines set its range instead.
+    # Invisible lines set the range, since a change of the scales would rebuild the plot.
     ends = [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]
     return gui.add_uplot(
         tuple(data),
@@ -100,18 +95,22 @@ class PlotsPanel:
         with gui.add_folder("Quantities", expand_by_default=False):
             self._quantities = {
                 name: gui.add_checkbox(
-                    f"{_said(name)} [{unit}]",
+                    self._title(name),
                     name in _SHOWN,
-                    hint=f"Plot the {_said(name)} [{unit}] of what is chosen below",
+                    hint=f"Plot the {self._title(name)} of what is chosen below",
                 )
-                for name, unit in self._units.items()
+                for name in self._units
             }
         self._chosen = self._boxes("Actuators", self._names, _FOLD)
         self._chosen_joints = self._boxes("Joints", self._joints, 0)
         for box in (*self._quantities.values(), *self._chosen, *self._chosen_joints):
             box.on_update(lambda _: self._changed())
         self._plots: dict[str, viser.GuiUplotHandle] = {}
+        # Rebuilt at the next drawing, once even if many boxes change together.
         self._stale = True
+
+    def _title(self, name: str) -> str:
+        return f"{name.replace('_', ' ')} [{self._units[name]}]"
 
     def _boxes(self, title: str, names: Sequence[str], shown: int) -> list[viser.GuiCheckboxHandle]:
         with self._gui.add_folder(title, expand_by_default=False):
@@ -134,7 +133,7 @@ class PlotsPanel:
         self._stale = True
 
     def follow(self, source: Source | None) -> None:
-        """Show the lines of another source; ``None`` for the live hand."""
+        """Plot another source; ``None`` stands for the live hand."""
         self._source = self.history if source is None else source
 
     @property
@@ -150,29 +149,16 @@ class PlotsPanel:
             plot.remove()
         self._plots.clear()
         columns, joints = self._columns, self._joint_columns
-        self._legend.content = self._legend_html(columns, joints)
+        names = {index: self._names[index] for index in columns}
+        names |= {len(self._names) + index: self._joints[index] for index in joints}
+        self._legend.content = legend(
+            names, "thin:&nbsp;reference" if columns else "choose actuators or joints below"
+        )
         with self._folder:
             for name, box in self._quantities.items():
                 chosen = joints if name in JOINT_QUANTITIES else columns
                 if box.value and chosen:
                     self._plots[name] = self._add_plot(name, chosen)
-
-    def _legend_html(self, columns: Sequence[int], joints: Sequence[int]) -> str:
-        said = [(self._names[i], line_colour(i), line_dash(i)) for i in columns]
-        count = len(self._names)
-        said += [(self._joints[i], line_colour(count + i), line_dash(count + i)) for i in joints]
-        items = "".join(
-            f'<span style="white-space:nowrap;margin-right:0.8em">'
-            f'<span style="display:inline-block;width:1.3em;vertical-align:middle;'
-            f'border-top:3px {"dashed" if dash else "solid"} {colour}"></span> '
-            f"{escape(name)}</span>"
-            for name, colour, dash in said
-        )
-        hint = "thin:&nbsp;reference" if columns else "choose actuators or joints below"
-        return (
-            f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}'
-            f'<span style="color:#7a7f87">{hint}</span></div>'
-        )
 
     def _add_plot(self, name: str, columns: Sequence[int]) -> viser.GuiUplotHandle:
         series = [uplot.Series(label="t [s]")]
@@ -185,10 +171,11 @@ class PlotsPanel:
                     width=width,
                     dash=line_dash(number),
                     alpha=alpha,
-                    auto=False,  # NaN, where nothing is measured, would spoil the scale
+                    auto=False,  # NaN, where nothing is measured, would break the scale
                 )
             )
 
+        # Joints take the colours after those of the actuators, thinner to tell them apart.
         if name in JOINT_QUANTITIES:
             for index in columns:
                 add(len(self._names) + index, self._joints[index], 1.25)
@@ -198,8 +185,7 @@ class PlotsPanel:
         if name == "position":
             for index in columns:
                 add(index, f"{self._names[index]} reference", 0.75, 0.7)
-        title = f"{_said(name)} [{self._units[name]}]"
-        return chart(self._gui, self._data(name), series, title, _HEIGHT)
+        return chart(self._gui, self._data(name), series, self._title(name), _HEIGHT)
 
     def _data(self, name: str) -> tuple[FloatArray, ...]:
         length = float(self._window.value)
@@ -219,7 +205,7 @@ class PlotsPanel:
             return
         for name, plot in self._plots.items():
             data = self._data(name)
-            if len(data) != len(plot.data):  # the source changed, so that the lines do not fit
+            if len(data) != len(plot.data):  # a box changed meanwhile: another number of lines
                 self._stale = True
                 return
             plot.data = data

@@ -1,4 +1,4 @@
-"""Recordings: start, stop and mark one; open one and scrub through it."""
+"""Panel of recordings: start, stop and mark one; open one and scrub through it."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ import viser
 
 from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
-from rtee.gui.playback import Playback, open_playback, timeline
+from rtee.gui.playback import Playback, timeline
 from rtee.gui.wording import NOTHING, offer
 from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
+from rtee.log import read
 from rtee.log.rotation import recordings
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 
 Opened = Callable[[Playback | None], None]
-"""Called with the recording that is shown; with ``None`` for the live hand."""
+"""Called with the recording to show; with ``None`` for the live hand."""
 
 _SPEEDS = {"⅒ ×": 0.1, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0, "10 ×": 10.0}
 """Labels of the speeds of playback, as multiples of real time."""
+
 _REDRAW = 0.1
 """Time between two updates of the slider while a recording plays [s]: smooth enough to follow."""
 
 
 def configured_folder(hand: str) -> Path:
-    """Return the folder of a hand's recordings: that of its configuration, if it has one here."""
+    """Return the folder of a hand's recordings by its configuration, or the usual folder."""
     try:
         return load_configured(hand)[1].log.folder
     except RteeError:
@@ -42,11 +44,11 @@ def configured_folder(hand: str) -> Path:
 
 def files_in(folder: Path, hand: str) -> dict[str, Path]:
     """Return the recordings of a hand in a folder by their labels, newest first."""
-    # Not `Path.is_dir`: before Python 3.14 it raises an error below somebody's private folder.
+    # Before Python 3.14, `Path.is_dir` raises an error below another user's private folder.
     if not os.path.isdir(folder):
         return {}
-    found = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
-    return {f"{file.path.stem} · {file.size / 1e6:.1f} MB": file.path for file in found}
+    files = sorted(recordings(folder, hand), key=lambda file: file.path.name, reverse=True)
+    return {f"{file.path.stem} · {file.size / 1e6:.1f} MB": file.path for file in files}
 
 
 class RecordingsPanel:
@@ -58,8 +60,8 @@ class RecordingsPanel:
         Args:
             bridge: Carries clicks.
             remote: The hand.
-            hand: Its model.
-            opened: Called with the recording that is shown.
+            hand: Model of the hand.
+            opened: Called with the recording to show.
         """
         gui = bridge.server.gui
         self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
@@ -106,9 +108,9 @@ class RecordingsPanel:
 
     # --- the recording being written
 
-    async def _record(self, what: str) -> None:
-        await self._remote.record(what.lower())
-        words = "a recording begins" if what == "Start" else "the recording ends"
+    async def _record(self, button: str) -> None:
+        await self._remote.record(button.lower())
+        words = "a recording begins" if button == "Start" else "the recording ends"
         self._bridge.notify("Recording", words, "green")
 
     async def _mark(self) -> None:
@@ -117,13 +119,14 @@ class RecordingsPanel:
         self._bridge.notify("Marked", text, "green")
 
     def show_status(self, status: HandStatus) -> None:
-        """Show which file is being written."""
+        """Show the name of the file that is being written."""
         name = escape(Path(status.recording).name)
         text = f"● recording to <b>{name}</b>" if status.recording else "○ off"
         html = f'<div style="font-size:0.85em;padding:0.25em 0.75em">{text}</div>'
         if self._status.content == html:
             return
         self._status.content = html
+        # Offer the newest recordings; the hand may run on another computer, without its folder.
         folder = Path(status.recording).parent if status.recording else None
         if folder is not None and os.path.isdir(folder) and str(folder) != self._folder.value:
             self._folder.value = str(folder)
@@ -132,13 +135,13 @@ class RecordingsPanel:
     # --- the recording being viewed
 
     def _refresh(self) -> None:
-        # Not `Path.expanduser`, which raises an error while somebody types another user's name.
+        # `Path.expanduser` would raise an error while the user is still typing after "~".
         folder = Path(os.path.expanduser(str(self._folder.value)))
         self._files = files_in(folder, self._hand.name)
         offer(self._file, self._files)
 
-    def _clicked(self, what: str) -> None:
-        match what:
+    def _clicked(self, button: str) -> None:
+        match button:
             case "Refresh":
                 self._refresh()
             case "Open":
@@ -150,12 +153,13 @@ class RecordingsPanel:
         path = self._files.get(str(self._file.value))
         if path is None:
             raise LogError(f"there is no recording of {self._hand.name} in this folder")
-        playback = await anyio.to_thread.run_sync(open_playback, path, self._hand)
+        # In a thread, since reading a long recording takes seconds.
+        playback = await anyio.to_thread.run_sync(lambda: Playback(read(path), self._hand))
         self._playback = None
-        self._quiet = True  # the slider changes here, not by the user
+        self._quiet = True  # the slider is changed here, not by the user
         self._time.value = 0.0
         self._time.max = playback.duration
-        self._time.step = max(playback.duration / 1e5, 0.001)
+        self._time.step = max(playback.duration / 1e5, 0.001)  # far finer than a pixel
         self._places = {
             **{f"{s.start:.1f} s {s.name}: {s.outcome}": s.start for s in playback.recording.spans},
             **{f"{at:.1f} s mark: {text}": at for at, text in playback.marks},
@@ -185,13 +189,13 @@ class RecordingsPanel:
             self._line.content = timeline(playback)
 
     def advance(self) -> None:
-        """Advance the time while the recording plays; called about thirty times a second."""
+        """Advance the time while the recording plays; called about 30 times per second."""
         now = time.monotonic()
         passed, self._played = now - self._played, now
         playback = self._playback
         if playback is None or not self._play.value:
             return
-        # After a pause of the event loop the recording goes on where it was.
+        # At most 0.5 s, so that a recording does not jump after a pause of the event loop.
         playback.time += min(passed, 0.5) * _SPEEDS[str(self._speed.value)]
         if playback.time >= playback.duration:
             playback.time = playback.duration

@@ -1,4 +1,4 @@
-"""Tables of the actuators, the joints with their limits, the loop's clock and the buses."""
+"""Tables of the actuators, the joints with their limits, the loop's timing and the buses."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from rtee.hand.model import Hand
 from rtee.messages.state import State
 from rtee.remote.monitoring import HandStatus
 
+# Digits of equal width keep the columns from jumping as the numbers change.
 _STYLE = "font-size:0.75em;border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums"
 _HEAD = "text-align:right;padding-left:0.6em;vertical-align:bottom"
 _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
@@ -21,11 +22,12 @@ _NUMBER = "text-align:right;padding-left:0.6em;white-space:nowrap"
 def _number(value: float, digits: int = 3) -> str:
     if math.isnan(value):
         return "–"
+    # Adding 0.0 turns -0 into 0.
     return "∞" if math.isinf(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return an HTML table; cells after the first are numbers."""
+    """Return an HTML table whose cells after the first of each row are numbers."""
     cells = "".join(f'<th style="{_HEAD}">{h}</th>' for h in head[1:])
     lines = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
     for row in rows:
@@ -38,7 +40,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 class TablePanel:
-    """Joints, actuators, clock and buses."""
+    """Tables of fingertips, actuators, joints, loop and buses."""
 
     def __init__(self, gui: viser.GuiApi, hand: Hand) -> None:
         """Add the panel to the current container."""
@@ -79,6 +81,7 @@ class TablePanel:
         ]
         head = (f"actuator [{self._unit}]", "pos", "ref", f"effort [{self._force}]", "°C")
         self._actuators.content = table(head, rows)
+        # By name, since the hand may send its joints in another order than the model here.
         by_name = dict(zip(state.joint_names, state.joint_position, strict=True))
         speeds = self._hand.transmission.velocities(state.position, state.velocity)
         rows = [
@@ -95,7 +98,7 @@ class TablePanel:
         self._joints.content = table(head, rows)
 
     def show_status(self, status: HandStatus) -> None:
-        """Show the loop's clock and the buses' counters."""
+        """Show the timing of the loop and the counters of the buses."""
         s = status.statistics
         rows = [
             ["rate [Hz]", f"{s.measured_rate:.1f}", f"{s.rate:g}", ""],

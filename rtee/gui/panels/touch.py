@@ -1,33 +1,32 @@
-"""The panel of touch sensors: a plot of their sums, and a table of what they measure."""
+"""Panel of the touch sensors: plots of their sums, and a table of their values."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Final
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 from viser import uplot
 
 from rtee.gui.colours import line_colour, line_dash
-from rtee.gui.history import LONGEST, POINTS, nice_range
+from rtee.gui.history import LONGEST, nice_range, stride
 from rtee.gui.panels.plots import chart
 from rtee.gui.panels.table import table
-from rtee.gui.wording import small
+from rtee.gui.wording import legend, small
 from rtee.sample import FloatArray
 from rtee.touch import TouchSensor, TouchState
 
 _HEIGHT: Final = 180
-"""Height of a plot [pixels]: two units and the table fit on a laptop's screen."""
+"""Height of a plot [pixels]: plots of two units and the table fit on a laptop's screen."""
 
 _KEPT: Final = int(100 * LONGEST)
-"""Readings kept of a device: as long as the other plots, at 100 Hz."""
+"""Number of readings kept per device: 60 s at 100 Hz, as long as the other plots."""
 
 _SPAN: Final = 0.5
-"""Least length of an axis, in the unit: noise should look like noise."""
+"""Least length of an axis, in the unit of the sensor, so that noise looks small."""
 
 _NONE = "The hand measures no touch."
 
@@ -36,7 +35,7 @@ Windows = Mapping[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]
 
 
 class TouchPanel:
-    """Plots the sums of the touch sensors over time, one plot for each unit."""
+    """Plots of the sums of the touch sensors over time, one plot for each unit."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         """Add the panel to the current container."""
@@ -54,6 +53,7 @@ class TouchPanel:
     def add(self, state: TouchState) -> None:
         """Add a reading of the live hand."""
         kept = self._history.setdefault(state.device, deque(maxlen=_KEPT))
+        # Readings of other sensors have another length and cannot be plotted together.
         if kept and kept[-1].sensors is not state.sensors:
             kept.clear()
         kept.append(state)
@@ -61,29 +61,30 @@ class TouchPanel:
     def live(self) -> Windows:
         """Return the newest readings."""
         now = max((kept[-1].stamp for kept in self._history.values()), default=0.0)
-        found = {}
+        windows = {}
         for device, kept in self._history.items():
             stamps = np.array([state.stamp for state in kept]) - now
-            rows = _thinned(np.flatnonzero(stamps >= -self.length))
-            chosen = [kept[row] for row in rows]
-            sums = np.array([state.totals for state in chosen])
-            found[device] = (kept[-1].sensors, stamps[rows], sums)
-        return found
+            rows = np.flatnonzero(stamps >= -self.length)
+            # From the end, so that the newest reading is always among those kept.
+            rows = rows[::-1][:: stride(len(rows))][::-1]
+            sums = np.array([kept[row].totals for row in rows])
+            windows[device] = (kept[-1].sensors, stamps[rows], sums)
+        return windows
 
     @property
     def length(self) -> float:
-        """Length of time that is shown [s]."""
+        """Length of the time window shown [s]."""
         return float(self._window.value)
 
     def show(self, states: Iterable[TouchState]) -> None:
-        """Show in the table what was measured last."""
+        """Show the last readings in the table."""
         rows = []
         for state in states:
             sums = state.totals.tolist()
             for sensor, total in zip(state.sensors, sums, strict=True):
                 largest = float(state.of(sensor.name).max())
-                said = "stale" if state.stale else sensor.unit
-                rows.append((sensor.name, f"{total:.2f}", f"{largest:.2f}", escape(said)))
+                unit = "stale" if state.stale else escape(sensor.unit)
+                rows.append((sensor.name, f"{total:.2f}", f"{largest:.2f}", unit))
         self._table.content = table(("sensor", "sum", "largest", "unit"), rows) if rows else ""
 
     def draw(self, windows: Windows) -> None:
@@ -94,6 +95,7 @@ class TouchPanel:
             self._rebuild()
         for unit, plot in self._plots.items():
             data = self._data(windows, unit)
+            # While a recording is opened, the lines may still be those of the hand.
             if len(data) == len(plot.data):
                 plot.data = data
 
@@ -101,7 +103,8 @@ class TouchPanel:
         for plot in self._plots.values():
             plot.remove()
         self._plots.clear()
-        self._legend.content = _legend([n for n, _ in self._shown]) if self._shown else small(_NONE)
+        names = dict(enumerate(name for name, _ in self._shown))
+        self._legend.content = legend(names) if names else small(_NONE)
         with self._folder:
             for unit in dict.fromkeys(unit for _, unit in self._shown):
                 self._plots[unit] = self._add_plot(unit)
@@ -119,38 +122,20 @@ class TouchPanel:
                         auto=False,
                     )
                 )
-        # Times, the lines and the ends of the axis; the first update brings the values.
+        # Placeholders for the times, the lines and the ends of the axis, until the first update.
         nothing = [np.zeros(1)] * (len(series) + 2)
         return chart(self._gui, nothing, series, f"touch, sum over taxels [{unit}]", _HEIGHT)
 
     def _data(self, windows: Windows, unit: str) -> tuple[FloatArray, ...]:
-        """Return times and lines; those of several devices share the times of all."""
+        """Return times [s] and lines ``(k,)``; all devices share the union of their times."""
         times = np.unique(np.concatenate([t for _, t, _ in windows.values()]))
         lines: list[FloatArray] = []
         for sensors, t, sums in windows.values():
             chosen = [index for index, sensor in enumerate(sensors) if sensor.unit == unit]
             rows = np.searchsorted(t, times, side="right") - 1
-            # A row of NaN first, for times before a device's readings, or without any.
+            # The first row is NaN, for times before the first reading of a device.
             known = np.full((len(t) + 1, len(sensors)), np.nan)
             known[1:] = sums.reshape(len(t), len(sensors))
             lines += [known[rows + 1, index] for index in chosen]
         ends = nice_range(lines, _SPAN)
         return (times, *lines, *(np.full(len(times), end) for end in ends))
-
-
-def _thinned(rows: NDArray[np.intp]) -> list[int]:
-    """Return at most `POINTS` of some rows, and always the last."""
-    step = max(1, -(-len(rows) // POINTS))
-    chosen: list[int] = rows[::-1][::step][::-1].tolist()
-    return chosen
-
-
-def _legend(names: Sequence[str]) -> str:
-    items = "".join(
-        f'<span style="white-space:nowrap;margin-right:0.8em">'
-        f'<span style="display:inline-block;width:1.3em;vertical-align:middle;'
-        f'border-top:3px {"dashed" if line_dash(i) else "solid"} {line_colour(i)}"></span> '
-        f"{escape(name)}</span>"
-        for i, name in enumerate(names)
-    )
-    return f'<div style="font-size:0.75em;line-height:1.5;padding:0.4em 0.75em 0">{items}</div>'

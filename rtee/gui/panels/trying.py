@@ -1,4 +1,4 @@
-"""Trying actions on an object in simulation, and planning grasps for it, from the page."""
+"""Panel that tries actions on an object in simulation, and plans grasps for it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Final
 import viser
 
 from rtee.actions.types import Action
-from rtee.errors import ConfigError, MissingExtra, RequestRejected, RteeError
+from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, BAR, GOOD
 from rtee.gui.jobs import Jobs
@@ -28,6 +28,8 @@ from rtee.trials.result import OBJECTS, TrialResult
 from rtee.trials.store import from_document as result_of
 
 _EVERY: Final = "all actions"
+"""Choice of all actions of the hand."""
+
 _LARGEST: Final = 2000.0
 """Largest length that can be given [mm], as on the command line."""
 
@@ -36,18 +38,19 @@ _SIZES: Final = {
     "cylinder": (("Diameter [mm]", 60.0), ("Height [mm]", 120.0)),
     "box": (("Width [mm]", 40.0), ("Depth [mm]", 40.0), ("Height [mm]", 100.0)),
 }
-"""Shapes whose sizes are given, with names of the sizes and what they are at first."""
+"""Shapes whose sizes the user sets, with the labels and the first values of their sizes."""
 
 Found = Callable[[TrialResult], None]
-"""Takes the result of a trial."""
+"""Receives the result of a trial."""
 
 
 def number(value: Any, least: float, most: float, what: str) -> float:
-    """Return a number that came from a page, where it can be anything.
+    """Return a value of a page's field as a number; a manipulated page may send anything.
 
     Raises:
-        ConfigError: if it is none, or out of range.
+        ConfigError: if the value is not a number, or out of range.
     """
+    # A bool is an int in Python, but no number to a person.
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{what} should be a number")
     if not (math.isfinite(value) and least <= value <= most):
@@ -56,9 +59,9 @@ def number(value: Any, least: float, most: float, what: str) -> float:
 
 
 def shape_text(kind: str, sizes: Sequence[float]) -> str:
-    """Return a shape as on the command line, from its sizes as people measure them [mm]."""
+    """Return a shape in the syntax of the command line, from the sizes of the fields [mm]."""
     metres = [size / 1e3 for size in sizes]
-    if kind != "box":
+    if kind != "box":  # the command line takes a radius, but people measure diameters
         metres[0] /= 2.0
     return f"{kind}:{'x'.join(f'{value:.6g}' for value in metres)}"
 
@@ -67,9 +70,9 @@ def folder_of(remote: str, hand: Hand) -> Path:
     """Return the folder of a running hand on this computer.
 
     Raises:
-        ConfigError: if it is not configured here.
+        ConfigError: if the hand is not configured here.
     """
-    folder = find_hand(remote)  # refuses names that are not names
+    folder = find_hand(remote)  # which refuses a name with a path in it
     if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(
             f"the hand '{remote}' that runs is another one than that of {folder}, so it cannot be "
@@ -79,7 +82,7 @@ def folder_of(remote: str, hand: Hand) -> Path:
 
 
 class TryPanel:
-    """An object, what is done with it, how far that is, and what came of it."""
+    """An object, the action to try on it, the progress of the trials, and their results."""
 
     def __init__(
         self, bridge: Bridge, remote: RemoteHand, hand: Hand, found: Found, preview: Preview
@@ -89,8 +92,8 @@ class TryPanel:
         Args:
             bridge: Carries clicks.
             remote: The hand.
-            hand: Its model.
-            found: Takes the results of trials.
+            hand: Model of the hand.
+            found: Receives the results of trials.
             preview: Shows a planned grasp.
         """
         gui = bridge.server.gui
@@ -157,7 +160,7 @@ class TryPanel:
             "best? Nothing moves",
         )
         self._bar = gui.add_progress_bar(0.0, animated=False, color=BAR)
-        self._said = gui.add_html("")
+        self._report = gui.add_html("")
         self._grasps = GraspsPanel(bridge, remote, preview)
         self._object.on_update(lambda _: self._choose())
         self._usual.on_update(lambda _: self._choose())
@@ -166,22 +169,20 @@ class TryPanel:
         self._offer_meshes()
 
     def _choose(self) -> None:
-        """Show the fields that belong to what is chosen."""
+        """Show the fields that belong to the chosen shape and friction."""
         for kind, fields in self._sizes.items():
             for field in fields:
                 field.visible = kind == self._object.value
         self._friction.visible = not self._usual.value
 
     def _offer_meshes(self) -> None:
-        """Offer the objects there are; say so if nothing can be tried on this computer."""
+        """Offer the objects; show the reason if this computer cannot run trials of the hand."""
         try:
             self._meshes = meshes_of(folder_of(self._remote.name, self._hand))
             offer(self._object, (*_SIZES, *OBJECTS, *self._meshes))
             check_installed(planning=False)
-        except MissingExtra as error:
-            self._say(str(error), BAD)
         except RteeError as error:
-            self._say(f"{error}", BAD)
+            self._say(str(error), BAD)
 
     def show_actions(self, actions: Sequence[Action]) -> None:
         """Offer these actions."""
@@ -190,8 +191,8 @@ class TryPanel:
 
     # --- clicks
 
-    def _clicked(self, what: str) -> None:
-        match what:
+    def _clicked(self, button: str) -> None:
+        match button:
             case "Try":
                 self._bridge.call(partial(self._start, planning=False))
             case "Plan":
@@ -200,25 +201,25 @@ class TryPanel:
                 self._bridge.call(self._cancel)
 
     async def _cancel(self) -> None:
-        if not self._jobs.doing:
+        if not self._jobs.running:
             raise RequestRejected("nothing is under way")
         self._jobs.cancel()
 
     async def _start(self, *, planning: bool) -> None:
         self._jobs.check_free()
         job = self._job(planning=planning)
-        what = "planning" if planning else "a trial"
+        title = "planning" if planning else "a trial"
         self._lines.clear()
         self._bar.value = 0.0
-        self._say(f"{what} begins …", "")
+        self._say(f"{title} begins …", "")
         if planning:
             self._grasps.show(None)
         try:
-            done = await self._jobs.do(job, what, self._tell)
+            done = await self._jobs.run(job, title, self._receive)
         except RteeError as error:
             self._say(str(error), BAD)
             raise
-        if self._removed:
+        if self._removed:  # the hand has gone meanwhile, and its controls with it
             return
         self._bar.value = 100.0 if done else 0.0
         if not done:
@@ -229,10 +230,10 @@ class TryPanel:
             self._say("", "")
 
     def _job(self, *, planning: bool) -> Job:
-        """Return the job that is asked for.
+        """Return the job that the fields describe.
 
         Raises:
-            ConfigError: if it cannot be done, or something that came from the page makes no sense.
+            ConfigError: if an extra is missing, or a field has an invalid value.
         """
         check_installed(planning=planning)
         folder = folder_of(self._remote.name, self._hand)
@@ -270,35 +271,36 @@ class TryPanel:
             raise ConfigError("there is no such action; choose one of the list")
         return (key_of(self._actions[name]),)
 
-    # --- what comes
+    # --- results
 
-    def _tell(self, said: Mapping[str, Any]) -> None:
-        """Take what the process says."""
+    def _receive(self, message: Mapping[str, Any]) -> None:
+        """Show a message of the process."""
         if self._removed:
             return
-        if "result" in said:
-            result = result_of(said["result"])
+        if "result" in message:
+            result = result_of(message["result"])
             self._found(result)
-            what = result.trial.what
+            action = result.trial.what
             sign = "●" if result.held else "○"
             self._lines.append(
-                f"{sign} {what} on {object_name(result.trial.object)}: {verdict(result)}"
+                f"{sign} {action} on {object_name(result.trial.object)}: {verdict(result)}"
             )
             self._say("", "")
-        elif "ranking" in said:
-            self._grasps.show(ranking_of(said["ranking"]))
+        elif "ranking" in message:
+            self._grasps.show(ranking_of(message["ranking"]))
         else:
-            self._bar.value = round(100.0 * float(said.get("progress", 0.0)), 1)
-            self._say(str(said.get("text", "")), "")
+            self._bar.value = round(100.0 * float(message.get("progress", 0.0)), 1)
+            self._say(str(message.get("text", "")), "")
 
     def _say(self, text: str, colour: str) -> None:
+        # Results stay above the sentence, which changes with the progress.
         lines = [escape(line) for line in self._lines]
         if text:
             style = f' style="color:{colour}"' if colour else ""
             lines.append(f'<span role="note"{style}>{escape(text)}</span>')
-        self._said.content = small("<br>".join(lines))
+        self._report.content = small("<br>".join(lines))
 
     def remove(self) -> None:
-        """End what is under way; the session removes the controls."""
+        """Cancel the running job; the session removes the controls."""
         self._removed = True
         self._jobs.cancel()

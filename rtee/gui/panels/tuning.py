@@ -1,4 +1,4 @@
-"""Tuning while the hand runs: the grip effort, and gains of devices that have some."""
+"""Panel that tunes a running hand: the grip effort, and the gains of the devices."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ class TuningPanel:
         self._bridge = bridge
         self._remote = remote
         self._gains: dict[str, tuple[str, str]] = {}
+        # Values by label: those that devices report, and those set here, for silent devices.
+        self._reported: dict[str, float] = {}
         self._set_before: dict[str, float] = {}
-        self._told: dict[str, float] = {}
+        # Whether the field holds a value of its gain; the first click must not set it to 0.
         self._typed = False
         self._quiet = False
         self._holding = gui.add_slider(
@@ -58,8 +60,8 @@ class TuningPanel:
 
     def _recall(self) -> None:
         label = str(self._which.value)
-        self._value.value = self._told.get(label, self._set_before.get(label, 0.0))
-        self._typed = label in self._told
+        self._value.value = self._reported.get(label, self._set_before.get(label, 0.0))
+        self._typed = label in self._reported
 
     async def _change(self) -> None:
         label, value = str(self._which.value), float(self._value.value)
@@ -72,10 +74,10 @@ class TuningPanel:
             self._bridge.notify("Gain set", f"{label} is {value:g}", "green")
 
     def show(self, status: HandStatus) -> None:
-        """Offer the gains that the devices have."""
+        """Show the grip effort and offer the gains of the devices."""
         share = round(100.0 * status.grip_effort)
         if share != self._holding.value:
-            self._quiet = True  # else the change would be sent back to the hand
+            self._quiet = True  # or the callback would send the change back to the hand
             self._holding.value = share
             self._quiet = False
         gains = {
@@ -83,13 +85,14 @@ class TuningPanel:
             for device in status.devices
             for gain in device.gains
         }
-        self._told = {
+        # A device that does not report its gains lists their names, but no values.
+        self._reported = {
             f"{device.name}: {gain}": value
             for device in status.devices
             for gain, value in zip(device.gains, device.gain_values, strict=False)
             if not math.isnan(value)
         }
-        if gains == self._gains:
+        if gains == self._gains:  # keep what the user has chosen and typed
             return
         self._gains = gains
         self._which.options = tuple(gains) or (NOTHING,)
