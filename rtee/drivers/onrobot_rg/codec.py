@@ -52,8 +52,8 @@ class Model:
         stroke: Largest width without fingertips [m].
         force: Largest force [N].
         link: Length of a finger's links, from pivot to pivot [m].
-        rise: How far the outer pivot is out of line with the link's frame [m].
-        gap: Width between the faces of the outer links' carriers where the links are upright [m].
+        rise: Offset of the outer pivot from the axis of the link's frame [m].
+        gap: Width between the faces of the outer links' carriers with upright links [m].
         speed: Of the links [rad/s].
     """
 
@@ -95,8 +95,8 @@ MODELS: dict[str, Model] = {
 """The models by the name in the options.
 
 The vendor's model gives gaps of -3.9 and -1.6 mm, with which neither gripper could open to its
-stroke: its links would have to be longer. They are taken to be those between fingertips of
-`FINGERTIP`; without them both models open to their stroke at about 1.3 rad.
+stroke: its links would have to be longer. They are assumed to be measured between fingertips of
+`FINGERTIP`; without fingertips both models then open to their stroke at about 1.3 rad.
 """
 
 
@@ -182,9 +182,9 @@ class Status:
 class Scale:
     """Converts between registers and the actuator's units.
 
-    The actuator is the angle of a finger's links, as in `Model.angle`. The gripper regulates its
-    force at the fingertips itself, at any width; so effort is proportional to force, by the virtual
-    work of the whole way.
+    The actuator is the angle of a finger's links, as in `Model.angle`. The gripper itself regulates
+    the force at the fingertips, at any width; so effort is proportional to force, by the virtual
+    work over the whole stroke.
 
     Args:
         model: The gripper.

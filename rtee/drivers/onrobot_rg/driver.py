@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
@@ -24,7 +24,7 @@ from rtee.drivers.onrobot_rg.codec import (
 )
 from rtee.drivers.options import read_options
 from rtee.drivers.step_follower import Order, StepFollower
-from rtee.errors import DeviceFault, HandshakeError
+from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -38,7 +38,7 @@ It is ten times the resolution: a held object yields by some of that.
 """
 
 _EMPTY = 10
-"""Fingertips this near to where they meet hold nothing [0.1 mm]: they press on each other."""
+"""Fingertips within this distance of each other hold nothing [0.1 mm]: they press on each other."""
 
 
 class OnRobotRGOptions(OnRobotOptions):
@@ -69,6 +69,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
     MODEL: ClassVar[str] = "an OnRobot RG"
     EMULATOR: ClassVar[str] = "onrobot_rg"
+    STATUS_TYPE: ClassVar[type[Any]] = Status
     SOURCE: ClassVar[int] = STATE
     COUNT: ClassVar[int] = len(Status().to_registers())
     SENT: ClassVar[int] = len(Command(0, 0).to_registers())
@@ -98,9 +99,6 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     # --- life --------------------------------------------------------------------------------
 
-    def _decoded(self, block: Sequence[int]) -> Status:
-        return Status.from_registers(block, self._settings.address) if block else Status()
-
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
         [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
@@ -123,7 +121,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         return signed(offset)
 
     async def activate(self) -> None:
-        """See that no safety switch keeps it from moving; set the fingertips' offset if given."""
+        """Check that no safety switch prevents motion; set the fingertips' offset if given."""
         await super().activate()
         wanted = self.options.fingertip_offset
         if wanted is None:
@@ -170,11 +168,11 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     def _stopping(self) -> Sequence[int]:
         force = round(self._follower.force or 0.0)
-        # A measured width may be negative, and the register of the target has no sign.
+        # A measured width may be negative, but the target register is unsigned.
         return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
 
     async def recover(self) -> None:
-        """Stop, and see that no safety switch is pushed and none keeps it from moving."""
+        """Stop, and check that no safety switch is pushed or has tripped."""
         await super().recover()
         for i, pushed in enumerate(self._status.pushed):
             if pushed:
@@ -190,8 +188,3 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         if status.safety_error:
             name = "a safety switch was pushed at power-up"
             raise self._fault(6, name, f"free the switches, {restart}")
-
-    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
-        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
-        return DeviceFault(self.spec.name, code, name, hint=hint)
