@@ -117,10 +117,8 @@ class Emulator(ABC):
 
     def _elapsed(self, now: float) -> float:
         """Return the time since the last call [s]: 0 at the first one, and never negative."""
-        before = now if self._clock is None else self._clock
-        # A time that went back must not let the same seconds pass twice.
-        self._clock = max(before, now)
-        return self._clock - before
+        before, self._clock = self._clock, now
+        return 0.0 if before is None else max(0.0, now - before)
 
     @staticmethod
     def _given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -56,7 +56,7 @@ _POLL = 0.05
 """Time between two reports while it homes [s]; published programs ask no faster."""
 _SAME, _REACHED = 1.0, 0.3
 """Largest difference from the measured width [mm] of a target that asks a gripper just attached to
-for no motion, and of one that counts as reached; fingers that hold an object yield by some of it."""
+for no motion, and of one that counts as reached; fingers on an object yield by some of it."""
 _EMPTY = 1.0
 """Fingers within this distance of each other hold nothing [mm]."""
 _NOT_REFERENCED = 0
