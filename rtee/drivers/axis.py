@@ -29,8 +29,8 @@ class VirtualObject:
 class Axis:
     """A position-controlled axis: speed limit, first-order approach, force limit, hard stops, heat.
 
-    Positions and efforts are in any unit that the device counts in; time is in seconds. At rest
-    against an object, the servo and the object are in balance, limited by ``max_effort``.
+    Positions and efforts are in any units, such as the counts of a device; time is in seconds. At
+    rest against an object, the efforts of servo and object are equal, limited by ``max_effort``.
 
     Attributes:
         position: Present position.
@@ -86,6 +86,7 @@ class Axis:
         self.obstacle: VirtualObject | None = None
         self.self_locking = False
         self.stuck = False
+        # A small motor: at the rating it would settle 50 K above the ambient temperature.
         self.ambient = 25.0
         self.temperature = self.ambient
         self.heating = 0.5
@@ -99,7 +100,7 @@ class Axis:
         return self.enabled and self.velocity == 0.0 and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
-        """Return the range it can reach: the stops, and the object squeezed by ``max_effort``."""
+        """Return the range that it can reach, limited by the stops and by the squeezed object."""
         lower, upper = self.lower, self.upper
         thing = self.obstacle
         if thing is not None:
@@ -127,7 +128,7 @@ class Axis:
         """Let time pass up to ``now`` [s]; the first call only sets the clock."""
         if self._now is not None:
             self.advance(now - self._now)
-        # A time that went back must not let the same seconds pass twice.
+        # If the clock went back, the same time must not be simulated twice.
         self._now = now if self._now is None else max(now, self._now)
 
     def advance(self, dt: float) -> None:
@@ -143,12 +144,12 @@ class Axis:
             lower, upper = self._bounds()
             goal = min(max(self.target, lower), upper)
             error = goal - self.position
-            # The exact solution over a step: stable however long the step is.
+            # The exact solution over a step, which is stable for steps of any length.
             approach = error * -math.expm1(-dt / self.time_constant)
             limit = self.max_velocity * dt
             change = min(max(approach, -limit), limit)
             if abs(error) <= self.resolution:
-                # An exponential never arrives exactly: within a count it counts as arrived.
+                # An exponential never arrives, so the last bit is covered at once.
                 change = error
             self.position += change
             self.velocity = change / dt
@@ -168,14 +169,15 @@ class Axis:
         if error == 0.0:
             pull = self._contact()
             direction = 1.0 if self.obstacle is None else self.obstacle.closing
-            if pull == 0.0 and self.velocity != 0.0:  # it has arrived just now
+            if pull == 0.0 and self.velocity != 0.0:  # it has arrived in this step
                 direction = math.copysign(1.0, self.velocity)
         else:
             direction = math.copysign(1.0, error)
             pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)
-            # An infinitely stiff servo that is held pushes with its whole effort limit.
+            # An infinitely stiff servo that is blocked exerts its effort limit.
             if math.isinf(self.gain) and (self.velocity == 0.0 or self.stuck):
                 pull = self.max_effort
         if self.velocity != 0.0:
+            # In motion, the motor only overcomes friction and the object.
             pull = max(self.friction, self._contact())
         self.effort = direction * min(pull, self.max_effort)

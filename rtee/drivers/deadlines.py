@@ -18,14 +18,14 @@ class Unhurried:
 
     Attributes:
         PATIENCE: Longest time for an exchange outside the cycle [s].
-        deadline: Longest time for one exchange, retries included [s].
+        deadline: Longest time for one exchange, including retries [s].
     """
 
     PATIENCE: ClassVar[float] = 0.5
     deadline: float
 
     def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
+        """Extend the deadline for exchanges outside the cycle, which a busy computer may delay."""
         return longer_deadline(self, self.PATIENCE)
 
 
@@ -48,12 +48,12 @@ async def time_limit(
     *,
     end: Callable[[], Awaitable[None]] | None = None,
 ) -> AsyncIterator[None]:
-    """Limit the time that a device has for something, such as for homing.
+    """Limit the time that a device has for an operation such as homing.
 
     Args:
         seconds: The longest time [s].
         fault: Makes the exception to raise when the time is over.
-        end: Ends what the device does by itself, when the time is over or the task is cancelled.
+        end: Ends the operation on the device, when the time is over or the task is cancelled.
 
     Raises:
         BusTimeout: if the device does not answer.

@@ -77,7 +77,7 @@ class Blocks(Unhurried):
         self._function = function
         self._retries = retries
         self._refresh = refresh
-        self._silent = 0
+        self._silent = 0  # exchanges with function 23 that got no answer
         self._cached: tuple[tuple[int, ...], float] | None = None
 
     @property
@@ -132,6 +132,7 @@ class Blocks(Unhurried):
                     raise
                 self._kind = "separate"
             else:
+                # An answer proves that the gripper supports the function.
                 self._kind = "combined"
                 return block
         await self.write(values)

@@ -29,12 +29,14 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _REACHED = 3
-"""A width this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
+"""Difference to the measured width within which a target counts as reached [0.1 mm]: resolution and
+rounding."""
 
 _SAME = 10
-"""A width this near to the measured one asks for no motion of a gripper just attached to [0.1 mm].
+"""Difference to the measured width within which a target commands no motion just after connecting
+[0.1 mm].
 
-It is ten times the resolution: a held object yields by some of that.
+It is ten times the resolution, since a held object yields a little.
 """
 
 _EMPTY = 10
@@ -127,6 +129,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         if wanted is None:
             return
         bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
+        # Only if it differs, so that connecting changes no setting without need.
         if await self._offset(bus) != tenths:
             await bus.write(self.options.unit, SET_OFFSET, (tenths,), deadline=CONNECTING)
 
@@ -168,7 +171,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     def _stopping(self) -> Sequence[int]:
         force = round(self._follower.force or 0.0)
-        # A measured width may be negative, but the target register is unsigned.
+        # Stop needs a target, too. A measured width may be negative, but the register is unsigned.
         return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
 
     async def recover(self) -> None:

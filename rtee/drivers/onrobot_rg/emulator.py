@@ -37,13 +37,13 @@ from rtee.drivers.properties import Duration, read_properties
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
 _NEAR = 1e-4
-"""Part of the largest force within which the force counts as built up, and of a radian within which
-a target counts as reached."""
+"""Error within which the force counts as built up [fraction of the largest force], and a target as
+reached [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnRobotRGProperties(OnRobotProperties):
-    """Properties of the emulated gripper besides those that all of them have.
+    """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:
         model: ``rg2`` or ``rg6``.
@@ -101,7 +101,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
             upper=self._opened,
             max_velocity=model.speed,
             max_effort=0.0,
-            time_constant=0.01,
+            time_constant=0.01,  # short compared with a motion
             resolution=1e-4,
         )
         self.axis.rating = model.force
@@ -155,9 +155,9 @@ class OnRobotRGEmulator(OnRobotEmulator):
         """Grip an object, as if another program had done so before.
 
         Args:
-            width: Of the object [m].
-            force: In the register [0.1 N].
-            stiffness: Of the object [N/rad of the links].
+            width: Width of the object [m].
+            force: Value of the force register [0.1 N].
+            stiffness: Stiffness of the object [N/rad of the links].
         """
         angle = self.model.angle(width + 2.0 * self.properties.fingertip)
         self.axis.obstacle = VirtualObject(angle, stiffness, closing=-1.0)
@@ -236,6 +236,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         self._busy = True
         self._contact = False
         self._building = 0.0
+        # Almost no force until the contact; the gripper builds it up afterwards.
         self.axis.max_effort = self._effort(0.0)
         angle = self.model.angle(min(max(width, 0.0), self.model.stroke))
         self.axis.target = min(max(angle, 0.0), self._opened)

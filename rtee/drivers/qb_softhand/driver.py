@@ -64,6 +64,7 @@ class QbSoftHandOptions(DeviceOptions):
     """
 
     port: str = "/dev/ttyUSB0"
+    # 0 is the broadcast number.
     device: Annotated[int, Field(ge=1, le=127)] = 1
     motors: Literal[1, 2] = 1
     baudrate: Literal[2_000_000, 460_800] = 2_000_000
@@ -226,6 +227,7 @@ class QbSoftHandDriver(Driver):
     async def sense(self) -> ActuatorState:
         """Return closures and motor currents."""
         self._count += 1
+        # Not in every cycle, since the check takes an exchange of its own.
         if self._active and self._count % self.options.status_every == 0:
             await self._check()
         currents: tuple[int, ...]
@@ -244,7 +246,7 @@ class QbSoftHandDriver(Driver):
         )
 
     def _efforts(self, current_limit: float) -> list[float]:
-        """Return the effort of each actuator per milliampere; ``NaN``: not known."""
+        """Return the effort of each actuator per motor current [N·m/mA]; ``NaN``: unknown."""
         given = self.options.effort_per_ampere
         if given is not None:
             return [given * 1e-3] * self.options.motors
@@ -269,9 +271,10 @@ class QbSoftHandDriver(Driver):
             if len(self._attached.left(reference, self._here)) == self.options.motors:
                 return
             self._attached.begin()
-        wanted, asked = reference.position.tolist(), reference.mask.tolist()
-        if not all(asked):
-            both = zip(wanted, asked, self._closure, strict=True)
+        wanted, mask = reference.position.tolist(), reference.mask.tolist()
+        if not all(mask):
+            # A frame always has the references of both motors, so the others keep their last one.
+            both = zip(wanted, mask, self._closure, strict=True)
             wanted = [new if commanded else kept for new, commanded, kept in both]
         self._closure = tuple(wanted)
         await self._send(self._closure)

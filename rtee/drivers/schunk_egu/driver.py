@@ -51,10 +51,10 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
-_UM = 1e-6  # m in the images' unit of lengths
+_UM = 1e-6  # unit of lengths in the images [m]
 _SAME, _REACHED = 500.0, 100.0
-"""Largest difference from the measured position [µm] of a target that asks a gripper just attached
-to for no motion, and of one that counts as reached."""
+"""Difference to the measured position within which a target commands no motion just after
+connecting, and within which it counts as reached [µm]."""
 _TAKEN = 0.3
 """Longest time until a command is accepted [s]; the maker's tools wait as long."""
 _READY = 1.0
@@ -132,12 +132,13 @@ class SchunkEguDriver(BlocksDriver):
         """Derive scales and capabilities from the gripper's limits: positions [µm], force [N]."""
         actuator = self.spec.actuators[0]
         opened, closed = (most, least) if self.options.opens == "up" else (least, most)
-        # The actuator is the travel of a finger [m], open at its lower limit.
+        # The position of the actuator is the travel of a finger [m], open at its lower limit.
         end = opened + math.copysign(self._range / _UM, closed - opened)
         self.position = LinearScale(
             (opened, end), (actuator.lower, actuator.upper), ends=(least, most)
         )
-        # The actuator moves both fingers: a grip force of 1 N takes an effort of 2 N.
+        # The smallest force is 1 %, the resolution of the register. The actuator moves both
+        # fingers, so a grip force of 1 N takes an effort of 2 N.
         weakest = force / 100.0
         self.effort = LinearScale((1.0, 100.0), (2.0 * weakest, 2.0 * force))
         return Capabilities(
@@ -189,6 +190,7 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _identify(self, blocks: Blocks) -> None:
         bus = blocks.bus
+        # The bytes of the register are in the gripper's order, low byte first.
         module = (await self._parameter(bus, Parameter.MODULE, 1))[0].to_bytes(2, "big")
         name = MODULES.get(int.from_bytes(module, "little"))
         if name is None:
@@ -417,6 +419,7 @@ class SchunkEguDriver(BlocksDriver):
         if not self.connection.is_open:
             return
         if self._input.status & Status.GRIPPED and not self._running:
+            # A stop is not needed, and might end the grip.
             self._forget()
             return
         await self._insist(Output(Control.RUN).to_registers())

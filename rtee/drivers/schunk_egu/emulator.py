@@ -58,7 +58,7 @@ class SchunkEguProperties:
 
     Attributes:
         unit: Its number on the line.
-        baudrate: Bits per second.
+        baudrate: Bit rate of the line [bit/s].
         module: Its module type.
         stroke: Largest position of one finger [mm]; the smallest is 0.
         position: Position of a finger at power-up [mm].
@@ -163,10 +163,11 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         """Grip an object, as if another program had done so before.
 
         Args:
-            position: Of a finger when it meets the object [mm].
-            stiffness: Of the object [N/mm].
+            position: Position of a finger when it meets the object [mm].
+            stiffness: Stiffness of the object [N/mm].
         """
         self._start(True)
+        # At least 5 mm open, so that the fingers close on the object.
         self.axis.position = max(self.axis.position, position + 5.0)
         self.axis.obstacle = VirtualObject(position, stiffness, closing=-1.0)
         self._obey(Output(Control.RUN | Control.GRIP, force=50))
