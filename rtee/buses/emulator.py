@@ -117,8 +117,10 @@ class Emulator(ABC):
 
     def _elapsed(self, now: float) -> float:
         """Return the time since the last call [s]: 0 at the first one, and never negative."""
-        before, self._clock = self._clock, now
-        return 0.0 if before is None else max(0.0, now - before)
+        before = now if self._clock is None else self._clock
+        # If the clock went back, the same time must not be simulated twice.
+        self._clock = max(before, now)
+        return self._clock - before
 
     @staticmethod
     def _given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:

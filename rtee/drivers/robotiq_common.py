@@ -133,7 +133,7 @@ class Grip:
     A gripper clears its report of contact at every new request, and sets it again when it has found
     that the fingers do not move. While requests change in every cycle, the report therefore comes
     and goes, although the fingers press on the object all the time. So contact is kept as long as
-    the gripper is asked to move in the same direction and the fingers have not moved.
+    the requested motion has the same direction and the fingers have not moved.
     """
 
     def __init__(self) -> None:

@@ -274,9 +274,9 @@ class AbilityHandDriver(Driver):
             if len(self._attached.left(reference, self._here)) == len(self._motors):
                 return
             self._attached.begin()
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
-            if asked[i]:
+            if mask[i]:
                 limits = self.spec.actuators[i]
                 position = min(max(float(reference.position[i]), limits.lower), limits.upper)
                 self._control.aim(

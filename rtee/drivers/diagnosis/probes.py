@@ -35,10 +35,10 @@ class Probe:
     ask: Callable[[BusPool, str], Awaitable[list[Found]]]
 
 
-async def ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
+async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
     """Return the devices found, after detaching from the bus."""
     try:
-        return await asked
+        return await answers
     finally:
         await bus.detach(OWNER)
 

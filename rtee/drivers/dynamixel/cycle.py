@@ -224,11 +224,11 @@ class ServoCycle:
         if self._attached:
             left = self._attached.left(reference, self._measured)
             mask = [commanded and i not in left for i, commanded in enumerate(mask)]
-        asked = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
-        if asked != self._limits:
+        limits = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
+        if limits != self._limits:
             self._limits = None
-            self._write_limits(*asked)
-            self._limits = asked
+            self._write_limits(*limits)
+            self._limits = limits
         pulses = self._units.pulses(reference.position)
         columns = zip(self.link.ids, pulses, mask, strict=True)
         self.link.write_group(table.GOAL_POSITION, {n: p for n, p, given in columns if given})

@@ -174,7 +174,7 @@ class ServoCycle:
             refused = await self.link.set_all(table.TORQUE, dict.fromkeys(off, POWERED))
             if refused:
                 self.refuse(await self.states())
-                # Only if no fault of its own explains it.
+                # Only if no other fault explains it.
                 raise setup.lost(self._device, self.names, list(refused))
         self._goal = self.joints.positions(self._take(await self.states()).angle)
         held = {i for i, number in enumerate(self.ids) if number not in off}
@@ -312,7 +312,8 @@ class ServoCycle:
                 self._doubted = reported
                 numbers = ", ".join(str(n) for n in jumped)
                 raise FrameError(
-                    self._options.port, f"servo {numbers} cannot have come to where it says it is"
+                    self._options.port,
+                    f"servo {numbers} cannot have reached the position it reports",
                 )
         # A jump that was reported twice is real.
         self._seen = stamp, reported

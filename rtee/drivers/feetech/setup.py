@@ -96,7 +96,7 @@ async def find(
         HandshakeError: if some are missing or differ from what is expected.
         BusError: if the line fails.
     """
-    # All are asked first, so that one message names all missing servos.
+    # All models are read first, so that one message names all missing servos.
     models = {servo.id: await link.model(servo.id) for servo in servos.values()}
     expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
     check_present(device, port, expected, models, model_name)

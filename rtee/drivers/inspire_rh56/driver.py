@@ -295,9 +295,9 @@ class InspireRh56Driver(Driver):
         forces = list(self._forces or (most,) * COUNT)
         speeds = list(self._speeds or (most,) * COUNT)
         angles = [KEEP] * COUNT
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
-            if not asked[i] or i in left:
+            if not mask[i] or i in left:
                 continue
             forces[motor] = scale.limit(float(reference.max_effort[i]))
             speeds[motor] = scale.speed(float(reference.max_velocity[i]))

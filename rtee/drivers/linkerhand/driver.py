@@ -228,9 +228,9 @@ class LinkerHandDriver(Driver):
         targets = list(self._targets or self._counts)
         torques = list(self._torques or (MOST,) * self._model.count)
         speeds = list(self._speeds or (MOST,) * self._model.count)
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
-            if not asked[i]:
+            if not mask[i]:
                 continue
             most = self.spec.actuators[i].effort
             # Without an effort limit in the model, 255 has no known effort.

@@ -43,7 +43,7 @@ _REACHED = 3
 """A diameter this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
 
 _STUCK_BUSY = 0.5
-"""Busy without moving for this long, it is stopped before it is asked to grip [s]."""
+"""Time of being busy without motion after which it is stopped before the next grip [s]."""
 
 _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""

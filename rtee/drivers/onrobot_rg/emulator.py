@@ -65,8 +65,8 @@ class OnRobotRGProperties(OnRobotProperties):
 class OnRobotRGEmulator(OnRobotEmulator):
     """An RG2 or RG6.
 
-    A safety switch that is pushed during a motion, or is pushed when a motion is asked for, stops
-    it until the switch is released and the tool is restarted.
+    A safety switch that is pushed during a motion, or when a motion is commanded, stops the motion
+    until the switch is released and the tool is restarted.
 
     Attributes:
         axis: Its links; position is their angle [rad], effort the force [N].

@@ -227,7 +227,7 @@ class QbSoftHandDriver(Driver):
     async def sense(self) -> ActuatorState:
         """Return closures and motor currents."""
         self._count += 1
-        # Not in every cycle, since the check takes an exchange of its own.
+        # Not in every cycle, since the check takes another exchange.
         if self._active and self._count % self.options.status_every == 0:
             await self._check()
         currents: tuple[int, ...]

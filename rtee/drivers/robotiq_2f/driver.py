@@ -64,7 +64,7 @@ class Robotiq2FOptions(RobotiqOptions):
 class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """A 2F-85, 2F-140 or Hand-E.
 
-    A gripper that holds an object and is asked to stay where it is keeps its grip.
+    A gripper that holds an object keeps its grip as long as the reference is the measured position.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions

@@ -33,10 +33,10 @@ class Robotiq2FProperties(RobotiqProperties):
         position: Position of the fingers at power-up [counts].
         open_count: gPO when fully open.
         closed_count: gPO when fully closed.
-        output: First register of the output block; on TCP it lies at 0, too, as with Robotiq's
+        output: First register of the output block; on TCP it is at 0, too, as in Robotiq's
             universal controller, whose clients read by function 4.
         input: First register of the input block; likewise.
-        release_opens: Whether the automatic release opens; ``None``: as rARD says, 1 is opening.
+        release_opens: Whether the automatic release opens; ``None``: if the bit rARD is set.
         watch: Silence after which it reports lost communication [s].
     """
 

@@ -42,7 +42,7 @@ _SIMPLE = 3
 class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     """The three-finger gripper: all fingers together or each for itself, and the scissor.
 
-    A motor that presses on an object and is asked to stay where it is keeps pressing.
+    A motor that presses on an object keeps pressing while its reference is the measured position.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions

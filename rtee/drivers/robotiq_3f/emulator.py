@@ -193,7 +193,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
 
 def _axis(position: float, lower: int) -> Axis:
     axis = Axis(position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
-    # Currents are reported relative to the strongest grip, whatever force is asked for.
+    # Currents are reported relative to the strongest grip, independent of the commanded force.
     axis.rating = FORCE[1]
     return axis
 

@@ -64,7 +64,7 @@ class SchunkEguProperties:
         position: Position of a finger at power-up [mm].
         force: Largest grip force [N].
         speed: Largest speed [mm/s].
-        grip_speed: Speed of a grip without a speed of its own [mm/s].
+        grip_speed: Speed of a grip whose command gives no speed [mm/s].
         release: Distance by which it opens on release [mm].
         force_time: Time to build up the force after the contact [s].
         watch: Silence after which it stops with an error [s].

@@ -269,10 +269,10 @@ class SchunkSvhDriver(Driver):
             waiting = await self._limits.update(self.connection.link, self._used(), reference)
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
-        for index, target, known, asked in zip(
+        for index, target, known, commanded in zip(
             self._index, targets, homed, reference.mask.tolist(), strict=True
         ):
-            if asked and known and index not in waiting:
+            if commanded and known and index not in waiting:
                 self._targets[index] = target
         feedback = await self.connection.link.set_targets(self._targets)
         self._answer = feedback, time.monotonic()

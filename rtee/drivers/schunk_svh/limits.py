@@ -128,9 +128,9 @@ class Limits:
 
     def _current_for(self, channel: Channel, effort: float) -> float:
         most = self.current[channel.index].maximum
-        asked = channel.to_current(effort) if math.isfinite(effort) else math.nan
+        wanted = channel.to_current(effort) if math.isfinite(effort) else math.nan
         # At least 1 mA: a limit of 0 would switch the controller off.
-        return most if math.isnan(asked) else min(max(asked, 1.0), most)
+        return most if math.isnan(wanted) else min(max(wanted, 1.0), most)
 
     def _rate_for(self, channel: Channel, velocity: float) -> float:
         most = self.position[channel.index].max_rate

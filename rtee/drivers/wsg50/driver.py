@@ -103,8 +103,8 @@ class Wsg50Driver(Driver):
     """A WSG 50.
 
     A motion is one command, and another is refused until it has ended. So references are followed
-    in steps: see `StepFollower`. What blocks a closing motion is grasped, with the force asked for;
-    what is grasped is released before it opens. It attaches without writing anything.
+    in steps: see `StepFollower`. An object that blocks a closing motion is grasped with the effort
+    limit of the reference, and released before the fingers open. Connecting writes nothing.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Wsg50Options
