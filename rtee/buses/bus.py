@@ -1,4 +1,4 @@
-"""The base class of all buses: owners, counters, a byte trace, one place that opens the link."""
+"""The base class of all buses: owners, counters, a trace of the bytes, and opening of the link."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from rtee.errors import BusBroken, BusClosed
 L = TypeVar("L")
 
 TraceHook = Callable[[str, str, bytes, float], None]
-"""Called as ``hook(bus, direction, data, stamp)``; ``tx`` or ``rx``, CLOCK_MONOTONIC [s]."""
+"""Called as ``hook(bus, direction, data, stamp)``; the direction is ``tx`` or ``rx``, the stamp
+CLOCK_MONOTONIC [s]."""
 
 
 @dataclass(slots=True)
@@ -24,13 +25,13 @@ class Counters:
     Attributes:
         transactions: Transactions begun.
         retries: Requests sent again.
-        timeouts: Attempts that got no answer in time.
-        checksum_errors: Frames with a wrong checksum or a wrong shape.
-        strays: Bytes or frames that no request had asked for.
+        timeouts: Attempts without an answer in time.
+        checksum_errors: Frames with a wrong checksum or format.
+        strays: Bytes or frames received that answer no request.
         bytes_sent: Bytes written.
         bytes_received: Bytes read.
-        opened: Times the link was opened.
-        broken: Times the link broke by an external cause.
+        opened: How often the link was opened.
+        broken: How often the link broke by an external cause.
     """
 
     transactions: int = 0
@@ -49,16 +50,16 @@ class Counters:
 
 
 class Bus(ABC):
-    """One wire with one owner process; several devices of this process may share it.
+    """A wire that belongs to this process; several devices of the process may share it.
 
-    A bus becomes connected by `connect` only, which is idempotent. When the link breaks, every call
-    raises `BusBroken` until `connect` is called again. So after a break a device is always
-    identified again before it is used.
+    Only `connect`, which is idempotent, opens the link. When the link breaks, every call raises
+    `BusBroken` until `connect` is called again, so a device is always identified again before it is
+    used.
 
     Attributes:
         name: The address as configured.
-        counters: What happened on it.
-        trace: Called with every piece of bytes sent and received; ``None`` switches it off.
+        counters: The bus's counters.
+        trace: Called with all bytes sent and received; ``None`` switches the trace off.
     """
 
     def __init__(self, name: str) -> None:
@@ -82,11 +83,11 @@ class Bus(ABC):
         return frozenset(self._owners)
 
     async def connect(self) -> None:
-        """Open the link unless it is open; the only place where a broken link is opened again.
+        """Open the link unless it is open; nothing else opens a broken link again.
 
         Raises:
-            BusBusy: if another process owns it.
-            BusBroken: if it cannot be opened.
+            BusBusy: if another process has the port open.
+            BusBroken: if the link cannot be opened.
         """
         async with self._connecting:
             if self._connected:
@@ -102,7 +103,7 @@ class Bus(ABC):
         self._owners.discard(owner)
         if self._owners:
             return
-        # The pool then forgets the bus, too; without a pool it only closes.
+        # The callback of the pool closes the bus and forgets it; without a pool, close it here.
         if self._on_empty is not None:
             await self._on_empty()
         else:
@@ -119,8 +120,8 @@ class Bus(ABC):
         """Raise unless the link is open.
 
         Raises:
-            BusClosed: if it was closed on this side.
-            BusBroken: if it broke.
+            BusClosed: if the bus was closed by `close`.
+            BusBroken: if the link broke.
         """
         if self._connected:
             return
@@ -136,7 +137,7 @@ class Bus(ABC):
 
     def _broke(self, cause: str) -> None:
         if self._connected:
-            # A break is noticed by several calls at once, and counts once.
+            # Several calls may notice the same break, which counts once.
             self.counters.broken += 1
         self._connected = False
         self._cause = cause or "the other end went away"
@@ -148,7 +149,7 @@ class Bus(ABC):
             direction: ``tx`` or ``rx``.
             data: The bytes.
             stamp: When they passed, CLOCK_MONOTONIC [s].
-            head: What the trace shows before them, and no counter counts.
+            head: Bytes that the trace shows in front, such as a CAN identifier; not counted.
         """
         if direction == "tx":
             self.counters.bytes_sent += len(data)
@@ -167,7 +168,7 @@ class Bus(ABC):
 
 
 def listen(listeners: list[L], listener: L) -> Callable[[], None]:
-    """Add a listener to a list and return what removes it; that may be called again."""
+    """Add a listener to a list and return an idempotent function that removes it."""
     listeners.append(listener)
 
     def remove() -> None:

@@ -1,4 +1,4 @@
-"""A CAN bus: frames out, frames in by identifier, request and answer under a deadline."""
+"""A CAN bus: sends frames, passes received ones to listeners, and matches requests and answers."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _BUS_OFF = 0x40
 
 
 class CanBus(Bus):
-    """A channel of a python-can interface; its notifier passes frames to the event loop.
+    """A channel of a python-can interface, whose notifier passes frames to the event loop.
 
     Attributes:
         interface: Name of the python-can interface.
-        bitrate: Bits per second.
+        bitrate: Bit rate [bit/s].
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class CanBus(Bus):
         """Send a frame; returns when it is in the controller's queue.
 
         Raises:
-            BusBroken: if the bus is broken or its queue stays full.
+            BusBroken: if the bus is broken or its queue is full.
             BusClosed: if it is closed.
         """
         self.send_now(frame)
@@ -64,7 +64,7 @@ class CanBus(Bus):
 
         self.check()
         try:
-            # Without waiting: this runs in the event loop.
+            # Without a timeout, since this may run in the event loop.
             self._bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError) as error:
             raise BusBroken(self.name, f"cannot send: {error}") from error
@@ -82,11 +82,11 @@ class CanBus(Bus):
         Args:
             frame: The request.
             accept: Returns whether a frame is the answer.
-            deadline: Longest time, retries included [s].
-            retries: How often it may be sent again within that time.
+            deadline: Longest time, including retries [s].
+            retries: How often the request may be sent again within that time.
 
         Raises:
-            BusTimeout: if no answer came.
+            BusTimeout: if no answer came in time.
             BusBroken: if the bus is broken.
             BusClosed: if it is closed.
         """
@@ -95,11 +95,11 @@ class CanBus(Bus):
         for attempt in range(retries + 1):
             if attempt:
                 self.counters.retries += 1
-            # What is left is divided among the attempts that are left.
+            # The remaining time is divided among the remaining attempts.
             share = (end - time.monotonic()) / (retries + 1 - attempt)
             answer: asyncio.Future[CanFrame] = asyncio.get_running_loop().create_future()
-            taking = self._taking(answer, accept)
-            self._by_any.append(taking)
+            receive = self._receiver(answer, accept)
+            self._by_any.append(receive)
             self._waiting.add(answer)
             try:
                 async with asyncio.timeout(max(share, 0.0)):
@@ -108,16 +108,15 @@ class CanBus(Bus):
             except TimeoutError:
                 self.counters.timeouts += 1
             finally:
-                self._by_any.remove(taking)
+                self._by_any.remove(receive)
                 self._waiting.discard(answer)
                 if answer.done() and not answer.cancelled():
-                    # Read, so that asyncio does not report an exception that nobody waited for any
-                    # more.
+                    # asyncio logs an exception of a future that is never retrieved.
                     answer.exception()
         raise BusTimeout(self.name, f"no answer to frame {frame.id:#x} within {deadline:.3f} s")
 
     @staticmethod
-    def _taking(
+    def _receiver(
         answer: asyncio.Future[CanFrame], accept: Callable[[CanFrame], bool]
     ) -> Callable[[CanFrame], None]:
         def receive(frame: CanFrame) -> None:
@@ -129,9 +128,12 @@ class CanBus(Bus):
     def subscribe(
         self, callback: Callable[[CanFrame], None], identifier: int | None = None
     ) -> Callable[[], None]:
-        """Call ``callback`` with every frame, or those of one identifier; returns how to undo it.
+        """Call ``callback`` with every received frame, or with those of one identifier.
 
-        It is called in the event loop and must return at once.
+        The callback is called in the event loop and must return at once.
+
+        Returns:
+            A function that ends the subscription.
         """
         listeners = self._by_any
         if identifier is not None:
@@ -151,7 +153,7 @@ class CanBus(Bus):
             return
         frame = frame_of(message, time.monotonic())
         self._count("rx", frame.data, frame.stamp, frame.id.to_bytes(4, "big"))
-        # A copy: a callback may subscribe others or remove itself.
+        # A copy of the lists, since a callback may add or remove callbacks.
         for callback in (*self._by_id.get(frame.id, ()), *self._by_any):
             callback(frame)
 
@@ -180,7 +182,7 @@ class CanBus(Bus):
             raise BusBroken(self.name, "there is no such adapter")
         loop = self._loop = asyncio.get_running_loop()
         try:
-            # In a thread: some interfaces talk to a device over USB while they open.
+            # In a thread, since some interfaces communicate with a USB device when they open.
             bus = await loop.run_in_executor(None, self._opened)
         except (can.CanError, OSError, ValueError) as error:
             raise BusBroken(self.name, _reason(error)) from error
@@ -203,8 +205,8 @@ class CanBus(Bus):
                 answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
         if bus is None:
             return
-        # With a descriptor, the notifier is a reader of the event loop and stops at once; else it
-        # is a thread that has to be awaited.
+        # With a file descriptor, the notifier is a reader of the event loop and stops at once;
+        # without one, it is a thread that has to be joined.
         if bus.fileno_or_none() is not None:
             notifier.stop()
             bus.shutdown()
@@ -219,7 +221,7 @@ class CanBus(Bus):
 
 
 def _reason(error: Exception) -> str:
-    """Return in words why a bus cannot be opened."""
+    """Return the reason why a bus cannot be opened, for the error message."""
     code = getattr(error, "errno", None)
     if code == errno.EAFNOSUPPORT:
         return "this computer's kernel has no SocketCAN"

@@ -1,4 +1,4 @@
-"""Adapt python-can: convert its messages to frames, and guard a bus against its exceptions."""
+"""Adapt python-can: convert its messages, and keep its notifier alive when a bus fails."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtee.buses.emulator import CanFrame
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 
 _ENDING = 1e-3
-"""How long the thread of a notifier that ends waits before it looks again [s]."""
+"""Pause of a notifier's thread between two calls of `recv` after `end` [s]."""
 
 
 def message_of(frame: CanFrame) -> Any:
@@ -28,7 +28,7 @@ def message_of(frame: CanFrame) -> Any:
 
 
 def frame_of(message: Any, stamp: float = 0.0) -> CanFrame:
-    """Return a message of python-can as a frame, received at a time, CLOCK_MONOTONIC [s]."""
+    """Return a message of python-can as a frame; ``stamp`` is CLOCK_MONOTONIC [s]."""
     return CanFrame(
         message.arbitration_id,
         bytes(message.data),
@@ -46,15 +46,15 @@ class Guarded:
         self._failed = failed
         self._dead = threading.Event()
         self._ended = False
-        self._prompt = self.fileno_or_none() is not None  # else the notifier has a thread for it
+        self._prompt = self.fileno_or_none() is not None  # else the notifier has its own thread
         self.channel_info = bus.channel_info
 
     def fileno(self) -> int:
-        """Return its file descriptor; raises `NotImplementedError` where it has none."""
+        """Return its file descriptor; raises `NotImplementedError` if it has none."""
         return int(self._bus.fileno())
 
     def fileno_or_none(self) -> int | None:
-        """Return its file descriptor, or ``None`` where it has none."""
+        """Return its file descriptor, or ``None`` if it has none."""
         try:
             return int(self._bus.fileno())
         except NotImplementedError:
@@ -66,19 +66,18 @@ class Guarded:
         wake(self._bus)
 
     def recv(self, timeout: float | None = None) -> Any:
-        """Return the next message, ``None`` where none came in time [s] or the bus broke."""
+        """Return the next message; ``None`` if none came in time [s] or the bus broke."""
         if self._ended:
-            # The notifier stops at once behind `end`; until then its thread must not spin.
+            # The notifier is stopped right after `end`; until then its thread must not spin.
             time.sleep(_ENDING)
             return None
         if not self._prompt:
             self._prompt = True
-            # Here, since this is the first code that runs in the notifier's own thread.
+            # Here, since this is the first code that runs in the notifier's thread.
             wake_exactly()
             ask_for_short_slices()
         if self._dead.is_set():
-            # The notifier calls again and again: without a pause, a dead bus would take a whole
-            # core.
+            # The notifier calls this in a loop, which would use a whole core without a pause.
             time.sleep(timeout or 0.0)
             return None
         try:

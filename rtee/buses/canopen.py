@@ -1,4 +1,4 @@
-"""A CANopen network on a CAN bus: PDOs and SYNC as frames, SDO in a worker thread."""
+"""A CANopen network on a CAN bus: PDO and SYNC as CAN frames, SDO in a worker thread."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ T = TypeVar("T")
 class CanopenBus(CanBus):
     """A CAN bus with the ``canopen`` package on top of it.
 
-    The package's own notifier is not used: the event loop passes received frames to ``network``,
-    and what that sends goes out through this bus. Its blocking calls (SDO) have to be made in
-    `run`; process data should use `send_now` and `subscribe`.
+    The package's notifier is not used: the event loop passes received frames to ``network``, which
+    sends through this bus. Use `run` for blocking calls of the package (SDO), and `send_now` and
+    `subscribe` for process data.
 
     Attributes:
         network: The ``canopen.Network``.
@@ -51,7 +51,7 @@ class CanopenBus(CanBus):
             deadline: Longest time to wait for it [s].
 
         Raises:
-            BusTimeout: if it has not returned in time, or the node did not answer.
+            BusTimeout: if the function has not returned in time, or the node did not answer.
             BusBroken: if the bus is broken.
             BusClosed: if it is closed.
         """
@@ -62,7 +62,7 @@ class CanopenBus(CanBus):
         self.counters.transactions += 1
         try:
             return await self._worker.run(function, deadline)
-        except RteeError as error:  # the function's own, which says more; some are TimeoutErrors
+        except RteeError as error:  # before the next clause, since some are TimeoutErrors
             self.counters.timeouts += isinstance(error, BusTimeout)
             raise
         except TimeoutError:
@@ -75,7 +75,7 @@ class CanopenBus(CanBus):
             raise BusBroken(self.name, str(error)) from error
 
     def _notify(self, frame: CanFrame) -> None:
-        # As the package's own listener, which ignores remote frames.
+        # The package's listener ignores remote frames, too.
         if not frame.remote:
             self.network.notify(frame.id, bytearray(frame.data), frame.stamp)
 
@@ -84,14 +84,14 @@ class CanopenBus(CanBus):
         self.network.bus = _Outlet(self)
 
     async def _close(self) -> None:
-        # First: what a call that is still in the worker sends is refused, as the bus is not
-        # connected any more.
+        # First the worker: frames of a call still running are refused, since the bus is no longer
+        # connected.
         await self._worker.close()
         await super()._close()
 
 
 class _Outlet:
-    """Stands in for a python-can bus in ``canopen``, which only uses it to send."""
+    """Replaces the python-can bus of ``canopen``, which only uses it to send."""
 
     def __init__(self, bus: CanopenBus) -> None:
         self._bus = bus
@@ -103,5 +103,5 @@ class _Outlet:
         try:
             self._bus.send_now(frame_of(message))
         except BusBroken as error:
-            # The one kind of error after which the package tries again.
+            # The only kind of error after which the package tries again.
             raise can.CanOperationError(error.message) from error

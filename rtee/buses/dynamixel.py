@@ -1,4 +1,4 @@
-"""A Dynamixel line: dynamixel-sdk's blocking port in one worker thread."""
+"""A Dynamixel line: the blocking port of dynamixel-sdk in a worker thread."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from rtee.errors import BusBroken, BusTimeout, RteeError
 T = TypeVar("T")
 
 _LATENCY = 4.0
-"""Time allowed beyond the bytes' own on the line [ms]: an adapter's latency timer of 1 ms, and a
-busy computer. Drivers set their own."""
+"""Default time allowed for an answer in addition to that of its bytes [ms]: the latency timer of an
+adapter (1 ms) and delays of a busy computer."""
 
 _POLL = 0.05
-"""Longest wait for a first byte before the packet's own timeout is checked again [s]: an abandoned
-call must not keep the thread for long."""
+"""Longest wait for a first byte before the packet's timeout is checked again [s], so that an
+abandoned call does not keep the thread for long."""
 
 
 class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
-    """The SDK's port, waiting for bytes instead of spinning, with a latency of its own.
+    """The SDK's port with an adjustable latency, which waits for bytes instead of spinning.
 
     Attributes:
-        latency: Time allowed beyond the bytes' own on the line [ms].
+        latency: Time allowed for an answer in addition to that of its bytes [ms].
     """
 
     def __init__(self, bus: DynamixelBus, address: str) -> None:
@@ -50,23 +50,23 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         self.ser = serial.Serial(
             port=self.port_name, baudrate=self.baudrate, bytesize=8, timeout=0, exclusive=True
         )
-        # Only FTDI adapters have a latency timer; other ports refuse.
+        # Only FTDI adapters have a latency timer; other adapters raise an error.
         with contextlib.suppress(Exception):
             self.ser.set_low_latency_mode(True)
         self.is_open = True
         self.ser.reset_input_buffer()
-        # Ten bits per byte (start, eight data, stop), in milliseconds as the SDK counts.
+        # [ms], the SDK's unit; ten bits per byte: start, eight data, stop.
         self.tx_time_per_byte = 1000.0 / self.baudrate * 10.0
         return True
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
         """Return up to ``length`` bytes; waits for the first until the packet's timeout."""
-        # The SDK calls this in a tight loop until its packet is whole.
+        # The SDK calls this in a tight loop until its packet is complete.
         waiting = self.ser.in_waiting
         if not waiting:
             left = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
             self.ser.timeout = min(max(left, 0.0), _POLL)
-            # Only the first byte is waited for: the others of a packet follow at once.
+            # Wait only for the first byte, since the other bytes of a packet follow at once.
             data = bytes(self.ser.read(1))
             self.ser.timeout = 0
             if not data or length <= 1:
@@ -79,7 +79,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         return int(self.ser.write(self._bus.note("tx", bytes(packet))))
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802 - the SDK's name
-        """Start the time allowed for an answer of so many bytes."""
+        """Start the timeout for an answer of ``packet_length`` bytes."""
         self.packet_start_time = self.getCurrentTime()
         self.packet_timeout = self.tx_time_per_byte * packet_length + self.latency
 
@@ -92,8 +92,8 @@ class DynamixelBus(Bus):
     """A line of Dynamixels, used through dynamixel-sdk.
 
     Attributes:
-        line: How the line is set.
-        port: The SDK's port handler, to be given to its packet and group handlers inside `run`.
+        line: Settings of the line.
+        port: The SDK's port handler, an argument of its packet and group handlers inside `run`.
         packets: The SDK's packet handler for protocol 2.0.
     """
 
@@ -113,7 +113,7 @@ class DynamixelBus(Bus):
             deadline: Longest time to wait for it [s].
 
         Raises:
-            BusTimeout: if it has not returned in time.
+            BusTimeout: if the function has not returned in time.
             BusBroken: if the link breaks.
             BusClosed: if the bus is closed.
         """
@@ -122,13 +122,13 @@ class DynamixelBus(Bus):
         try:
             return await self._worker.run(function, deadline)
         except RteeError:
-            raise  # the function's own error; several of these are OSErrors, too
+            raise  # before the next clauses, since several are OSErrors
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"not done within {deadline:.3f} s") from None
         except (OSError, TypeError, termios.error) as error:
-            # pyserial raises TypeError when its port is closed meanwhile, and termios.error, which
-            # is not an OSError, when the port vanishes.
+            # pyserial raises a TypeError if its port is closed meanwhile, and a termios.error,
+            # which is not an OSError, if the port vanishes.
             self._broke(str(error))
             raise BusBroken(self.name, f"the link broke: {error}") from error
 
@@ -153,7 +153,7 @@ class DynamixelBus(Bus):
         await self._worker.close()
         port, self.port = self.port, None
         if port is not None and port.is_open:
-            # In a thread: closing may take the kernel some time, above all without the adapter.
+            # In a thread, since closing may take the kernel some time if the adapter was unplugged.
             closing = asyncio.get_running_loop().run_in_executor(None, _close, port)
             await asyncio.shield(closing)
 

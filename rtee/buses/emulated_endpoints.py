@@ -1,4 +1,4 @@
-"""The simulated ends of a pool's buses: run each device's emulator on a real transport."""
+"""The simulations of a pool, which run the emulators of devices on real transports."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ S = TypeVar("S", bound="Simulation")
 
 
 class PlayedEnds:
-    """The simulated far ends of a pool; a device is made once and outlives its connections.
+    """The simulations of a pool; an emulator is made once and outlives its connections.
 
     Attributes:
         wire_time: Whether simulated lines take the time that the bytes would take.
-        simulations: The simulated ends by the address they stand in for.
-        emulators: The emulators by the device they play.
+        simulations: The simulations by the address that they replace.
+        emulators: The emulators by the name of their device.
     """
 
     def __init__(self, *, wire_time: bool) -> None:
@@ -32,7 +32,7 @@ class PlayedEnds:
         self.emulators: dict[str, Emulator] = {}
 
     def line(self, url: str, owner: str, line: Line, factory: EmulatorFactory) -> Callable[[], str]:
-        """Play a device on a line, and return a function of the address at which it is now."""
+        """Emulate a device on a line; return a function that returns its current address."""
         from rtee.buses.simulated import SimulatedLine
 
         def make() -> SimulatedLine:
@@ -46,7 +46,7 @@ class PlayedEnds:
         return lambda: simulation.address
 
     def can(self, channel: str, owner: str, bitrate: int, factory: EmulatorFactory) -> SimulatedCan:
-        """Play a node on a CAN channel of this process."""
+        """Emulate a node on a virtual CAN channel of this process."""
         from rtee.buses.simulated_can import SimulatedCan
 
         rate = bitrate if self.wire_time else None
@@ -58,14 +58,14 @@ class PlayedEnds:
         )
 
     def zmq(self, address: str, owner: str, factory: EmulatorFactory) -> Callable[[], Endpoints]:
-        """Play a ZeroMQ server, and return a function of the addresses at which it is now."""
+        """Emulate a ZeroMQ server; return a function that returns its current addresses."""
         from rtee.buses.simulated_zmq import SimulatedZmq
 
         simulation = self._playing(address, owner, factory, lambda: SimulatedZmq(name=address))
         return lambda: simulation.endpoints
 
     def ethercat(self, interface: str, owner: str, factory: EmulatorFactory) -> Callable[[], Ring]:
-        """Play the slaves of an EtherCAT network, and return what makes the master's view."""
+        """Emulate the slaves of an EtherCAT network; return a factory of the master's ring."""
         from rtee.buses.simulated_ethercat import SimulatedEthercat, SimulatedRing
 
         simulation = self._playing(
@@ -84,7 +84,7 @@ class PlayedEnds:
         simulation: Any = self.simulations.get(key)
         if simulation is None:
             simulation = self.simulations[key] = make().start()
-        # A device that connects again must find its emulator as it left it, not a new one.
+        # A device that connects again must find the same emulator, in the state that it was left.
         if owner not in self.emulators:
             emulator = self.emulators[owner] = factory()
             simulation.add(emulator)

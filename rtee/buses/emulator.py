@@ -67,6 +67,7 @@ class Emulator(ABC):
 
     def __init__(self) -> None:
         self.faults: set[str] = set()
+        self._clock: float | None = None
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
@@ -113,6 +114,18 @@ class Emulator(ABC):
 
     def on_faults(self) -> None:  # noqa: B027 - some devices look at `faults` where it matters
         """Act on `faults`, as by blocking a motor; called whenever they have changed."""
+
+    def _elapsed(self, now: float) -> float:
+        """Return the time since the last call [s]: 0 at the first one, and never negative."""
+        before = now if self._clock is None else self._clock
+        # If the clock went back, the same time must not be simulated twice.
+        self._clock = max(before, now)
+        return self._clock - before
+
+    @staticmethod
+    def _given(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+        """Return those of the named options of a driver that are set."""
+        return {name: options[name] for name in names if options.get(name) is not None}
 
 
 EmulatorFactory = Callable[[], Emulator]

@@ -1,4 +1,4 @@
-"""An EtherCAT network: one master in a worker thread, process data in and out by position."""
+"""An EtherCAT network: a master in a worker thread, and process data by position of the slave."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ T = TypeVar("T")
 
 
 _FRAME_TIMEOUT = 2000
-"""Longest time for the frame to go round the ring [µs]; SOEM's own default."""
+"""Longest time for a frame to travel round the ring [µs]; SOEM's default."""
 
 _OPENING, _CLOSING = 5.0, 2.0
-"""Longest time to find the slaves, and to leave them initialised [s]: each slave takes a second at
-most to change its state."""
+"""Longest time to find the slaves, and to bring them to INIT [s]; a slave changes its state within
+1 s."""
 
 
 class State(IntEnum):
@@ -33,13 +33,13 @@ class State(IntEnum):
 
 
 class Slave(NamedTuple):
-    """A slave as it was found.
+    """Identity of a slave (object 1018h).
 
     Attributes:
         name: Its name.
-        vendor: Its vendor id.
-        product: Its product code.
-        revision: Its revision.
+        vendor: Vendor id.
+        product: Product code.
+        revision: Revision number.
     """
 
     name: str
@@ -49,11 +49,11 @@ class Slave(NamedTuple):
 
 
 class Ring(ABC):
-    """A master and its slaves; blocking, used from one thread."""
+    """A master and its slaves; the methods block and are called from one thread."""
 
     @abstractmethod
     def open(self) -> list[Slave]:
-        """Find the slaves, which are pre-operational then; raises `OSError`."""
+        """Find the slaves and bring them to PRE-OPERATIONAL; raises `OSError`."""
 
     @abstractmethod
     def request(self, state: State, within: float) -> None:
@@ -61,7 +61,7 @@ class Ring(ABC):
 
     @abstractmethod
     def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
-        """Send outputs and return inputs by position; ``None`` if any slave did not take part."""
+        """Exchange process data by position; return ``None`` if a slave did not take part."""
 
     @abstractmethod
     def read(self, position: int, index: int, subindex: int) -> bytes:
@@ -77,7 +77,7 @@ class Ring(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Leave the slaves initialised and close the port; idempotent."""
+        """Bring the slaves to INIT and close the port; idempotent."""
 
 
 class PysoemRing(Ring):
@@ -99,7 +99,7 @@ class PysoemRing(Ring):
         except ConnectionError as error:
             raise OSError(f"{error}; EtherCAT needs the right to raw sockets") from error
         self._master = master
-        # It returns the number of slaves, or -1 where no frame came back.
+        # The number of slaves, or -1 if no frame returned.
         if master.config_init() <= 0:
             raise OSError("no slave answers")
         found = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
@@ -112,7 +112,7 @@ class PysoemRing(Ring):
         master.read_state()
         failed = self._soem.STATE_ERROR
         for slave in master.slaves:
-            if slave.state & failed:  # it left its state by itself, which has to be acknowledged
+            if slave.state & failed:  # acknowledge that it left its state by itself
                 slave.state = (slave.state & ~failed) | self._soem.STATE_ACK
                 slave.write_state()
         master.state = int(state)
@@ -181,10 +181,14 @@ class EthercatBus(Bus):
         self._worker = Worker(f"ethercat {name}")
 
     async def run(self, function: Callable[[Ring], T], deadline: float) -> T:
-        """Call a function with the ring in the worker thread.
+        """Call a blocking function with the ring in the worker thread.
+
+        Args:
+            function: The function; one at a time.
+            deadline: Longest time to wait for it [s].
 
         Raises:
-            BusTimeout: if it has not returned in time.
+            BusTimeout: if the function has not returned in time.
             BusBroken: if the network breaks.
             BusClosed: if the bus is closed.
         """
@@ -206,10 +210,10 @@ class EthercatBus(Bus):
             raise BusBroken(self.name, str(error)) from error
 
     async def exchange(self, outputs: Sequence[bytes], deadline: float) -> list[bytes]:
-        """Send process data and return what comes back, by position.
+        """Send outputs and return inputs, both by position of the slave.
 
         Raises:
-            BusTimeout: if not every slave took part, or not in time.
+            BusTimeout: if a slave did not take part, or not in time.
             BusBroken: if the network breaks.
             BusClosed: if the bus is closed.
         """
@@ -223,7 +227,7 @@ class EthercatBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        # Kept before it is open: what fails, is late or is cancelled is closed all the same.
+        # Stored before it is open, so that it is closed also after an error or a cancellation.
         ring = self._ring = self._make()
         try:
             self.slaves = await self._worker.run(ring.open, _OPENING)

@@ -1,4 +1,4 @@
-"""Faults of a wire, injected on purpose."""
+"""Injected faults of a wire."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class Faults:
-    """Faults on a wire: each a probability per message and direction.
+    """Faults of a wire, each with its probability per message and direction.
 
     Attributes:
-        drop: The message is lost.
-        corrupt: One to three of its bits are flipped.
-        duplicate: It arrives twice.
-        delay: It arrives ``delay_time`` later.
-        split: It arrives in two pieces, ``split_time`` apart.
-        noise: One to eight random bytes arrive before it.
-        delay_time: [s]
-        split_time: [s]
-        requests: Whether messages to the device suffer too, or only its answers.
+        drop: Probability that a message is lost.
+        corrupt: Probability that one to three of its bits are flipped.
+        duplicate: Probability that it arrives twice.
+        delay: Probability that it arrives ``delay_time`` later.
+        split: Probability that it arrives in two pieces, ``split_time`` apart.
+        noise: Probability that one to eight random bytes arrive before it.
+        delay_time: Delay of a late message [s].
+        split_time: Time between the two pieces of a message [s].
+        requests: Whether the faults affect messages to the device, too, or only its answers.
         seed: Seed of the random numbers.
-        injected: How often each has happened.
+        injected: Number of faults so far, by name.
     """
 
     drop: float = 0.0
@@ -43,13 +43,13 @@ class Faults:
 
     @property
     def active(self) -> bool:
-        """Whether anything can go wrong."""
+        """Whether any fault is possible."""
         return (
             self.drop + self.corrupt + self.duplicate + self.delay + self.split + self.noise
         ) > 0.0
 
     def apply(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Return what becomes of a message: pieces, each with its extra delay [s]."""
+        """Return the pieces in which a message arrives, each with its extra delay [s]."""
         if not self.active:
             return [(0.0, data)]
         if self._happens("drop", self.drop):
@@ -69,11 +69,11 @@ class Faults:
         return pieces
 
     def lost(self) -> bool:
-        """Whether a CAN frame is lost: dropped, or corrupted, which the controllers drop."""
+        """Return whether a CAN frame is lost: CAN controllers drop corrupted frames, too."""
         return self._happens("drop", self.drop) or self._happens("corrupt", self.corrupt)
 
     def copies(self) -> list[float]:
-        """Return the delays of the copies in which a CAN frame arrives [s]."""
+        """Return the extra delay of each copy of a CAN frame that arrives [s]."""
         if self.lost():
             return []
         late = self.delay_time if self._happens("delay", self.delay) else 0.0
@@ -89,5 +89,5 @@ class Faults:
         changed = bytearray(data)
         for _ in range(self._random.randint(1, 3)):
             changed[self._random.randrange(len(changed))] ^= 1 << self._random.randrange(8)
-        # Two flips of the same bit cancel out: "corrupt" must change something.
+        # Two flips of the same bit cancel out, but "corrupt" must change the message.
         return bytes(changed) if bytes(changed) != data else bytes([data[0] ^ 1]) + data[1:]

@@ -13,44 +13,45 @@ from rtee.buses.faults import Faults
 from rtee.buses.timing import wire_time
 
 _STANDARD_BITS, _EXTENDED_BITS = 47, 67
-"""Bits of a frame beside its data, the pause between frames included (ISO 11898-1)."""
+"""Bits of a standard and an extended frame without data, but with the pause between frames (ISO
+11898-1)."""
 
 _STUFFING = 1.1
-"""Bits sent per bit of a frame, as stuffing makes of usual data; at worst it is 1.2."""
+"""Bits on the wire per bit of a frame, due to bit stuffing of usual data; the worst case is 1.2."""
 
 M = TypeVar("M", bytes, CanFrame)
 
 
 class _Schedule(ABC, Generic[M]):
-    """Messages under way between a host and emulated devices, in the order of their arrival."""
+    """Messages in transit between a host and emulated devices, in the order of their arrival."""
 
     def __init__(self, emulators: Sequence[Emulator], faults: Faults | None) -> None:
         self.emulators = list(emulators)
         self.faults = faults or Faults()
         self.busy = 0.0
-        # Breaks ties in the heap: equal times keep their order, and messages are never compared.
+        # Breaks ties in the heap: messages with equal times keep their order and are not compared.
         self._number = itertools.count()
         self._events: list[tuple[float, int, bool, M]] = []
         self._stepped = 0.0
 
     @abstractmethod
     def _arrive(self, message: M, when: float) -> None:
-        """Let the devices receive a message of the host."""
+        """Pass a message of the host to the devices."""
 
     @abstractmethod
     def _sent_unasked(self, emulator: Emulator, now: float) -> list[M]:
-        """Return what a device sends by itself."""
+        """Return the messages that a device sends by itself."""
 
     @abstractmethod
     def _answer(self, emulator: Emulator, messages: Sequence[M], when: float) -> None:
-        """Put what a device sends on the wire."""
+        """Put messages of a device on the wire."""
 
     def step(self, now: float) -> list[M]:
-        """Let time pass up to ``now``; return what has reached the host."""
+        """Simulate up to ``now`` and return the messages that have reached the host."""
         out: list[M] = []
         while self._events and self._events[0][0] <= now:
             when, _, inward, message = heapq.heappop(self._events)
-            # It may put answers into the heap that are due by now, too: the loop finds them.
+            # Answers that are due by now, too, are put into the heap and found by this loop.
             if inward:
                 self._arrive(message, when)
             else:
@@ -63,7 +64,7 @@ class _Schedule(ABC, Generic[M]):
         return out
 
     def next_due(self) -> float | None:
-        """Return when `step` is to be called next, or ``None``: only when a message comes."""
+        """Return when to call `step` next, or ``None`` if not before a message is received."""
         due = [self._events[0][0]] if self._events else []
         period = self._period
         if period:
@@ -81,21 +82,23 @@ class _Schedule(ABC, Generic[M]):
 class Wire(_Schedule[bytes]):
     """A line between a host and one or more emulated devices.
 
-    A pty is infinitely fast; here a message occupies the line for as long as its bytes would, and
-    the device answers after its turn-around. On a half-duplex line two messages never overlap; on
-    a full-duplex one the host's and the devices' pass each other.
+    A pty is infinitely fast; here a message occupies the line for the time that its bytes take, and
+    the device answers after its turn-around time. On a half-duplex line messages never overlap; on
+    a full-duplex one both directions are independent.
 
     Attributes:
-        emulators: The devices on the line; each receives everything.
-        timed: Whether bytes and the devices' turn-around take their time.
-        baudrate: Bits per second; ``None`` takes no time (a network).
-        spoken: Rate at which the host sends [baud]; devices of another one then receive nothing.
+        emulators: The devices on the line; each receives all bytes.
+        timed: Whether bytes and the turn-around of the devices take time.
+        baudrate: Bit rate [bit/s]; ``None``: bytes take no time (a network).
+        spoken: Bit rate at which the host sends [bit/s]; devices with another one receive nothing.
+            ``None``: all devices receive.
         bits: Bits on the line per byte.
-        faults: What goes wrong.
-        bytes_in: Bytes that came from the host.
-        bytes_out: Bytes that went to the host.
-        busy: Time during which a message or a device's turn-around was under way so far [s]. With
-            the silence that the host keeps, no program that waits for each answer needs less.
+        faults: Faults of the line.
+        bytes_in: Number of bytes from the host.
+        bytes_out: Number of bytes to the host.
+        busy: Total time so far in which a message or a turn-around was in progress [s]. Together
+            with the silence that the host keeps, this is the least time that a program needs that
+            waits for each answer.
     """
 
     def __init__(
@@ -112,11 +115,11 @@ class Wire(_Schedule[bytes]):
 
         Args:
             emulators: The devices on it.
-            baudrate: Bits per second; ``None`` takes no time (a network).
+            baudrate: Bit rate [bit/s]; ``None``: bytes take no time (a network).
             bits: Bits on the line per byte.
-            faults: What goes wrong.
-            timed: Whether bytes and the devices' turn-around take their time.
-            duplex: Its duplex; by default that of the devices on it.
+            faults: Faults of the line.
+            timed: Whether bytes and the turn-around of the devices take time.
+            duplex: Half or full duplex; by default that of the devices.
         """
         super().__init__(emulators, faults)
         self.timed = timed
@@ -132,17 +135,17 @@ class Wire(_Schedule[bytes]):
 
     @property
     def duplex(self) -> Duplex:
-        """Whether both directions can be used at once; half where one of the devices needs it."""
+        """Full if both directions can be used at once; half if any device needs that."""
         if self._duplex is not None:
             return self._duplex
         full = self.emulators and all(e.duplex is Duplex.FULL for e in self.emulators)
         return Duplex.FULL if full else Duplex.HALF
 
     def receive(self, data: bytes, now: float) -> None:
-        """Put bytes of the host on the line; the devices receive them with the last one."""
+        """Put bytes of the host on the line; the devices receive them when the last has passed."""
         self.bytes_in += len(data)
         start = max(now, self._inward)
-        # Messages queue up: one begins when the one before has left the wire.
+        # Messages queue up: each begins when the previous one has left the wire.
         end = self._inward = start + wire_time(len(data), self.baudrate, self.bits)
         if self.duplex is Duplex.HALF:
             self._outward = end
@@ -152,13 +155,13 @@ class Wire(_Schedule[bytes]):
             self._put(end + late, True, piece)
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass up to ``now``; return what has reached the host."""
+        """Simulate up to ``now`` and return the messages that have reached the host."""
         out = super().step(now)
         self.bytes_out += sum(len(data) for data in out)
         return out
 
     def reset(self) -> None:
-        """Forget everything that is under way: the line was cut."""
+        """Discard all messages in transit: the line was cut."""
         self._events.clear()
         self._inward = self._outward = 0.0
         for emulator in self.emulators:
@@ -166,7 +169,7 @@ class Wire(_Schedule[bytes]):
 
     def _arrive(self, message: bytes, when: float) -> None:
         for emulator in self.emulators:
-            # At another rate a real UART would see framing errors, and nothing that makes sense.
+            # With another bit rate, a real UART would receive only framing errors and garbage.
             if self.spoken is None or self.spoken == emulator.baudrate:
                 self._answer(emulator, emulator.feed(message, when), when)
 
@@ -176,7 +179,7 @@ class Wire(_Schedule[bytes]):
     def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
         turnaround = emulator.turnaround if self.timed else 0.0
         for answer in messages:
-            # The turn-around counts as busy as well: no host can use it.
+            # The turn-around counts as busy, since the host cannot use that time.
             since = max(when, self._outward)
             start = max(when + turnaround, self._outward)
             end = self._outward = start + wire_time(len(answer), self.baudrate, self.bits)
@@ -187,7 +190,7 @@ class Wire(_Schedule[bytes]):
                 self._put(end + late, False, piece)
 
     def _count(self, start: float, end: float) -> None:
-        """Count a time as busy, as far as it is not counted yet."""
+        """Count an interval as busy, except for the part that is already counted."""
         self.busy += max(0.0, end - max(start, self._counted))
         self._counted = max(self._counted, end)
 
@@ -197,9 +200,9 @@ class CanWire(_Schedule[CanFrame]):
 
     Attributes:
         emulators: The nodes; each receives every frame of the host.
-        bitrate: Bits per second; ``None`` takes no time.
-        busy: Time that frames and the nodes' turn-around have taken so far [s].
-        faults: What goes wrong; a corrupted frame is a lost one, as the controllers drop it.
+        bitrate: Bit rate [bit/s]; ``None``: frames take no time.
+        busy: Total time of frames and of the turn-around of the nodes so far [s].
+        faults: Faults of the bus; a corrupted frame is lost, since CAN controllers discard it.
     """
 
     def __init__(
@@ -222,7 +225,7 @@ class CanWire(_Schedule[CanFrame]):
             self._put(self._free + late, True, frame)
 
     def reset(self) -> None:
-        """Forget everything that is under way."""
+        """Discard all frames in transit."""
         self._events.clear()
         self._free = 0.0
 
@@ -244,7 +247,7 @@ class CanWire(_Schedule[CanFrame]):
 
 
 def frame_time(frame: CanFrame, bitrate: float | None) -> float:
-    """Return how long a frame occupies the bus [s]; 0 where there is no bit rate."""
+    """Return how long a frame occupies the bus [s]; 0 without a bit rate."""
     if not bitrate:
         return 0.0
     bits = (_EXTENDED_BITS if frame.extended else _STANDARD_BITS) + 8 * len(frame.data)

@@ -1,6 +1,6 @@
 """Opening a byte link: a tty, ``socket://host:port``, ``tcp://host:port`` or ``rfc2217://host:port``.
 
-The result is always an asyncio transport, so that the layers above see no difference.
+The result is always an asyncio transport, so the layers above need not distinguish them.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ import serial_asyncio
 from rtee.errors import BusBroken, BusBusy, BusError, ConfigError
 
 _PIECE = 4096
-"""Bytes read at a time; the kernel buffers as many of a tty."""
+"""Most bytes to read at once, the size of the kernel's buffer of a tty [byte]."""
 
 _POLL = 0.05
-"""Longest wait of the reading thread before it checks whether it has to end [s]: closing a port
-must not be felt."""
+"""Interval at which the reading thread checks whether it has to end [s]: short enough that closing
+a port causes no noticeable delay."""
 
 _SCHEMES = ("socket", "tcp", "rfc2217", "loop", "spy", "hwgrep", "alt")
-"""What can stand before ``://``: the first two are opened here, the others by pyserial."""
+"""Schemes of addresses: the first two are opened here, the others by pyserial."""
 
 LinkProtocol = Callable[[], asyncio.Protocol]
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """How a serial line is set.
+    """Settings of a serial line with eight data bits.
 
     Attributes:
-        baudrate: Bits per second.
+        baudrate: Bit rate [bit/s].
         parity: ``N``, ``E`` or ``O``.
         stopbits: 1 or 2.
     """
@@ -52,7 +52,7 @@ class Line:
 
     @property
     def bits(self) -> int:
-        """Bits on the line for one byte: start, eight data, parity, stop."""
+        """Bits on the line per byte: start, eight data, parity and stop bits."""
         return 9 + (self.parity != "N") + self.stopbits
 
 
@@ -60,7 +60,7 @@ def split_address(url: str, default_port: int | None = None) -> tuple[str, int]:
     """Return host and port of a ``scheme://host[:port]`` address.
 
     Raises:
-        ConfigError: if it is not of that form.
+        ConfigError: if it has another form.
     """
     _, _, rest = url.partition("://")
     host, colon, port = rest.partition("/")[0].rpartition(":")
@@ -81,13 +81,13 @@ async def open_link(
 
     Args:
         url: A tty, ``socket://``, ``tcp://`` (the same) or ``rfc2217://`` address.
-        line: How the line is set; without meaning for plain sockets.
-        protocol: Makes the asyncio protocol that the bytes go to.
+        line: Settings of the line; plain sockets ignore them.
+        protocol: Makes the asyncio protocol that receives the bytes.
         timeout: Longest time to wait for a connection [s].
-        name: The address to name in errors, where it differs.
+        name: The address for error messages; by default ``url``.
 
     Raises:
-        BusBusy: if another process holds the port.
+        BusBusy: if another process has the port open.
         BusBroken: if it cannot be opened.
         ConfigError: if the address is malformed.
     """
@@ -118,14 +118,14 @@ async def open_link(
 
 
 async def _opened(url: str, line: Line, timeout: float) -> Any:
-    """Open a pyserial port in a thread; nothing stays open when the wait is cancelled."""
+    """Open a pyserial port in a thread; it does not stay open if the wait is cancelled."""
     loop = asyncio.get_running_loop()
     opening = loop.run_in_executor(None, _open_port, url, line)
     try:
         async with asyncio.timeout(timeout):
             return await asyncio.shield(opening)
     except BaseException:
-        # The thread cannot be interrupted: what it opens later must not stay open.
+        # The thread cannot be interrupted, so a port that it opens later is closed then.
         opening.add_done_callback(_close_unwanted)
         raise
 
@@ -146,24 +146,24 @@ def _open_port(url: str, line: Line) -> Any:
         timeout=0,
     )
     if "://" not in url:
-        # TIOCEXCL: two masters on one line would destroy each other's answers.
+        # TIOCEXCL: two masters on the same line would garble each other's answers.
         port.exclusive = True
     try:
         port.open()
     except termios.error as error:
-        # termios.error is not an OSError, and has the same arguments.
+        # termios.error is not an OSError, but has the same arguments.
         raise OSError(*error.args) from error
     if hasattr(port, "set_low_latency_mode"):
-        # Sets the latency timer of FTDI adapters to 1 ms; other ports refuse.
+        # Sets the latency timer of FTDI adapters to 1 ms; other adapters raise an error.
         with contextlib.suppress(Exception):
             port.set_low_latency_mode(True)
     return port
 
 
 def explained(name: str, error: OSError | ValueError) -> BusError:
-    """Return the error of opening a port as a sentence with a hint."""
+    """Return the `BusError` for an error of opening a port, with a hint for the user."""
     code, cause = getattr(error, "errno", None), error.__context__
-    if code is None and isinstance(cause, termios.error):  # pyserial's error has only a text
+    if code is None and isinstance(cause, termios.error):  # pyserial's error has no errno then
         code = cause.args[0]
     if code in (errno.EAGAIN, errno.EBUSY):
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
@@ -193,14 +193,14 @@ async def ended(transport: asyncio.Transport) -> None:
 
 
 class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
-    """pyserial-asyncio's transport: quiet when the adapter vanishes, and direct.
+    """pyserial-asyncio's transport with less latency, and without log entries for lost adapters.
 
-    It writes at once instead of at the next turn of the event loop, and reads by one system call.
-    The port is closed in a thread: the kernel may need some time for that, above all when the
-    adapter is gone, and other devices' exchanges must not wait for it.
+    It writes at once instead of in the next iteration of the event loop, and reads by one system
+    call. It closes the port in a thread, since closing may take the kernel some time, in particular
+    after the adapter was unplugged, and must not delay exchanges with other devices.
 
     Attributes:
-        given_back: Done when the port is closed, so that it can be opened again.
+        given_back: Done when the port is closed and can be opened again.
     """
 
     _serial: Any
@@ -213,12 +213,12 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
         super().__init__(loop, protocol, port)
 
     def write(self, data: bytes | bytearray | memoryview[Any]) -> None:
-        """Write now what the port accepts; the rest when it accepts more."""
+        """Write as many bytes as the port accepts now, and the rest later."""
         if self._closing:
             return
         if not self._write_buffer:
             try:
-                # At once: pyserial-asyncio waits for the next turn of the event loop, which takes
+                # pyserial-asyncio would wait for the next iteration of the event loop, which takes
                 # longer than the bytes of a request.
                 data = data[os.write(self._serial.fd, data) :]
             except (BlockingIOError, InterruptedError):
@@ -230,10 +230,10 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             super().write(bytes(data))
 
     def read_now(self) -> None:
-        """Pass on what the port has received, without waiting for the event loop."""
+        """Pass received bytes to the protocol without waiting for the event loop."""
         if self._serial is None or self._closing:
             return
-        with contextlib.suppress(OSError):  # writing to a port that vanished reports it
+        with contextlib.suppress(OSError):  # the next write to a port that vanished reports it
             if self._serial.in_waiting:
                 self._read_ready()
 
@@ -247,11 +247,11 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
             return
         if data:
             self._protocol.data_received(data)
-        elif self._hung_up():  # else `read_now` was faster
+        elif self._hung_up():  # else `read_now` has already read the bytes
             self._close(exc=OSError("the port vanished"))
 
     def _hung_up(self) -> bool:
-        # Without events to wait for, poll reports a hang-up or an error only.
+        # With an empty event mask, poll reports only a hang-up or an error.
         poll = select.poll()
         poll.register(self._serial.fd, 0)
         return bool(poll.poll(0))
@@ -261,7 +261,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
 
     def _call_connection_lost(self, exc: Exception | None) -> None:
         port, self._serial = self._serial, None
-        if port is None:  # closed and aborted
+        if port is None:  # already called
             return
         self._write_buffer.clear()
         try:
@@ -273,7 +273,7 @@ class SerialTransport(serial_asyncio.SerialTransport):  # type: ignore[misc]
 
 
 def _close(port: Any) -> None:
-    # Closing drains the port, which may take long on a dead line, so the output is dropped first.
+    # Closing waits for the output to be sent, maybe long on a dead line, so it is discarded first.
     with contextlib.suppress(Exception):
         port.reset_output_buffer()
     with contextlib.suppress(Exception):
@@ -281,7 +281,7 @@ def _close(port: Any) -> None:
 
 
 class ThreadTransport(asyncio.Transport):
-    """A pyserial port without a file descriptor (``rfc2217://``), read by a thread."""
+    """A transport for pyserial ports without a file descriptor (``rfc2217://``), with threads."""
 
     def __init__(
         self, loop: asyncio.AbstractEventLoop, protocol: asyncio.Protocol, port: Any
@@ -292,10 +292,11 @@ class ThreadTransport(asyncio.Transport):
         self._port = port
         self._closing = False
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="serial-write")
-        # pyserial's RFC 2217 port cannot be interrupted: it wakes up to see whether it has to end.
+        # A read of pyserial's RFC 2217 port cannot be interrupted, so the thread reads with a
+        # timeout.
         port.timeout = _POLL
         self._reader = threading.Thread(target=self._read, name="serial-read", daemon=True)
-        # As the transports of asyncio: after the constructor has returned.
+        # After the constructor has returned, as in the transports of asyncio.
         loop.call_soon(protocol.connection_made, self)
         self._reader.start()
 
@@ -309,11 +310,11 @@ class ThreadTransport(asyncio.Transport):
         self._finish(None)
 
     def abort(self) -> None:
-        """Close without waiting for anything."""
+        """Close at once, as `close` does, too."""
         self._finish(None)
 
     def is_closing(self) -> bool:
-        """Whether it is closed or about to be."""
+        """Return whether the transport is closed or closing."""
         return self._closing
 
     def _write(self, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Modbus on the line of any serial device: pymodbus's PDUs and framers, RTU or TCP."""
+"""Modbus RTU and TCP on a `SerialBus`, with pymodbus's PDUs and framers."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ EXCEPTIONS = {
     10: "gateway path unavailable",
     11: "gateway target device failed to respond",
 }
-"""The exception codes by their names in the Modbus application protocol V1.1b3, section 7."""
+"""Names of the exception codes (Modbus application protocol V1.1b3, section 7)."""
 
 
 class ModbusRefusal(BusError):
     """The device answered with a Modbus exception.
 
     Attributes:
-        function: The function it refused.
-        code: The exception's code; see `EXCEPTIONS`.
+        function: Code of the refused function.
+        code: Exception code; see `EXCEPTIONS`.
     """
 
     def __init__(self, bus: str, function: int, code: int) -> None:
@@ -51,19 +51,19 @@ class ModbusRefusal(BusError):
 class ModbusBus(SerialBus):
     """A Modbus line or connection with one master and any number of slaves.
 
-    ``tcp://host[:502]`` speaks Modbus TCP; everything else speaks RTU, also through a socket.
+    An address ``tcp://host[:502]`` means Modbus TCP; any other means RTU, also through a socket.
     Transport, deadlines, retries and trace are those of `SerialBus`; pymodbus encodes and frames
     the requests and decodes the answers.
 
-    An RTU answer does not name the request it belongs to. So a request goes out only when the line
-    has been silent for the gap, everything received until then is discarded, and an answer
-    counts only if unit, function and length (or, of a write, address and number of
-    registers) are those of the request. One case remains: the late answer to an equal request that
-    was abandoned or sent again, arriving while the next one waits. On TCP the transaction number,
-    which differs in each attempt, excludes this case, too.
+    An RTU answer does not identify its request. So a request is sent only after the line was silent
+    for the gap, bytes received until then are discarded, and an answer is accepted only if unit,
+    function and length (for a write, address and number of registers) match the request. One case
+    remains: the late answer to an equal request that was abandoned or sent again, arriving while
+    the next one waits. With TCP, the transaction number, which differs in each attempt, excludes
+    this case, too.
 
     Attributes:
-        rtu: Whether it speaks RTU.
+        rtu: Whether the frames are RTU frames; else TCP frames.
     """
 
     def __init__(
@@ -79,14 +79,14 @@ class ModbusBus(SerialBus):
 
         Args:
             name: The address as configured.
-            line: How the line is set.
-            address: Returns where to connect to, if not to ``name``.
-            gap: Silence kept before a request [s]; by default what the baud rate asks for.
-            behind: By how much the number of an answer's transaction may be smaller than that of
-                its request (TCP), for devices that count wrongly.
+            line: Settings of the line.
+            address: Returns the address to connect to; by default ``name``.
+            gap: Silence kept before a request [s]; by default 3.5 characters, see `silence`.
+            behind: How much smaller the transaction number of an answer may be than that of its
+                request (TCP), for devices that count wrongly.
         """
         self.rtu = not name.startswith("tcp://")
-        # Frames of RTU are told apart by silence alone; TCP frames have a length.
+        # Only silence separates RTU frames; TCP frames contain their length.
         usual = silence(line.baudrate, line.bits) if self.rtu else 0.0
         super().__init__(
             name, line, address=address, gap=usual if gap is None else gap, fresh=self.rtu
@@ -112,14 +112,14 @@ class ModbusBus(SerialBus):
             unit: The slave.
             address: First register.
             count: Number of registers.
-            deadline: Longest time, retries included [s].
-            retries: How often it may be asked again within that time.
+            deadline: Longest time, including retries [s].
+            retries: How often the request may be sent again within that time.
             function: 3 (holding registers) or 4 (input registers).
 
         Raises:
-            BusTimeout: if no answer came in time.
-            FrameError: if only garbage came.
-            ModbusRefusal: if the device refused.
+            BusTimeout: if no byte came in time.
+            FrameError: if bytes came in time, but no valid frame.
+            ModbusRefusal: if the device answered with a Modbus exception.
             BusBroken: if the link is broken.
             BusClosed: if the bus is closed.
         """
@@ -158,11 +158,11 @@ class ModbusBus(SerialBus):
         Args:
             sent: Bytes of the request's PDU.
             received: Bytes of the answer's PDU.
-            turnaround: What the device needs beyond the silence that ends the request [s].
+            turnaround: Time that the device needs after the silence that ends the request [s].
         """
         if not self.rtu:
             return turnaround
-        # Each of the two frames adds a unit number and a checksum of two bytes to its PDU.
+        # Each of the two frames consists of a unit number, its PDU and a checksum of two bytes.
         length = sent + received + 6
         return wire_time(length, self.line.baudrate, self.line.bits) + 2 * self.gap + turnaround
 
@@ -173,14 +173,14 @@ class ModbusBus(SerialBus):
 
         Args:
             request: The request.
-            head: What follows the function in its answer, except for the registers.
-            deadline: Longest time, retries included [s].
-            retries: How often it may be sent again within that time.
+            head: Bytes between the function and the registers of its answer.
+            deadline: Longest time, including retries [s].
+            retries: How often the request may be sent again within that time.
         """
         parser = AnswerParser(self._framer, request, head, self._behind)
 
         def numbered() -> bytes:
-            # 1 to 65535, as the header has two bytes; another one in each attempt.
+            # 1 to 65535, since the header has two bytes for it; another number in each attempt.
             self._number = self._number % 0xFFFF + 1
             return parser.request(self._number)
 

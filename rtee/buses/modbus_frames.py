@@ -1,7 +1,7 @@
 """Modbus frames, sans-I/O: the answers a master waits for and the requests a slave receives.
 
-The master's side is pymodbus's. The slave's side, which emulated devices use, is written apart from
-it, so that the two can be tested against each other; they share the checksum alone.
+The master's side uses pymodbus. The slave's side, for emulated devices, is independent of pymodbus
+except for the checksum, so that both sides can be tested against each other.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
 from pymodbus.pdu import ModbusPDU
 
 _MOST = 260
-"""Longest frame [byte]: a PDU of 253 and the 7 of the TCP header."""
+"""Longest frame [byte]: a TCP header of 7 bytes and a PDU of 253."""
 
 READ_HOLDING = 0x03  # function codes (Modbus application protocol 1.1b3, section 6)
 READ_INPUT = 0x04
@@ -36,16 +36,16 @@ def rtu_frame(unit: int, pdu: bytes) -> bytes:
 class AnswerParser:
     """Finds the answer to one request in the bytes of a line or connection.
 
-    pymodbus's framers expect a frame at the beginning of what they are given, and wait for the rest
-    of whatever looks like one. So they are given only what begins as the answer to this request,
-    or its exception, has to begin: garbage before it costs nothing, nor does another answer.
+    pymodbus's framers expect a frame at the beginning of their input, and wait for the rest of
+    anything that looks like one. So they only get bytes that begin like the answer to this request
+    or like its exception; garbage and other answers before these bytes do no harm.
 
     Args:
-        framer: Frames requests and cuts answers out, for RTU or TCP.
+        framer: pymodbus's framer for RTU or TCP.
         request: The request.
-        head: What follows the function in its answer, before the registers: the number of bytes,
-            or, of a write, its address and number of registers.
-        behind: By how much the number of an answer's transaction may be smaller than that of the
+        head: Bytes between the function and the registers of its answer: the number of bytes, or,
+            for a write, its address and number of registers.
+        behind: How much smaller the transaction number of an answer may be than that of its
             request, for devices that count wrongly.
     """
 
@@ -56,9 +56,10 @@ class AnswerParser:
         self._behind = behind
         self._request = request
         function = bytes([request.function_code])
-        # A write is answered by its address and number; a read by a number of bytes, then these.
+        # The PDU of an answer is function, address and number of registers for a write, or
+        # function, number of bytes and these bytes for a read.
         size = 5 if request.function_code == WRITE_MANY else 2 + head[0]
-        # An exception repeats the function with its highest bit set, and adds a code.
+        # An exception consists of the function with its highest bit set, and a code.
         self._pdus = ((function + head, size), (bytes([request.function_code | 0x80]), 2))
         self._openings: tuple[bytes, ...] = ()
         self._failed = 0
@@ -66,27 +67,27 @@ class AnswerParser:
 
     @property
     def errors(self) -> int:
-        """Attempts that brought bytes, but no answer."""
+        """Number of attempts that received bytes, but no answer."""
         return self._failed + bool(self._buffer)
 
     def reset(self) -> None:
-        """Forget what has come in."""
+        """Discard the bytes received so far."""
         self._failed = self.errors
         self._buffer = b""
 
     def request(self, number: int) -> bytes:
-        """Return the frame of the request; only an answer to this one is found from now on.
+        """Return the frame of the request; from now on, only an answer to this frame is found.
 
         Args:
-            number: The transaction's number, which only TCP frames carry.
+            number: Transaction number; only TCP frames contain it.
         """
         self._request.transaction_id = number
         unit = self._request.dev_id
         if isinstance(self._framer, FramerSocket):
             self._openings = tuple(
-                # The MBAP header: transaction, protocol 0, length of what follows, unit.
-                struct.pack(">HHHB", told, 0, size + 1, unit) + pdu
-                for told in range(number, max(number - self._behind, 0) - 1, -1)
+                # MBAP header: transaction number, protocol 0, length of the rest, unit.
+                struct.pack(">HHHB", transaction, 0, size + 1, unit) + pdu
+                for transaction in range(number, max(number - self._behind, 0) - 1, -1)
                 for pdu, size in self._pdus
             )
         else:
@@ -104,7 +105,7 @@ class AnswerParser:
                 if answer is not None:
                     self._buffer = b""
                     return [answer]
-                # Looked like an answer, but was not one: the real one may begin inside.
+                # It only looked like an answer; the real one may begin inside it.
                 start = self._buffer.find(opening, start + 1)
         self._buffer = self._buffer[-_MOST:]
         return []
@@ -112,12 +113,12 @@ class AnswerParser:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a slave receives.
+    """A request to a slave.
 
     Attributes:
-        unit: The slave that is asked.
+        unit: Unit number of the slave; 0 for a broadcast.
         pdu: Function code and data.
-        header: What the answer must repeat of a TCP header; empty for RTU.
+        header: The bytes of the TCP header that the answer repeats; empty for RTU.
     """
 
     unit: int
@@ -125,18 +126,18 @@ class Request:
     header: bytes = b""
 
     def answer(self, pdu: bytes) -> bytes:
-        """Return the frame that carries an answer to this request."""
+        """Return the frame that answers this request with a PDU."""
         if not self.header:
             return rtu_frame(self.unit, pdu)
         return self.header + (len(pdu) + 1).to_bytes(2, "big") + bytes([self.unit]) + pdu
 
 
 class RtuRequests:
-    """Cuts the requests to one slave out of a line's bytes; frames for others are skipped.
+    """Finds the requests to one slave in the bytes of a line; frames for others are skipped.
 
     Attributes:
-        unit: The slave; broadcasts (0) are obeyed, but not answered.
-        errors: Bytes skipped because they belong to no frame of this slave.
+        unit: Unit number of the slave; broadcasts (0) are found, too.
+        errors: Number of skipped bytes that belong to no frame of this slave.
     """
 
     def __init__(self, unit: int) -> None:
@@ -190,13 +191,13 @@ def _request_size(data: bytes, start: int) -> int:
 
 
 class TcpRequests:
-    """Cuts requests out of the bytes of a Modbus TCP connection.
+    """Finds requests in the bytes of a Modbus TCP connection.
 
-    A frame carries no checksum, so its length has to fit its function, and a whole request at the
-    beginning of a piece of data ends an incomplete one before it: garbage costs no good frame.
+    TCP frames have no checksum. So that garbage does not hide a good frame, the length of a frame
+    must fit its function, and data that is exactly one request discards an incomplete one before.
 
     Attributes:
-        errors: Bytes skipped because they belong to no frame.
+        errors: Number of skipped bytes that belong to no frame.
     """
 
     def __init__(self) -> None:
@@ -235,7 +236,10 @@ class TcpRequests:
 
 
 def _network_size(data: bytes) -> int:
-    """Return the length of the TCP request that begins so: 0 if none does, -1 if too few bytes."""
+    """Return the length of the TCP request at the start of ``data``.
+
+    0 if ``data`` cannot be the start of a request, -1 if it is too short to decide.
+    """
     if len(data) < 8:
         return -1
     size, function = _length(data), data[7]

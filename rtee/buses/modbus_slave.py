@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
-from typing import ClassVar, Literal
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, ClassVar, Literal
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.modbus_frames import (
@@ -49,6 +49,7 @@ class ModbusEmulator(Emulator):
     Attributes:
         FUNCTIONS: Function codes that it knows, unless others are given.
         EXCEPTIONS: Whether it refuses by an exception; else it stays silent.
+        PORT: Address of a driver whose options name none.
         unit: Its number on the line.
         any_unit: Whether it answers to any number, as many devices do on TCP.
         requests: Requests received, newest last, for tests.
@@ -58,6 +59,7 @@ class ModbusEmulator(Emulator):
         {READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY, READ_WRITE}
     )
     EXCEPTIONS: ClassVar[bool] = False
+    PORT: ClassVar[str] = ""
 
     def __init__(
         self,
@@ -84,6 +86,12 @@ class ModbusEmulator(Emulator):
     @abstractmethod
     def write(self, address: int, values: Sequence[int], now: float) -> None:
         """Set registers; raises `Refused`."""
+
+    @classmethod
+    def _fitting(cls, options: Mapping[str, Any], *names: str) -> dict[str, Any]:
+        """Return the properties that follow from a driver's options: ``names`` and the framing."""
+        tcp = str(options.get("port") or cls.PORT).startswith("tcp://")
+        return {**cls._given(options, *names), "framing": "tcp" if tcp else "rtu"}
 
     @abstractmethod
     def advance(self, now: float) -> None:

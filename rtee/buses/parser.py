@@ -9,15 +9,14 @@ F = TypeVar("F")
 
 
 class Parser(Protocol[F]):
-    """Cuts a stream of bytes into frames; does no I/O and never raises, whatever the bytes.
+    """Finds frames in a stream of bytes; does no I/O and never raises, whatever the bytes.
 
-    Its buffer is bounded by the longest frame of its protocol, and after garbage it finds the next
-    good frame without losing it.
+    The longest frame of the protocol limits its buffer. After garbage, no good frame is lost.
     """
 
     @property
     def errors(self) -> int:
-        """Frames with a wrong checksum or a wrong shape seen so far."""
+        """Number of frames with a wrong checksum or format so far."""
         ...
 
     def feed(self, data: bytes) -> list[F]:
@@ -32,16 +31,16 @@ class Parser(Protocol[F]):
 class FramedParser(ABC, Generic[F]):
     """Finds frames that begin with a header and contain their length.
 
-    A bad frame costs no other.
+    A bad frame does not hide a good one.
 
     Attributes:
         HEADER: The first bytes of every frame.
-        HEAD: Bytes that contain the length.
+        HEAD: Number of bytes from which the length can be read.
         PIECE: Most bytes examined at once: the longest frame.
         LIMIT: Most bytes kept.
-        INSIDE: Shortest frame looked for inside one that is incomplete; shorter ones are too easily
-            produced by chance.
-        errors: Frames dropped for a bad length, content or checksum.
+        INSIDE: Shortest frame to look for inside an incomplete one; shorter ones occur too often by
+            chance.
+        errors: Number of frames dropped for a bad length, content or checksum.
     """
 
     HEADER: ClassVar[bytes]
@@ -56,19 +55,19 @@ class FramedParser(ABC, Generic[F]):
 
     @abstractmethod
     def _length(self, at: int) -> int:
-        """Return the length according to the header at ``at``; 0 if no frame is so long."""
+        """Return the frame's length according to the header at ``at``; 0 if it is impossible."""
 
     @abstractmethod
     def _decode(self, raw: bytes) -> F:
-        """Return the frame that ``raw`` is; raises `ValueError`."""
+        """Decode the bytes of a whole frame; raises `ValueError`."""
 
     @property
     def pending(self) -> int:
-        """Bytes kept because a frame may still be completed."""
+        """Number of bytes kept of an incomplete frame."""
         return len(self._buffer)
 
     def reset(self) -> None:
-        """Forget what has come in."""
+        """Discard the bytes of an incomplete frame."""
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[F]:
@@ -85,8 +84,8 @@ class FramedParser(ABC, Generic[F]):
         return frames
 
     def _only(self, data: bytes) -> F | None:
-        """Return the frame that ``data`` is, whole and nothing else, as most answers are."""
-        # `_length` reads the buffer; this is emptied again at once.
+        """Return the frame if ``data`` is exactly one, as most answers are; else ``None``."""
+        # Put into the buffer only since `_length` reads it there.
         self._buffer += data
         length = self._length(0) if len(data) >= self.HEAD else 0
         self._buffer.clear()
@@ -121,7 +120,7 @@ class FramedParser(ABC, Generic[F]):
             frame = self._tried(0, length)
             if frame is None:
                 self.errors += 1
-                # One byte, not the whole frame: a good one may begin inside a bad one.
+                # Only one byte instead of the frame, since a good one may begin inside a bad one.
                 del buffer[:1]
             else:
                 frames.append(frame)
@@ -136,9 +135,9 @@ class FramedParser(ABC, Generic[F]):
             return None
 
     def _inside(self) -> int:
-        """Return where a whole frame begins inside one that is incomplete, or 0.
+        """Return the offset of a whole frame inside an incomplete one, or 0.
 
-        A header found in noise announces bytes that never come; the frame after it must not wait.
+        A header in noise announces bytes that never come, and must not delay the frame after it.
         """
         buffer = self._buffer
         start = buffer.find(self.HEADER, 1)

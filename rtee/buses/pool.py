@@ -1,4 +1,4 @@
-"""The buses of one process: shared by address, counted by owner."""
+"""The buses of a process: devices with the same address share one, until the last detaches."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ C = TypeVar("C", bound="CanBus")
 
 
 class BusPool:
-    """Provides buses; devices that name the same address share one.
+    """Provides buses; devices with the same address share one.
 
-    A driver whose device is emulated passes the factory of its emulator; the pool then plays it on
-    a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to that instead
-    of to the address. The emulated device lives as long as the pool, as a real one outlives its
-    connection. Emulated lines, channels, networks and servers belong to one hand each, even where
-    the configurations of several name the same address; the devices of one hand share them.
+    For an emulated device, the driver passes the factory of its emulator. The pool then runs the
+    emulator on a real transport (a pty, a TCP port, a virtual CAN channel) and connects the bus to
+    that transport instead of the address. The emulated device lives as long as the pool, as a real
+    one outlives its connection. Devices of the same hand share an emulated line, channel, network
+    or server; another hand with the same address in its configuration gets another one.
 
     Attributes:
-        trace: Hook given to every bus made from now on.
+        trace: Trace hook of every bus made from now on.
         wire_time: Whether simulated lines take the time that the bytes would take.
     """
 
@@ -49,7 +49,7 @@ class BusPool:
 
     @property
     def simulations(self) -> Mapping[str, Simulation]:
-        """The simulated ends by the address they stand in for."""
+        """The simulations by the address that they replace."""
         return MappingProxyType(self._ends.simulations)
 
     @property
@@ -58,16 +58,16 @@ class BusPool:
         return tuple(bus for bus, _, _ in self._buses.values() if bus.owners)
 
     def played(self, owner: str) -> Emulator:
-        """Return the emulator that is played for a device; raises `KeyError`."""
+        """Return the emulator of a device; raises `KeyError` if it has none."""
         return self._ends.emulators[owner]
 
     def simulation(self, owner: str) -> Simulation:
-        """Return the simulated wire of an emulated device; raises `KeyError`."""
+        """Return the simulated wire of an emulated device; raises `KeyError` for a real one."""
         emulator = self._ends.emulators[owner]
         return next(s for s in self._ends.simulations.values() if emulator in s.emulators)
 
     def _apart(self, address: str, owner: str, emulator: EmulatorFactory | None) -> str:
-        """Return an address that no emulated device of another hand has."""
+        """Return an address that is not used by the emulated devices of another hand."""
         hand, slash, _ = owner.partition("/")
         if emulator is None or not slash:
             return address
@@ -89,16 +89,16 @@ class BusPool:
 
         Args:
             url: Its address.
-            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
-            baudrate: Bits per second.
+            owner: The device that will use the bus, until ``bus.detach(owner)``.
+            baudrate: Bit rate [bit/s].
             parity: ``N``, ``E`` or ``O``.
             stopbits: 1 or 2.
             gap: Silence to keep before each request [s].
-            fresh: Throw away what came before a request, see `SerialBus`.
-            emulator: Plays the device instead.
+            fresh: Whether to discard bytes received before a request; see `SerialBus`.
+            emulator: Makes the emulator that replaces the device.
 
         Raises:
-            BusBusy: if it is open in another way or by another program.
+            BusBusy: if the line is open with other settings or by another program.
             BusBroken: if it cannot be opened.
             ConfigError: if the address is malformed.
         """
@@ -130,12 +130,12 @@ class BusPool:
         from rtee.buses.modbus import ModbusBus
 
         line = Line(baudrate, parity, stopbits)
-        # An emulated line without wire time has no frames to tell apart by silence.
-        told_apart = emulator is None or self.wire_time
-        usual = None if told_apart else 0.0
+        # On an emulated line without wire time, no silence separates the frames.
+        keep_gap = emulator is None or self.wire_time
+        usual = None if keep_gap else 0.0
         bus = await self._on_line(ModbusBus, url, line, owner, emulator, gap=usual, behind=behind)
-        if told_apart and gap is not None:
-            # Not one of the settings, in which all devices of a line have to agree.
+        if keep_gap and gap is not None:
+            # Set afterwards, since the devices of a line need not agree on the gap.
             bus.gap = max(bus.gap, gap)
         return bus
 
@@ -167,13 +167,13 @@ class BusPool:
 
         Args:
             channel: For example ``can0``.
-            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
+            owner: The device that will use the bus, until ``bus.detach(owner)``.
             interface: Name of a python-can interface.
-            bitrate: Bits per second.
-            emulator: Plays the node instead, on a virtual channel.
+            bitrate: Bit rate [bit/s].
+            emulator: Makes the emulator that replaces the node, on a virtual channel.
 
         Raises:
-            BusBusy: if it is open in another way.
+            BusBusy: if the channel is open with other settings.
             BusBroken: if it cannot be opened.
         """
         from rtee.buses.can import CanBus
@@ -206,13 +206,13 @@ class BusPool:
 
         Args:
             address: ``tcp://host``.
-            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
-            ports: Where it publishes, takes commands, and answers requests.
-            emulator: Plays the server instead, on this machine.
+            owner: The device that will use the bus, until ``bus.detach(owner)``.
+            ports: TCP ports at which it publishes, receives commands and answers requests.
+            emulator: Makes the emulator that replaces the server, on this machine.
 
         Raises:
-            BusBusy: if it is open in another way.
-            BusBroken: if it cannot be opened.
+            BusBusy: if the server is in use with other ports.
+            BusBroken: if the sockets cannot be opened.
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
@@ -231,11 +231,11 @@ class BusPool:
 
         Args:
             interface: For example ``eth1``.
-            owner: The device that asks; it ends its use by ``bus.detach(owner)``.
-            emulator: Plays the slaves instead, at the level of process data.
+            owner: The device that will use the bus, until ``bus.detach(owner)``.
+            emulator: Makes the emulator that replaces the slaves, at the level of process data.
 
         Raises:
-            BusBroken: if it cannot be opened, or no slave answers.
+            BusBroken: if the network cannot be opened, or no slave answers.
             ConfigError: if pysoem is not installed.
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
@@ -267,8 +267,8 @@ class BusPool:
         self, key: str, kind: Callable[..., B], settings: object, owner: str, make: Callable[[], B]
     ) -> B:
         while (entry := self._buses.get(key)) is not None and not entry[0].owners:
-            await entry[0].close()  # its last owner detaches: then its port is free
-            # Another device may have taken the address while this one waited for the closing.
+            await entry[0].close()  # its last owner is detaching; afterwards, the port is free
+            # Another device may have opened the address while this one waited.
             if self._buses.get(key) is entry:
                 del self._buses[key]
         if entry is None:
@@ -288,8 +288,7 @@ class BusPool:
         found.acquire(owner, forget)
         try:
             await found.connect()
-        # A cancellation, too, must not leave an owner behind.
-        except BaseException:
+        except BaseException:  # cancellation included, since no owner must be left behind
             await found.detach(owner)
             raise
         return found
@@ -321,8 +320,8 @@ class BusPool:
         simulation = None
         channel = self._apart(channel, owner, emulator)
         if emulator is not None:
-            # python-can's virtual channels belong to the process: another pool must not hear this
-            # one.
+            # All pools of a process share python-can's virtual channels, so the name must be
+            # unique.
             interface, channel = "virtual", f"emulated-{channel}-{id(self):x}"
             simulation = self._ends.can(channel, owner, bitrate, emulator)
         return await self._acquire(

@@ -11,19 +11,19 @@ from rtee.errors import BusTimeout, FrameError
 T = TypeVar("T")
 
 _PAUSE = 0.01
-"""Time between two attempts [s], in which other tasks of a busy loop catch up."""
+"""Time between two attempts [s], so that the other tasks of a busy event loop can run."""
 
 
 async def patiently(call: Callable[[], Awaitable[T]], times: int = 8) -> T:
-    """Call a function that may time out on a busy computer, and call it again if it did.
+    """Call a function that may time out on a busy computer, and repeat it if it did.
 
     Args:
-        call: What to call.
-        times: How often at most.
+        call: The function.
+        times: Largest number of calls.
 
     Raises:
-        BusTimeout: if it did every time.
-        FrameError: if it did every time.
+        BusTimeout: if the last call timed out.
+        FrameError: if the last call received an invalid frame.
     """
     for _ in range(times - 1):
         try:

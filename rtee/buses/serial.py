@@ -1,4 +1,4 @@
-"""A line of bytes: request and answer under a deadline, with a retry budget."""
+"""A serial line: requests and answers with deadlines and retries."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.errors import BusBroken, BusTimeout, FrameError
 F = TypeVar("F")
 
 _NOTHING: Any = object()
-"""Stands for an answer that did not come in time."""
+"""Result of an answer's future if no answer came in time."""
 
 
 def _give_up(answer: asyncio.Future[Any]) -> None:
@@ -28,10 +28,10 @@ class SerialBus(Bus):
     """A serial line, or a socket that leads to one; one transaction at a time.
 
     Attributes:
-        line: How the line is set.
+        line: Settings of the line.
         gap: Silence kept between the last byte received or sent and the next request [s].
-        fresh: Whether what the port has received before a request is thrown away, for protocols
-            whose answers do not name their request.
+        fresh: Whether bytes received before a request are discarded, for protocols whose answers
+            do not identify their request.
     """
 
     def __init__(
@@ -47,8 +47,8 @@ class SerialBus(Bus):
 
         Args:
             name: The address as configured.
-            line: How the line is set.
-            address: Returns where to connect to, if not to ``name``.
+            line: Settings of the line.
+            address: Returns the address to connect to; by default ``name``.
             gap: See the attribute.
             fresh: See the attribute.
         """
@@ -60,7 +60,7 @@ class SerialBus(Bus):
         self._transport: asyncio.Transport | None = None
         self._protocol: asyncio.Protocol | None = None
         self._lock = asyncio.Lock()
-        self._queue = 0  # who waits for the line
+        self._queue = 0  # number of tasks that wait for the line
         self._answer: asyncio.Future[Any] | None = None
         self._parser: Parser[Any] | None = None
         self._accept: Callable[[Any], bool] | None = None
@@ -82,26 +82,26 @@ class SerialBus(Bus):
         """Send a request and return the frame that answers it.
 
         Args:
-            request: The bytes to send, or what makes them for each attempt.
+            request: The bytes to send, or a function that makes them for each attempt.
             parser: Finds the answer; it is reset before every attempt.
-            deadline: Longest time for the whole transaction, retries and waiting for the line
-                included [s].
+            deadline: Longest time for the whole transaction, including retries and waiting for the
+                line [s].
             retries: How often the request may be sent again within that time.
             accept: Returns whether a frame is the answer; others are counted as strays.
-            whom: The device that is asked, for error messages of a line that several share.
+            whom: Name of the device for error messages, on a line with several devices.
 
         Raises:
-            BusTimeout: if nothing came in time.
-            FrameError: if something came in time but no valid frame.
+            BusTimeout: if no byte came in time.
+            FrameError: if bytes came in time, but no valid frame.
             BusBroken: if the link is broken.
             BusClosed: if the bus is closed.
         """
         end = time.monotonic() + deadline
-        # The parser outlives the transaction: only its new errors are of this one.
+        # The parser outlives the transaction, so only its new errors belong to this one.
         errors = parser.errors
         received = 0
-        # A free lock is taken without a timeout context, which costs more than the lock. One that
-        # was just released is not free: it goes to the first who waits, for as long as that takes.
+        # A free lock is acquired without a timeout context, which costs more than the lock. A lock
+        # that was just released is not free while others wait: the first of them gets it.
         if self._lock.locked() or self._queue:
             await self._wait_for_line(deadline)
         else:
@@ -118,14 +118,14 @@ class SerialBus(Bus):
                 if share <= 0.0:
                     break
                 try:
-                    # A future, not a coroutine: one turn of the event loop less in every exchange.
+                    # A future instead of a coroutine saves an iteration of the event loop.
                     frame = await self._ask(request, parser, share, accept)
                 finally:
                     self._asked()
                 if frame is not _NOTHING:
                     return cast("F", frame)
                 counters.timeouts += 1
-            # Something came, but nothing valid: that is another fault than silence.
+            # Invalid bytes are another error than silence.
             received = counters.bytes_received - before
         finally:
             counters.checksum_errors += parser.errors - errors
@@ -144,7 +144,7 @@ class SerialBus(Bus):
         share: float,
         accept: Callable[[F], bool] | None,
     ) -> asyncio.Future[Any]:
-        """Send a request and return the future of its answer: `_NOTHING` when the time is up."""
+        """Send a request and return the future of its answer: `_NOTHING` after a timeout."""
         parser.reset()
         loop = asyncio.get_running_loop()
         answer = self._answer = loop.create_future()
@@ -152,25 +152,25 @@ class SerialBus(Bus):
 
         def ask() -> None:
             if answer.done():
-                return  # the time is up, or the link is broken
+                return  # timed out, or the link is broken
             if self._not_silent(ask):
                 return
             if self.fresh and isinstance(self._transport, SerialTransport):
-                self._transport.read_now()  # without a parser, what comes is thrown away
+                self._transport.read_now()  # without a parser, bytes are discarded
                 if self._not_silent(ask):
                     return
             self._parser, self._accept = parser, accept
             self._write(data)
 
         ask()
-        # A timer costs less than asyncio.timeout, and is made after the request, so that this goes
-        # out sooner: it happens in every cycle.
+        # A timer costs less than asyncio.timeout, and is started after the request was sent, to
+        # send it as early as possible in every cycle.
         self._timer = loop.call_later(share, _give_up, answer)
         return answer
 
     def _not_silent(self, ask: Callable[[], None]) -> bool:
-        """Return whether the gap is not over yet; then ``ask`` is called when it may be."""
-        # Looked at again each time: a late answer that comes meanwhile must not be talked over.
+        """Return whether the gap is not over yet; if so, call ``ask`` again when it should be."""
+        # `ask` checks again, since a late answer may have extended the gap meanwhile.
         if not self.gap or (due := self._last + self.gap) <= time.monotonic():
             return False
         self._pause.start(due, ask)
@@ -185,7 +185,11 @@ class SerialBus(Bus):
             self._timer = None
 
     async def send(self, data: bytes, deadline: float = 0.1) -> None:
-        """Send bytes that nothing answers.
+        """Send bytes that are not answered.
+
+        Args:
+            data: The bytes.
+            deadline: Longest time to wait for the line [s].
 
         Raises:
             BusTimeout: if the line was not free in time.
@@ -219,7 +223,7 @@ class SerialBus(Bus):
             self._queue -= 1
 
     def listen(self, listener: Callable[[bytes], None] | None) -> None:
-        """Pass bytes that no request waits for to ``listener``, for devices that send unasked."""
+        """Pass bytes that answer no request to ``listener``; devices may send by themselves."""
         self._listener = listener
 
     def _write(self, data: bytes) -> None:
@@ -228,7 +232,7 @@ class SerialBus(Bus):
             raise BusBroken(self.name, "no link")
         self._count("tx", data, time.monotonic())
         self._transport.write(data)
-        # After writing: the gap counts from the last byte, as far as this side knows it.
+        # After writing, since the gap begins with the last byte.
         self._last = time.monotonic()
 
     def _received(self, data: bytes) -> None:
@@ -246,7 +250,7 @@ class SerialBus(Bus):
                 self._answer.set_result(frame)
 
     def _lost(self, protocol: asyncio.Protocol, error: Exception | None) -> None:
-        # A late report of a link that was replaced meanwhile.
+        # A late report about an earlier link is ignored.
         if protocol is not self._protocol:
             return
         self._broke(str(error) if error else "")
@@ -261,7 +265,7 @@ class SerialBus(Bus):
             lambda: _Protocol(self._received, self._lost),
             name=self.name,
         )
-        # A TCP bridge may accept and hang up before this code runs again.
+        # A TCP bridge may accept the connection and close it before this code runs again.
         if transport.is_closing():
             raise BusBroken(self.name, "the other end hung up at once")
         self._transport, self._protocol = transport, protocol
@@ -283,7 +287,7 @@ class _Protocol(asyncio.Protocol):
         received: Callable[[bytes], None],
         lost: Callable[[asyncio.Protocol, Exception | None], None],
     ) -> None:
-        # The bus's own method in place of one that would only call it: it runs for every piece.
+        # Directly the method of the bus, since a forwarding method would cost time in every cycle.
         self.data_received = received  # type: ignore[method-assign,assignment]
         self._end = lost
 

@@ -1,7 +1,7 @@
 """Simulated ends of buses that run emulated devices: their base class, and byte lines.
 
-Each runs in a thread of its own, with a selector of microsecond resolution, so that a blocking
-client in the same process can talk to it too and the modelled wire time is kept.
+Each runs in its own thread, so that a blocking client in the same process can talk to it, too. The
+thread waits with microsecond resolution, to keep the modelled wire time.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Simulation(ABC):
     """One simulated bus; a context manager.
 
     Attributes:
-        faults: What goes wrong on the wire; may be changed while it runs.
-        emulators: The devices on it.
+        faults: Faults of the wire; may be changed while it runs.
+        emulators: The devices on the wire.
     """
 
     def __init__(self, name: str) -> None:
@@ -39,7 +39,7 @@ class Simulation(ABC):
         self.emulators: list[Emulator] = []
         self._thread: threading.Thread | None = None
         self._wake_out, self._wake_in = os.pipe()
-        # The classic self-pipe: a byte in it ends the thread's wait.
+        # A byte in the pipe ends the thread's wait (self-pipe trick).
         os.set_blocking(self._wake_out, False)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._running = False
@@ -49,12 +49,12 @@ class Simulation(ABC):
     @property
     @abstractmethod
     def address(self) -> str:
-        """Where the host finds it now."""
+        """The current address for the host."""
 
     @property
     @abstractmethod
     def plugged(self) -> bool:
-        """Whether the host can reach it."""
+        """Whether the host can connect."""
 
     @abstractmethod
     def _plug(self) -> None: ...
@@ -64,13 +64,13 @@ class Simulation(ABC):
 
     @abstractmethod
     def _turn(self, timeout: float | None) -> None:
-        """Wait for traffic, the wake-up pipe or the timeout, and serve what there is."""
+        """Wait for traffic, the wake-up pipe or the timeout [s], and process received messages."""
 
     @abstractmethod
     def _next_due(self) -> float | None: ...
 
     def start(self) -> Self:
-        """Open the port and start playing."""
+        """Open the port and start the thread."""
         self._plug()
         self._running = True
         self._thread = threading.Thread(
@@ -80,28 +80,28 @@ class Simulation(ABC):
         return self
 
     def unplug(self) -> None:
-        """Pull the cable: the host sees the port vanish."""
+        """Unplug the cable: the port vanishes for the host."""
         self.call(self._unplug)
 
     def replug(self) -> None:
-        """Put the cable back."""
+        """Plug the cable in again."""
         self.call(self._plug)
 
     def power_cycle(self) -> None:
-        """Cut the devices' supply and bring it back."""
+        """Switch the supply of the devices off and on."""
         self.call(lambda: [e.power_cycle(time.monotonic()) for e in self.emulators])
 
     def add(self, emulator: Emulator) -> None:
-        """Put one more device on the wire."""
+        """Connect another device to the wire."""
         self.call(lambda: self.emulators.append(emulator))
 
     def call(self, function: Callable[[], Any]) -> Any:
         """Run a function between two turns of the simulation's thread and return its result.
 
         Raises:
-            RteeError: if nothing is played any more, as an error of a device has ended the thread.
+            RteeError: if an error of an emulator has ended the thread.
         """
-        # In its own thread it would wait for itself.
+        # Called in the simulation's thread, it would wait for itself.
         if not self._running or threading.current_thread() is self._thread:
             return function()
         done = threading.Event()
@@ -129,7 +129,7 @@ class Simulation(ABC):
         os.write(self._wake_in, b"\0")
 
     def close(self) -> None:
-        """Stop playing and close everything; idempotent."""
+        """End the thread and close everything; idempotent."""
         if self._running:
             self._running = False
             self._wake()
@@ -165,22 +165,22 @@ class Simulation(ABC):
 
 
 _LOOK = 0.2
-"""Time between two looks whether the thread that is waited for is still there [s]."""
+"""Interval at which `call` checks that the simulation's thread is still alive [s]."""
 
 _SPIN = 1e-4
-"""Longest time to spin before something is due [s]: the usual lateness of a sleep."""
+"""Longest time to spin before a message is due [s]: the usual lateness of a sleep."""
 
 
 class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
 
-    With a timed wire, the thread wakes up before something is due, by as much as its sleeps have
-    lately been too long, and spins for the rest: bytes arrive within microseconds of the time at
-    which the modelled wire has carried them.
+    With a timed wire, the thread wakes up before a message is due, earlier by the recent lateness
+    of its sleeps, and spins for the rest, so that bytes arrive within microseconds of the modelled
+    time.
 
     Attributes:
-        wire: Its wire: emulators, baud rate, faults.
-        strict: Devices receive only what a host sends at their own rate (ptys only).
+        wire: Model of the wire: emulators, baud rate, faults.
+        strict: Whether a device receives only bytes sent at its baud rate (ptys only).
     """
 
     def __init__(
@@ -215,7 +215,7 @@ class SimulatedLine(Simulation):
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong on the wire."""
+        """Faults of the wire."""
         return self.wire.faults
 
     @faults.setter
@@ -229,7 +229,7 @@ class SimulatedLine(Simulation):
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the port exists."""
         return self._end.open
 
     def _plug(self) -> None:
@@ -242,7 +242,7 @@ class SimulatedLine(Simulation):
         self.wire.reset()
 
     def close(self) -> None:
-        """Stop playing and close everything; idempotent."""
+        """End the thread and close everything; idempotent."""
         super().close()
         self._end.dispose()
 
@@ -263,16 +263,16 @@ class SimulatedLine(Simulation):
             self._end.write(data)
 
     def _wait(self, timeout: float | None) -> list[int]:
-        """Return the files that can be read, at the latest when the timeout is over."""
+        """Return the file descriptors that can be read, at the latest after the timeout [s]."""
         files = [self._wake_out, *self._end.files()]
         if timeout is None or not self.wire.timed:
             return select.select(files, [], [], timeout)[0]
         due = time.monotonic() + timeout
-        # Too early by the usual lateness; the rest is spun away below.
+        # Earlier by the usual lateness; the loop below spins for the rest.
         readable = select.select(files, [], [], max(0.0, timeout - self._late))[0]
         if not readable and timeout > self._late:
             late = time.monotonic() - (due - self._late)
-            # A mean over the last eight or so, as the lateness changes with the load.
+            # Exponential mean over about eight sleeps, since the lateness depends on the load.
             self._late += (min(max(late, 0.0), _SPIN) - self._late) / 8
         while not readable and time.monotonic() < due:
             pass

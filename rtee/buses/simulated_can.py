@@ -1,4 +1,4 @@
-"""The simulated end of a CAN bus: plays emulated nodes on a channel of python-can."""
+"""The simulated end of a CAN bus: runs emulated nodes on a channel of python-can."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
 
 _POLL = 0.02
-"""Longest wait for a frame [s]: only virtual buses can be woken for a call of another thread."""
+"""Longest wait for a frame [s], for calls of other threads: only virtual buses can be woken up."""
 
 
 class SimulatedCan(Simulation):
@@ -40,7 +40,7 @@ class SimulatedCan(Simulation):
 
     @property
     def faults(self) -> Faults:
-        """What goes wrong on the bus."""
+        """Faults of the bus."""
         return self.wire.faults
 
     @faults.setter
@@ -54,7 +54,7 @@ class SimulatedCan(Simulation):
 
     @property
     def plugged(self) -> bool:
-        """Whether the adapter is there."""
+        """Whether the adapter exists."""
         return self._bus is not None
 
     def _plug(self) -> None:

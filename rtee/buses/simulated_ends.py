@@ -15,19 +15,19 @@ from pathlib import Path
 from rtee.errors import BusBroken
 
 _TCGETS2 = 0x802C542A
-"""The ioctl that reads a tty's settings with any rate, see ioctl_tty(2); termios does not name
-it."""
+"""The ioctl that reads the settings of a tty with an arbitrary baud rate, see ioctl_tty(2); the
+module termios lacks it."""
 _TERMIOS2 = struct.Struct("=4I20s2I")
-"""Linux's termios2: flags, control characters, speed in, speed out."""
+"""Linux's struct termios2: flags, control characters, input speed, output speed."""
 _PIECE = 4096
-"""Bytes read at a time; what the kernel buffer of a pseudo-terminal usually holds."""
+"""Most bytes to read at once, the usual size of the kernel's buffer of a pseudo-terminal [byte]."""
 
 
 class Pty:
-    """A pseudo-terminal, found by a symbolic link, whose host end is kept raw.
+    """A pseudo-terminal in raw mode with a symbolic link as its address.
 
-    As on a real line, bytes that come while no program has it open are lost. Meanwhile the master
-    reports a hang-up all the time, so it is polled edge-triggered.
+    As on a real line, bytes sent while no program has it open are lost. The master reports a
+    hang-up all that time, so it is polled edge-triggered.
     """
 
     def __init__(self, link: Path | str | None) -> None:
@@ -40,12 +40,12 @@ class Pty:
 
     @property
     def open(self) -> bool:
-        """Whether the host finds it."""
+        """Whether the host can find it."""
         return self._master >= 0
 
     @property
     def address(self) -> str:
-        """Where the host finds it."""
+        """The address for the host."""
         return "" if self._link is None else str(self._link)
 
     @property
@@ -58,13 +58,13 @@ class Pty:
         return self.open and not self._deserted
 
     def plug(self) -> None:
-        """Make it; raises `BusBroken`."""
+        """Create the port; raises `BusBroken`."""
         import pty
         import tty
 
         self._master, slave = pty.openpty()
         try:
-            # Its settings last as long as the master: the host's end need not stay open here.
+            # The settings last as long as the master, so the host's end can be closed here.
             tty.setraw(slave)
             self._name = os.ttyname(slave)
         finally:
@@ -77,8 +77,8 @@ class Pty:
             self._folder = tempfile.mkdtemp(prefix="rtee-")
             self._link = Path(self._folder) / "port"
         try:
-            # One to a pty is another emulator's, mostly one that was killed; any other belongs to
-            # somebody else, such as udev.
+            # A link to a pty was left by another emulator, mostly one that was killed; any other
+            # link belongs to another program, such as udev, and is kept.
             if self._leads_to().startswith("/dev/pts/"):
                 self._link.unlink()
             self._link.symlink_to(self._name)
@@ -87,8 +87,8 @@ class Pty:
             raise BusBroken(str(self._link), f"cannot make this link: {error.strerror}") from error
 
     def unplug(self) -> None:
-        """Let it vanish."""
-        # Another emulator may have taken the link over meanwhile.
+        """Remove the port."""
+        # Another emulator may have replaced the link meanwhile.
         if self._link is not None and self.open and self._leads_to() == self._name:
             self._link.unlink()
         if self._changes is not None:
@@ -99,23 +99,23 @@ class Pty:
             self._master = -1
 
     def _leads_to(self) -> str:
-        """Return where the link leads; empty where there is none."""
+        """Return the target of the link; empty if there is none."""
         if self._link is None or not self._link.is_symlink():
             return ""
         return os.readlink(self._link)
 
     def dispose(self) -> None:
-        """Leave nothing behind."""
+        """Remove the temporary folder of the link."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
             self._folder = self._link = None
 
     def files(self) -> list[int]:
-        """What to wait for until it can be read."""
+        """File descriptors to wait for."""
         return [self._changes.fileno()] if self._changes is not None else []
 
     def read(self, file: int) -> bytes | None:
-        """Return what came, ``None`` where another host has connected or left."""
+        """Return the received bytes; ``None`` if a host has connected or left."""
         if self._changes is None:
             return b""
         self._changes.poll(0)
@@ -127,13 +127,13 @@ class Pty:
         except BlockingIOError:
             self._deserted = False
         except OSError:
-            # EIO: no program has it open. Reported once, though the hang-up stays.
+            # EIO: no program has it open. Handled once, though the hang-up persists.
             if data or not self._deserted:
                 self._desert()
         return bytes(data)
 
     def _desert(self) -> None:
-        """Lose what the program that has left did not read."""
+        """Discard the bytes that the last program did not read."""
         self._deserted = True
         with contextlib.suppress(OSError):
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -148,7 +148,7 @@ class Pty:
             os.write(self._master, data)
 
     def rate(self) -> int | None:
-        """Return the rate that the host has set [baud], ``None`` where that cannot be known."""
+        """Return the bit rate that the host has set [bit/s], ``None`` if it is unknown."""
         import fcntl
 
         try:
@@ -168,12 +168,12 @@ class Tcp:
 
     @property
     def open(self) -> bool:
-        """Whether the host finds it."""
+        """Whether the host can find it."""
         return self._server is not None
 
     @property
     def address(self) -> str:
-        """Where the host finds it."""
+        """The address for the host."""
         return f"{self._scheme}://{self._host}:{self._port}"
 
     @property
@@ -182,7 +182,7 @@ class Tcp:
         return self._peer is not None
 
     def plug(self) -> None:
-        """Make it; raises `BusBroken`."""
+        """Create the port; raises `BusBroken`."""
         try:
             self._server = socket.create_server((self._host, self._port))
         except OSError as error:
@@ -190,24 +190,24 @@ class Tcp:
         self._port = self._server.getsockname()[1]
 
     def unplug(self) -> None:
-        """Let it vanish."""
+        """Remove the port."""
         for one in (self._peer, self._server):
             if one is not None:
-                # An abortive end: the host sees a reset, as when the box loses power.
+                # Linger time 0: the host gets a reset, as when the device loses power.
                 with contextlib.suppress(OSError):
                     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
                 one.close()
         self._peer = self._server = None
 
     def dispose(self) -> None:
-        """Nothing stays behind."""
+        """Do nothing: a socket leaves no files."""
 
     def files(self) -> list[int]:
-        """What to wait for until it can be read."""
+        """File descriptors to wait for."""
         return [s.fileno() for s in (self._peer, self._server) if s is not None]
 
     def read(self, file: int) -> bytes | None:
-        """Return what came, ``None`` where another host has connected or left."""
+        """Return the received bytes; ``None`` if a host has connected or left."""
         if self._server is not None and file == self._server.fileno():
             return self._accept()
         if self._peer is None:
@@ -227,7 +227,7 @@ class Tcp:
             return b""
         peer, _ = self._server.accept()
         if self._peer is not None:
-            # A second master would mix its requests with those of the first.
+            # The requests of a second master would mix with those of the first.
             peer.close()
             return b""
         # Small answers must not wait for an acknowledgement (Nagle's algorithm).
@@ -242,5 +242,5 @@ class Tcp:
                 self._peer.sendall(data)
 
     def rate(self) -> int | None:
-        """Return ``None``: a port has no rate."""
+        """Return ``None``: a TCP port has no bit rate."""
         return None

@@ -1,7 +1,7 @@
 """A simulated EtherCAT ring: emulated slaves at the level of process data and objects.
 
-There is no wire here: an Ethernet port cannot be simulated without privileges. So the simulation is
-at the interface that a master's library offers.
+There is no wire, since an Ethernet port cannot be simulated without privileges. The simulation
+replaces the library of the master instead.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from rtee.buses.simulated import Simulation
 
 
 class PlaysSlaves(Protocol):
-    """An emulator of one or several slaves."""
+    """An emulator of one or more EtherCAT slaves."""
 
     def slaves(self) -> list[Slave]:
         """Return the slaves."""
         ...
 
     def become(self, state: State, now: float) -> bool:
-        """Bring the slaves to a state; return whether they follow."""
+        """Request a state of the slaves; return whether they reach it."""
         ...
 
     def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
-        """Return inputs by position for outputs; ``None`` if any slave does not take part."""
+        """Exchange process data by position; ``None`` if a slave does not take part."""
         ...
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
@@ -45,10 +45,10 @@ class PlaysSlaves(Protocol):
 
 
 class SimulatedEthercat(Simulation):
-    """The ring's far end: plays one emulator of slaves.
+    """The slaves' end of a ring, with one emulator for all slaves.
 
     Attributes:
-        faults: What goes wrong: frames that are lost or damaged do not come back.
+        faults: Faults of the wire; a lost or damaged frame does not return.
     """
 
     def __init__(self, *, name: str = "ethercat", faults: Faults | None = None) -> None:
@@ -58,12 +58,12 @@ class SimulatedEthercat(Simulation):
 
     @property
     def address(self) -> str:
-        """The interface it stands in for."""
+        """The network interface that it replaces."""
         return self.name
 
     @property
     def plugged(self) -> bool:
-        """Whether the cable is there."""
+        """Whether the cable is plugged in."""
         return self._there
 
     @property

@@ -20,9 +20,9 @@ class Ports(NamedTuple):
     """TCP ports of a server.
 
     Attributes:
-        state: Where it publishes.
-        command: Where it receives commands.
-        service: Where it answers requests.
+        state: Port at which it publishes states.
+        command: Port at which it receives commands.
+        service: Port at which it answers requests.
     """
 
     state: int
@@ -32,19 +32,20 @@ class Ports(NamedTuple):
 
 @runtime_checkable
 class Serves(Protocol):
-    """An emulator that answers requests beside receiving commands."""
+    """An emulator that answers requests in addition to receiving commands."""
 
     def serve(self, request: bytes, now: float) -> bytes | None:
-        """Return the answer to a request, or ``None`` to leave it unanswered."""
+        """Return the answer to a request, or ``None`` for no answer."""
         ...
 
 
 class SimulatedZmq(Simulation):
-    """The server's ends: publishes what `Emulator.step` returns, feeds commands, answers requests.
+    """A server that publishes the messages of `Emulator.step` and passes on commands and requests.
 
     Attributes:
         endpoints: Its addresses; ports that are not given are chosen at the first start and kept.
-        faults: What goes wrong with messages: they are lost, late or come twice, as TCP admits.
+        faults: Faults of the wire: messages are lost, late or duplicated. Corruption does not
+            occur, since TCP detects it.
     """
 
     def __init__(
@@ -66,12 +67,12 @@ class SimulatedZmq(Simulation):
 
     @property
     def address(self) -> str:
-        """Where it publishes."""
+        """The address at which it publishes states."""
         return self.endpoints.state
 
     @property
     def plugged(self) -> bool:
-        """Whether the server is there."""
+        """Whether the server exists."""
         return bool(self._sockets)
 
     def _plug(self) -> None:
@@ -88,7 +89,7 @@ class SimulatedZmq(Simulation):
                 made.bind(place)
             except zmq.ZMQError as error:
                 made.close()
-                # None or all: one without the others would be a server that cannot be served.
+                # All sockets or none, since a server with only some of them is of no use.
                 self._unplug()
                 raise BusBroken(place, f"cannot listen there: {error}") from error
             self._sockets.append(made)
@@ -116,7 +117,7 @@ class SimulatedZmq(Simulation):
         poller.register(self._wake_out, zmq.POLLIN)
         for made in self._sockets[1:]:
             poller.register(made, zmq.POLLIN)
-        # zmq waits in whole milliseconds.
+        # The unit of zmq's timeouts is 1 ms, as an integer.
         poller.poll(None if timeout is None else int(timeout * 1000.0))
         now = time.monotonic()
         if self._sockets:
@@ -153,7 +154,7 @@ class SimulatedZmq(Simulation):
 
     def _publish(self, now: float) -> None:
         period = min((e.period for e in self.emulators if e.period), default=0.0)
-        # Waits are rounded to milliseconds: half a period tells this turn from an early one.
+        # Rounded to milliseconds, a wait may end a little early, but not by half a period.
         if not period or now - self._stepped < period * 0.5:
             return
         self._stepped = now

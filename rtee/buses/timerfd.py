@@ -37,11 +37,11 @@ class Timer:
         fd: The descriptor, readable after an expiry; -1 once closed.
 
     Args:
-        first_ns: First expiry, CLOCK_MONOTONIC [ns]; ``None``: it is started later.
-        period_ns: Time between expiries [ns]; 0: it expires once.
+        first_ns: First expiry, CLOCK_MONOTONIC [ns]; ``None`` leaves the timer stopped.
+        period_ns: Time between expiries [ns]; 0: only one expiry.
 
     Raises:
-        OSError: if the system has no timerfd or refuses.
+        OSError: if the system has no timerfd or the call fails.
     """
 
     def __init__(self, first_ns: int | None = None, period_ns: int = 0) -> None:
@@ -61,17 +61,17 @@ class Timer:
                 raise
 
     def start(self, first_ns: int, period_ns: int = 0) -> None:
-        """Start or restart it; a first expiry that has passed happens at once.
+        """Start or restart the timer; if the first expiry has passed, it expires at once.
 
         Raises:
-            OSError: if the system refuses.
+            OSError: if the system call fails.
         """
         setting = _SETTING.pack(*divmod(period_ns, _NANOSECONDS), *divmod(first_ns, _NANOSECONDS))
         if self._library.timerfd_settime(self.fd, _TFD_TIMER_ABSTIME, setting, None) != 0:
             raise OSError(ctypes.get_errno(), "timerfd_settime failed")
 
     def expiries(self) -> int:
-        """Return how often it expired since the last call, 0 if it didn't."""
+        """Return the number of expiries since the last call."""
         try:
             return int(_COUNT.unpack(os.read(self.fd, _COUNT.size))[0])
         except BlockingIOError:

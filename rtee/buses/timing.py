@@ -15,11 +15,11 @@ _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # its system call number by machine
 
 SLICE = 100_000
-"""Processor time that a prompt thread asks for at a time, the shortest that Linux gives [ns]."""
+"""Time slice that `ask_for_short_slices` requests [ns]: the shortest that Linux grants."""
 
 
 def wire_time(count: int, baudrate: float | None, bits: float = 10.0) -> float:
-    """Return how long ``count`` bytes take on a line [s]; 0 where there is no baud rate."""
+    """Return how long ``count`` bytes take on a line [s]; 0 without a baud rate."""
     return count * bits / baudrate if baudrate else 0.0
 
 
@@ -27,7 +27,7 @@ def silence(baudrate: float | None, bits: float = 11.0) -> float:
     """Return the silence that ends a Modbus RTU frame [s]: 3.5 characters, at least 1.75 ms."""
     if not baudrate:
         return 0.0
-    # Above 19,200 baud the specification fixes it (Modbus over serial line 1.02, section 2.5.1.1).
+    # 1.75 ms above 19,200 baud (Modbus over serial line 1.02, section 2.5.1.1).
     return max(0.00175, 3.5 * bits / baudrate)
 
 
@@ -35,18 +35,18 @@ def wake_exactly() -> None:
     """Make the calling thread's timers expire on time, not up to 50 µs later (Linux)."""
     libc = timerfd.libc()
     if libc is not None:
-        # 1 ns is the least; 0 would restore the default of 50 µs.
+        # 1 ns is the minimum; 0 would restore the default of 50 µs.
         libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
 def ask_for_short_slices() -> bool:
     """Make the scheduler wake the calling thread promptly, without real-time priority.
 
-    Linux 6.12 and later (EEVDF) let a thread that asks for little processor time at a time go
-    before others that have had more than their share; see sched_setattr(2), ``sched_runtime``.
+    The scheduler of Linux 6.12 and later (EEVDF) prefers a thread with a short time slice to others
+    that have had more than their share; see sched_setattr(2), ``sched_runtime``.
 
     Returns:
-        Whether the system accepted it; older kernels accept it, too, without effect.
+        Whether the system accepted the setting; older kernels accept it without effect.
     """
     number, libc = _SCHED_SETATTR.get(platform.machine()), timerfd.libc()
     if number is None or libc is None:
@@ -59,7 +59,7 @@ def ask_for_short_slices() -> bool:
 class Pause:
     """Waits in the event loop with the precision of a timerfd; asyncio itself rounds up to 1 ms.
 
-    One wait at a time. Elsewhere than on Linux it is the event loop's own timer.
+    One wait at a time. On other systems than Linux, it uses the event loop's timer.
     """
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class Pause:
         self._handle: asyncio.TimerHandle | None = None
 
     async def until(self, when: float) -> None:
-        """Return at ``when`` on CLOCK_MONOTONIC [s], or at once if that has passed."""
+        """Wait until ``when`` on CLOCK_MONOTONIC [s]; return at once if that has passed."""
         if when <= time.monotonic():
             return
         waiter = asyncio.get_running_loop().create_future()
@@ -91,7 +91,7 @@ class Pause:
         loop.add_reader(self._timer.fd, self._ready)
 
     def cancel(self) -> None:
-        """Forget the call; idempotent."""
+        """Cancel the call; idempotent."""
         self._callback = None
         if self._handle is not None:
             self._handle.cancel()
@@ -110,7 +110,7 @@ class Pause:
             callback()
 
     def close(self) -> None:
-        """Close the timer; idempotent, and it may be used again afterwards."""
+        """Close the timer; idempotent. `start` may be called again afterwards."""
         if self._timer is not None:
             self.cancel()
             self._timer.close()

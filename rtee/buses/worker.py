@@ -19,11 +19,11 @@ _Call = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]
 class Worker:
     """A thread that calls blocking functions one after the other.
 
-    A call that misses its deadline keeps the thread until it returns; its result is dropped, and
-    the next call waits. So two calls never use the library at the same time.
+    A call that misses its deadline occupies the thread until it returns; its result is discarded,
+    and the next call waits. So two calls never use the library at the same time.
 
-    The event loop's executor would do the same, but needs twice as many turns of the loop to pass a
-    result on, and this happens in every cycle.
+    The executor of the event loop would need twice as many iterations of the loop to pass on a
+    result, which happens in every cycle.
     """
 
     def __init__(self, name: str) -> None:
@@ -52,11 +52,11 @@ class Worker:
             timer.cancel()
 
     async def close(self) -> None:
-        """Wait for the call under way and end the thread; idempotent."""
+        """Wait for the running call and end the thread; idempotent."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
-        # A new queue: a thread that still hangs in a call must not take calls of the next one.
+        # A new queue, since a thread that still hangs in a call must not serve later calls.
         calls, self._calls = self._calls, queue.SimpleQueue()
         with contextlib.suppress(queue.Empty):
             while call := calls.get_nowait():
@@ -74,12 +74,11 @@ def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
         result, error = None, None
         try:
             result = function()
-        # Whatever it is, it belongs to the caller: the thread has to go on.
-        except BaseException as raised:
+        except BaseException as raised:  # any error goes to the caller, and the thread continues
             error = raised
         with contextlib.suppress(RuntimeError):  # the event loop may be gone
             loop.call_soon_threadsafe(_settle, future, result, error)
-        del call, function, future, result, error  # what it holds must not outlive it here
+        del call, function, future, result, error  # release their objects before the next wait
 
 
 def _settle(future: asyncio.Future[Any], result: object, error: BaseException | None) -> None:

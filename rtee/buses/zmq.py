@@ -1,4 +1,4 @@
-"""ZeroMQ as a bus: a server publishes states, receives commands and answers requests."""
+"""A ZeroMQ server as a bus: it publishes states, receives commands and answers requests."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Endpoints(NamedTuple):
     """Addresses of a server.
 
     Attributes:
-        state: Where it publishes.
-        command: Where it receives commands.
-        service: Where it answers requests.
+        state: Address at which it publishes states.
+        command: Address at which it receives commands.
+        service: Address at which it answers requests.
     """
 
     state: str
@@ -30,10 +30,10 @@ class Endpoints(NamedTuple):
 
 
 class ZmqBus(Bus):
-    """Three sockets to one server. Only the newest command waits to be sent.
+    """Three sockets to a server. Of the commands not yet sent, only the newest is kept.
 
-    ZeroMQ connects in the background, and again after a break, so a missing server shows as
-    silence. The bus counts as broken when the connection of the states was closed.
+    ZeroMQ connects and reconnects in the background, so a missing server causes timeouts. The bus
+    is broken when the server closes the connection for states.
     """
 
     def __init__(self, name: str, endpoints: Callable[[], Endpoints]) -> None:
@@ -49,11 +49,11 @@ class ZmqBus(Bus):
         self._asking = asyncio.Lock()
 
     def subscribe(self, callback: Callable[[bytes, float], None]) -> Callable[[], None]:
-        """Call ``callback(message, stamp)`` with every message; returns how to undo it."""
+        """Call ``callback(message, stamp)`` for every state; return a function that ends it."""
         return listen(self._listeners, callback)
 
     def send_now(self, message: bytes) -> None:
-        """Publish a command; a command still waiting is replaced.
+        """Send a command; it replaces a command that is not yet sent.
 
         Raises:
             BusBroken: if the link is broken.
@@ -69,7 +69,7 @@ class ZmqBus(Bus):
         """Send a request and return the answer.
 
         Raises:
-            BusTimeout: if none came within ``deadline`` [s].
+            BusTimeout: if no answer came within ``deadline`` [s].
             BusBroken: if the link is broken.
             BusClosed: if it is closed.
         """
@@ -94,19 +94,20 @@ class ZmqBus(Bus):
         context = self._context = zmq.asyncio.Context()
         try:
             self._state = context.socket(zmq.SUB)
-            # Few: what is older than some states is of no use to anybody.
+            # Short queue [messages], since old states are useless.
             self._state.setsockopt(zmq.RCVHWM, 16)
-            # [ms]; half of the default, so that a server that restarts is found quickly.
+            # [ms]; half of the default, to find a restarted server quickly.
             self._state.setsockopt(zmq.RECONNECT_IVL, 50)
             self._state.subscribe(b"")
             self._monitor = self._state.get_monitor_socket(zmq.EVENT_DISCONNECTED)
             self._state.connect(places.state)
             self._command = context.socket(zmq.PUB)
-            # Only the newest command waits: an old one must never be obeyed after a break.
+            # Keep only the newest command: an old one must never be executed after a break.
             self._command.setsockopt(zmq.CONFLATE, 1)
             self._command.connect(places.command)
             self._service = context.socket(zmq.REQ)
-            # A request that got no answer must neither block the next one nor answer it late.
+            # A request without an answer must not block the next one, nor its late answer be
+            # mistaken for that of the next.
             self._service.setsockopt(zmq.REQ_RELAXED, 1)
             self._service.setsockopt(zmq.REQ_CORRELATE, 1)
             self._service.connect(places.service)
@@ -133,7 +134,7 @@ class ZmqBus(Bus):
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         if self._state is not None and self._monitor is not None:
-            # Before closing: the monitor's socket belongs to the state's.
+            # Before closing, since the monitor's socket belongs to that of the states.
             self._state.disable_monitor()
         for made in (self._monitor, self._state, self._command, self._service):
             if made is not None:

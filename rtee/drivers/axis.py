@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 _STEP = 0.001
-"""Longest step of the integration [s], short beside the time constants of motors."""
+"""Longest integration step [s], short compared with the time constants of motors."""
 _MOST_STEPS = 400
-"""Most steps of one call: a longer time is integrated in longer steps."""
+"""Largest number of steps in one call: a longer time is integrated in longer steps."""
 
 
 @dataclass(slots=True)
@@ -29,58 +29,33 @@ class VirtualObject:
 class Axis:
     """A position-controlled axis: speed limit, first-order approach, force limit, hard stops, heat.
 
-    Units are the caller's: positions in whatever the device counts, effort likewise; time is in
-    seconds. At rest against an object the servo and the object balance, limited by ``max_effort``.
+    Positions and efforts are in any units, such as the counts of a device; time is in seconds. At
+    rest against an object, the efforts of servo and object are equal, limited by ``max_effort``.
 
     Attributes:
-        position: Where it is.
-        target: Where it is asked to go.
-        velocity: How fast it moves.
-        effort: What it exerts, signed, towards the target.
-        enabled: Whether the motor is powered; unpowered it stays where it is (friction).
+        position: Present position.
+        target: Commanded position.
+        velocity: Present velocity.
+        effort: Signed effort, positive towards greater positions.
+        enabled: Whether the motor is powered; an unpowered one stays where it is (friction).
         max_velocity: Speed limit.
         max_effort: Effort limit.
         time_constant: Time constant of the approach [s].
         gain: Effort per position error at standstill.
-        friction: Effort while it moves freely.
-        resolution: Error at which the approach counts as done.
-        lower: Hard stop.
-        upper: Hard stop.
-        obstacle: The object, if there is one.
-        self_locking: Its gear yields to no push: an object squeezed with less effort than before
-            does not push it back.
-        stuck: It does not move, whatever its target.
-        temperature: Of the motor [°C].
-        ambient: Of the surroundings [°C].
-        heating: Warming at ``max_effort`` of the device's rating [K/s].
-        cooling: Part of the temperature difference lost per second [1/s].
+        friction: Effort of free motion.
+        resolution: Position error below which the target counts as reached.
+        lower: Lower hard stop.
+        upper: Upper hard stop.
+        obstacle: The object between the fingers, if there is one.
+        self_locking: Whether the gear is self-locking: an object does not push the axis back when
+            the effort is reduced.
+        stuck: Whether the axis is jammed and does not follow its target.
+        temperature: Motor temperature [°C].
+        ambient: Ambient temperature [°C].
+        heating: Heating rate at the effort `rating` [K/s].
+        cooling: Share of the difference to `ambient` lost per second [1/s].
         rating: Effort at which `heating` applies.
     """
-
-    __slots__ = (
-        "_now",
-        "ambient",
-        "cooling",
-        "effort",
-        "enabled",
-        "friction",
-        "gain",
-        "heating",
-        "lower",
-        "max_effort",
-        "max_velocity",
-        "obstacle",
-        "position",
-        "rating",
-        "resolution",
-        "self_locking",
-        "stuck",
-        "target",
-        "temperature",
-        "time_constant",
-        "upper",
-        "velocity",
-    )
 
     def __init__(
         self,
@@ -111,6 +86,7 @@ class Axis:
         self.obstacle: VirtualObject | None = None
         self.self_locking = False
         self.stuck = False
+        # A small motor: at the rating it would settle 50 K above the ambient temperature.
         self.ambient = 25.0
         self.temperature = self.ambient
         self.heating = 0.5
@@ -120,11 +96,11 @@ class Axis:
 
     @property
     def blocked(self) -> bool:
-        """Whether it is at rest short of its target, exerting effort."""
+        """Whether it is held at rest short of its target, exerting effort."""
         return self.enabled and self.velocity == 0.0 and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
-        """Return how far it can go now: the stops, and the object squeezed by ``max_effort``."""
+        """Return the range that it can reach, limited by the stops and by the squeezed object."""
         lower, upper = self.lower, self.upper
         thing = self.obstacle
         if thing is not None:
@@ -134,7 +110,7 @@ class Axis:
             else:
                 lower = min(max(lower, deepest), upper)
         if self.self_locking:
-            # What the object alone would push back stays where it is.
+            # The gear keeps the position to which the object alone would push the axis back.
             if self.target >= self.position:
                 upper = max(upper, self.position)
             else:
@@ -142,7 +118,7 @@ class Axis:
         return lower, upper
 
     def _contact(self) -> float:
-        """Return the object's effort against the axis, not negative."""
+        """Return the effort with which the object resists, not negative."""
         thing = self.obstacle
         if thing is None:
             return 0.0
@@ -152,7 +128,7 @@ class Axis:
         """Let time pass up to ``now`` [s]; the first call only sets the clock."""
         if self._now is not None:
             self.advance(now - self._now)
-        # A time that went back must not let the same seconds pass twice.
+        # If the clock went back, the same time must not be simulated twice.
         self._now = now if self._now is None else max(now, self._now)
 
     def advance(self, dt: float) -> None:
@@ -168,12 +144,12 @@ class Axis:
             lower, upper = self._bounds()
             goal = min(max(self.target, lower), upper)
             error = goal - self.position
-            # The exact solution over a step: stable however long the step is.
+            # The exact solution over a step, which is stable for steps of any length.
             approach = error * -math.expm1(-dt / self.time_constant)
             limit = self.max_velocity * dt
             change = min(max(approach, -limit), limit)
             if abs(error) <= self.resolution:
-                # An exponential never arrives: within a count it has.
+                # An exponential never arrives, so the last bit is covered at once.
                 change = error
             self.position += change
             self.velocity = change / dt
@@ -193,14 +169,15 @@ class Axis:
         if error == 0.0:
             pull = self._contact()
             direction = 1.0 if self.obstacle is None else self.obstacle.closing
-            if pull == 0.0 and self.velocity != 0.0:  # it has arrived just now
+            if pull == 0.0 and self.velocity != 0.0:  # it has arrived in this step
                 direction = math.copysign(1.0, self.velocity)
         else:
             direction = math.copysign(1.0, error)
             pull = 0.0 if math.isinf(self.gain) else self.gain * abs(error)
-            # An infinitely stiff servo that is held pushes with all it has.
+            # An infinitely stiff servo that is blocked exerts its effort limit.
             if math.isinf(self.gain) and (self.velocity == 0.0 or self.stuck):
                 pull = self.max_effort
         if self.velocity != 0.0:
+            # In motion, the motor only overcomes friction and the object.
             pull = max(self.friction, self._contact())
         self.effort = direction * min(pull, self.max_effort)

@@ -17,19 +17,19 @@ from rtee.types import DeviceSpec, Reference
 class Driver(ABC):
     """The code that talks to one device.
 
-    A driver converts between SI units and the device's own at its edge. It holds no timing, no
-    accounting of retries and no reconnect logic: the supervisor in `rtee.loop` adds those. It calls
-    the methods of one driver one after the other, never two at once.
+    A driver converts between SI units and the units of its device. It has no cycle timing, no retry
+    statistics and no reconnect logic: the supervisor in `rtee.loop` adds those. The supervisor
+    calls the methods of a driver one after the other, never two at once.
 
     Attributes:
-        Options: Its options in hand.yaml: a pydantic model, or a dataclass; ``None`` takes any.
+        Options: Its options in hand.yaml: a pydantic model or a dataclass; ``None`` accepts any.
         spec: The device as configured.
-        buses: The buses of this process; a driver asks it for the bus it needs.
+        buses: The buses of this process, from which the driver acquires the one it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
-        doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty;
-            published while the call is under way.
-        object_description: What a simulated device grasps looks like, once it is configured.
-        connection: Its bus from `configure` to `close`, for drivers that have one bus.
+        doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty.
+            It is published while the call is under way.
+        object_description: Shape of the object that a simulated device grasps, after `configure`.
+        connection: The device's bus from `configure` to `close`, for drivers that have one bus.
     """
 
     Options: ClassVar[type[Any] | None] = None
@@ -45,7 +45,7 @@ class Driver(ABC):
     async def configure(self) -> None:
         """Open the bus and identify the device; never moves anything.
 
-        Called again after `close` when the link was lost, so it must start from nothing.
+        Called again after `close` when the link was lost, so it must rely on no earlier state.
 
         Raises:
             NotConnected: if the device does not answer.
@@ -54,7 +54,7 @@ class Driver(ABC):
         """
 
     async def activate(self) -> None:
-        """Power and enable the device; homes it only where asked and needed.
+        """Power and enable the device; homes it only if the options allow it and it is not homed.
 
         Raises:
             DeviceFault: if the device refuses.
@@ -65,7 +65,7 @@ class Driver(ABC):
     async def sense(self) -> ActuatorState:
         """Return what the device measures now, in SI units and the order of ``spec.actuators``.
 
-        Every state has arrays of its own, which the driver must not change afterwards.
+        Every state needs new arrays, which the driver must not change afterwards.
 
         Raises:
             DeviceFault: if the device reports a fault.
@@ -77,7 +77,7 @@ class Driver(ABC):
         """Send a reference.
 
         Raises:
-            CommandRejected: if the device cannot take it.
+            CommandRejected: if the device cannot execute it.
             DeviceFault: if the device reports a fault.
             BusError: if the exchange fails.
         """
@@ -86,15 +86,15 @@ class Driver(ABC):
         """Stop motion now and stay powered; must not raise."""
 
     async def disable(self) -> None:
-        """Take the drive power away, so that the actuators are limp; must not raise.
+        """Switch off the drive power, so that the actuators are limp; must not raise.
 
         A device whose power cannot be switched is stopped instead.
         """
-        # The least that every device can do; a driver that can cut the power overrides this.
+        # Every device can at least stop; a driver that can switch off the power overrides this.
         await self.stop()
 
     async def recover(self) -> None:
-        """Bring the device out of a fault; it must not move by this.
+        """Clear a fault of the device, without moving it.
 
         Raises:
             DeviceFault: if the fault persists.
@@ -102,30 +102,30 @@ class Driver(ABC):
         """
 
     async def examine(self) -> str:
-        """Ask a device that is connected, but not active, for what would keep it from that.
+        """Check whether a device that is connected, but not active, could be activated at once.
 
         Returns:
-            What it has to do first and would move by, such as ``not homed``; else empty.
+            Why it would have to move first, such as ``not homed``; else empty.
 
         Raises:
-            DeviceFault: if it reports a fault.
+            DeviceFault: if the device reports a fault.
             BusError: if the bus fails.
         """
         return ""
 
     def counters(self) -> Mapping[str, int]:
-        """Return the counters of its bus, for the device's status; must return at once."""
+        """Return the counters of the device's bus, for its status; must return at once."""
         return {} if self.connection is None else self.connection.counters()
 
     def gains(self) -> Mapping[str, float]:
-        """Return those of ``capabilities.gains`` that the driver knows, with their present values.
+        """Return the present values of those ``capabilities.gains`` that the driver knows.
 
         It must return at once.
         """
         return {}
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Change gains while running; only those named in ``capabilities.gains``."""
+        """Change gains while running; their names must be in ``capabilities.gains``."""
 
     async def deactivate(self) -> None:
         """Disable the device; the opposite of `activate`."""

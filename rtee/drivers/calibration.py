@@ -1,4 +1,4 @@
-"""Calibration of a device, for drivers that have something to calibrate."""
+"""Calibration of a device, for drivers whose device has offsets or end stops to find."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ class Calibrates(Protocol):
         Args:
             path: File to write.
             rest: The rest posture, in the order of the actuators [rad | m].
-            ready: Called with what the user is to do; returns when it is done.
+            ready: Called with an instruction for the user; returns when it has been followed.
 
         Returns:
-            What was found; its text is shown.
+            The calibration; its ``str`` is shown to the user.
 
         Raises:
             BusError: if the bus fails.
-            CalibrationError: if what was found cannot be right.
+            CalibrationError: if the values found are not plausible.
             ConfigError: if the file cannot be written.
         """
 
 
 async def calibrate(driver: Driver, path: Path, ready: Callable[[str], Awaitable[None]]) -> object:
-    """Connect to a device, calibrate it and store the values; closes the driver.
+    """Connect to a device, calibrate it, store the values and close the driver.
 
     Args:
         driver: The device's driver, not yet connected.
         path: File to write.
-        ready: Called with what the user is to do; returns when it is done.
+        ready: Called with an instruction for the user; returns when it has been followed.
 
     Raises:
         ConfigError: if the device has nothing to calibrate, or the file cannot be written.
-        RteeError: if it cannot be done.
+        RteeError: if the calibration fails.
     """
     if not isinstance(driver, Calibrates):
         raise ConfigError(

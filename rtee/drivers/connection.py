@@ -15,7 +15,7 @@ L = TypeVar("L")
 
 
 def owner_of(spec: DeviceSpec) -> str:
-    """Return the name under which a device owns its bus; unique among all hands of a process."""
+    """Return the name by which a device owns its bus, unique among all hands of a process."""
     return f"{spec.hand}/{spec.name}"
 
 
@@ -23,7 +23,7 @@ class HasDeadline(Protocol):
     """A link whose exchanges have a deadline.
 
     Attributes:
-        deadline: Longest time for one exchange, retries included [s].
+        deadline: Longest time for one exchange, including retries [s].
     """
 
     deadline: float
@@ -31,11 +31,11 @@ class HasDeadline(Protocol):
 
 @contextmanager
 def longer_deadline(link: HasDeadline, patience: float) -> Iterator[None]:
-    """Allow a link's exchanges outside the cycle the time they may need on a busy computer.
+    """Extend a link's deadline for exchanges outside the cycle, which a busy computer may delay.
 
     Args:
         link: The link.
-        patience: Its deadline meanwhile, unless its own is longer [s].
+        patience: The deadline meanwhile [s], unless the usual one is longer.
     """
     usual, link.deadline = link.deadline, max(link.deadline, patience)
     try:
@@ -45,15 +45,15 @@ def longer_deadline(link: HasDeadline, patience: float) -> Iterator[None]:
 
 
 class Connection(Generic[L]):
-    """Holds the bus of one device while its driver is connected, and the link that uses it.
+    """The bus of a device while its driver is connected, and the link that uses the bus.
 
-    A driver makes one in its constructor, opens it in `configure`, and uses `link` everywhere else.
-    `Driver.counters` and `Driver.close` use it, too.
+    A driver makes a connection in its constructor, opens it in `configure`, and uses `link`
+    everywhere else. `Driver.counters` and `Driver.close` use it, too.
 
-    ``L`` is what the driver talks to: the bus, or an object that speaks the device's protocol.
+    ``L`` is the type of the link: the bus, or an object that implements the device's protocol.
 
     Attributes:
-        owner: The name under which the device owns its bus.
+        owner: The name by which the device owns its bus.
     """
 
     def __init__(self, spec: DeviceSpec) -> None:
@@ -69,21 +69,21 @@ class Connection(Generic[L]):
 
     @property
     def link(self) -> L:
-        """What the driver talks to.
+        """The link by which the driver talks to its device.
 
         Raises:
-            NotConnected: unless it is open.
+            NotConnected: if the connection is not open.
         """
         if self._link is None:
             raise NotConnected(self._device, "is not connected")
         return self._link
 
     async def open(self, opening: Awaitable[B], talk: Callable[[B], L]) -> L:
-        """Close what is open, acquire a bus and return what talks over it.
+        """Close an open connection, acquire the bus and return the new link.
 
         Args:
-            opening: Acquires the bus for `owner`: what a method of the pool returns.
-            talk: Returns what the driver talks to, given the bus.
+            opening: Acquires the bus for `owner`: an awaitable from a method of `BusPool`.
+            talk: Makes the link from the bus.
 
         Raises:
             BusError: if the bus cannot be opened.
@@ -94,7 +94,7 @@ class Connection(Generic[L]):
         return self._link
 
     def counters(self) -> Mapping[str, int]:
-        """Return the counters of the bus; none unless it is open."""
+        """Return the counters of the bus; empty if the connection is not open."""
         return {} if self._bus is None else self._bus.counters.as_mapping()
 
     async def close(self) -> None:

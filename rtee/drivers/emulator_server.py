@@ -39,17 +39,19 @@ quit              end
 class Player:
     """An emulated device on a transport that other programs can open; a context manager.
 
+    Without ``tcp`` and ``can``, the transport is a pty.
+
     Args:
         name: Name of the device's driver.
         properties: Properties of the emulated device.
-        link: Path of the pty, made as a symbolic link; by default in a temporary folder.
-        tcp: TCP port to listen at instead; the first of three for a ZeroMQ server.
-        raw: The port carries a serial line's bytes, not Modbus TCP.
-        host: Address to listen at.
-        can: Channel of a CAN bus instead.
-        interface: Its python-can interface.
-        baudrate: Bits per second of the line or bus; by default the device's own.
-        strict: The device hears only programs that speak at its rate, as a real one does.
+        link: Path of a symbolic link to the pty; by default in a temporary folder.
+        tcp: TCP port to listen on; the first of three for a ZeroMQ server.
+        raw: Whether the port carries the bytes of a serial line instead of Modbus TCP.
+        host: Address to listen on.
+        can: Channel of a CAN bus.
+        interface: The python-can interface of that channel.
+        baudrate: Bit rate of the line or bus [bit/s]; by default the device's.
+        strict: Whether the device ignores programs that use another bit rate, as a real one does.
 
     Raises:
         ConfigError: if there is no such device or property.
@@ -74,7 +76,7 @@ class Player:
             raise ConfigError("give one of --link, --tcp and --can")
         modbus_tcp = tcp is not None and not raw
         options: dict[str, Any] = {"emulator": dict(properties or {})}
-        # Only the scheme counts: by it an emulator of a Modbus device chooses RTU or TCP frames.
+        # Only the scheme matters: the emulator of a Modbus device chooses RTU or TCP frames by it.
         options["port"] = "tcp://" if modbus_tcp else "/dev/emulated"
         if baudrate is not None and can is None:
             options["baudrate"] = baudrate
@@ -84,7 +86,7 @@ class Player:
         self.emulator.baudrate = rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
-            # The order of xbot2_zmq's own default ports.
+            # In the order of the default ports of xbot2_zmq: 5556, 5557, 5558.
             base = tcp or _ZMQ_PORT
             ports = Ports(state=base, command=base + 2, service=base + 1)
             self.simulation = SimulatedZmq(name=name, host=host, ports=ports)
@@ -119,11 +121,11 @@ class Player:
 
     @property
     def address(self) -> str:
-        """Where other programs find it."""
+        """The address at which other programs find the device."""
         return self.simulation.address
 
     def command(self, text: str) -> str:
-        """Do what a line of text asks for and return what to print; `HELP` lists the commands."""
+        """Execute a command line and return the text to print; `HELP` lists the commands."""
         verb, _, rest = text.strip().partition(" ")
         try:
             return self._do(verb, rest.strip())
@@ -131,7 +133,7 @@ class Player:
             return str(error)
 
     def _do(self, verb: str, rest: str) -> str:
-        # The simulation's thread steps the emulator, so nothing else may touch it at the same time.
+        # The simulation steps the emulator in a thread, so it may only be accessed in that thread.
         call = self.simulation.call
         if verb == "fault":
             call(lambda: self.emulator.inject(rest))
@@ -155,7 +157,7 @@ class Player:
         return ""
 
     def _wire(self, text: str) -> Faults:
-        # A new seed for every command: trials by hand should not repeat the same losses.
+        # A new seed for every command, so that manual trials do not repeat the same losses.
         faults = Faults(seed=int(time.time()))
         for part in text.split():
             name, _, share = part.partition("=")
@@ -179,8 +181,8 @@ class Player:
             grasping(self.emulator).remove_object()
 
     def _state(self) -> str:
-        """Return what the device would report, and its faults."""
-        # Without traffic nothing has advanced the device since the last exchange.
+        """Return the device's state and its faults as text."""
+        # Without traffic, nothing has advanced the device since the last exchange.
         self.emulator.step(time.monotonic())
         status = getattr(self.emulator, "status", None)
         found = status() if callable(status) else None
@@ -197,13 +199,13 @@ class Player:
 
 
 def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
-    """Refuse a device on a wire that is not its own."""
+    """Refuse a transport that the device does not have."""
     kind = type(emulator)
     if isinstance(emulator, Serves):
         if can or link:
             raise ConfigError(f"'{name}' is a server on the network: give --tcp PORT, or nothing")
         return
-    # A device shows which wires it has by the handlers that it overrides.
+    # An emulator overrides the handlers of the transports that its device has.
     hears, reads = kind.on_frame is not Emulator.on_frame, kind.feed is not Emulator.feed
     if hears and not (reads or can):
         raise ConfigError(f"'{name}' is a device on a CAN bus: give --can CHANNEL")
@@ -219,7 +221,7 @@ def _check_wire(name: str, emulator: Emulator, can: bool, link: bool) -> None:
 
 
 def _check_rate(name: str, emulator: Emulator, baudrate: int | None) -> None:
-    """Refuse a rate that the device's line cannot have."""
+    """Refuse a baud rate that the device cannot be set to."""
     rates = emulator.BAUDRATES
     if baudrate is not None and rates and baudrate not in rates:
         known = ", ".join(str(rate) for rate in sorted(rates))

@@ -12,10 +12,10 @@ from rtee.types import DeviceSpec
 
 
 def make_emulator(name: str, options: Mapping[str, Any]) -> Emulator:
-    """Return a new emulator made from a driver's options, with an object where they name one.
+    """Return a new emulator made from a driver's options, with an object if they give one.
 
     Raises:
-        ConfigError: if there is none of that name, or it cannot use the options.
+        ConfigError: if there is no emulator of that name, or the options do not suit it.
     """
     return make_with_object(find_emulator(name), options)
 
@@ -23,14 +23,15 @@ def make_emulator(name: str, options: Mapping[str, Any]) -> Emulator:
 def emulator_of(
     spec: DeviceSpec, kind: str | type[Emulator] | None = None, /, **options: Any
 ) -> EmulatorFactory | None:
-    """Return what a driver gives to the pool beside its address: ``None`` for a real device.
+    """Return the factory that a driver passes to the pool's methods: ``None`` for a real device.
 
-    A driver names its emulator instead of importing it, so that a real device needs none.
+    A driver names its emulator instead of importing it, so that a real device does without the
+    emulator's module.
 
     Args:
         spec: The device.
         kind: The emulator or its name in the registry; by default the one named as ``spec.driver``.
-        options: Replace options that the emulator is made from.
+        options: Options that replace those of the device.
 
     Raises:
         ConfigError: if there is no such emulator.

@@ -1,8 +1,8 @@
-"""Actuators that were holding something when the driver attached, and were not asked to move since.
+"""Actuators that were active when the driver connected, and must keep their grip until they move.
 
-An actuator that holds an object has a target beyond its position: the difference is the grip. The
-reference of a device that a driver attaches to begins at the measured position, and sending it
-would end the grip.
+The target of an actuator that holds an object lies beyond its position; the controller turns the
+difference into force. The first reference after connecting is the measured position, and sending it
+would release the object.
 """
 
 from __future__ import annotations
@@ -14,48 +14,48 @@ from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, Reference
 
 _SAME = 0.01
-"""A reference this near to the measured position asks for no motion [part of the range]."""
+"""A reference this close to the measured position commands no motion [fraction of the range]."""
 _CHANGED = 1e-4
-"""A reference that has changed by more than this since the first one asks for motion [part of the
+"""A reference that differs by more than this from the first one commands motion [fraction of the
 range]."""
 
 
 class Attached:
-    """Which actuators are to be left alone.
+    """Keeps track of the actuators to which no reference may be sent yet.
 
     Args:
-        actuators: The device's.
+        actuators: The actuators of the device.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
         spans = [a.upper - a.lower for a in actuators]
-        # An actuator that turns without end has no range: shares of 1 rad are used instead.
+        # A continuous joint has no range: the thresholds are fractions of 1 rad instead.
         self._spans = [span if math.isfinite(span) else 1.0 for span in spans]
         self._left: set[int] = set()
         self._first: dict[int, float] = {}
 
     def __bool__(self) -> bool:
-        """Return whether there are any."""
+        """Return whether any actuator is still to be left alone."""
         return bool(self._left)
 
     def begin(self, found: Iterable[int] = ()) -> None:
-        """Leave the actuators alone that were found active, and no others."""
+        """Leave alone the actuators that were found active (indices), and no others."""
         self._left = set(found)
         self._first.clear()
 
     def left(self, reference: Reference, measured: FloatArray) -> Collection[int]:
-        """Return those that a reference does not ask to move; the others follow from now on.
+        """Return the indices of the actuators to leave alone; the others follow from now on.
 
         Args:
-            reference: What is asked for.
-            measured: Their positions.
+            reference: The reference; an actuator that it moves is no longer left alone.
+            measured: Measured positions ``(n,)`` [rad | m].
         """
         for i in tuple(self._left):
             if not reference.mask[i]:
                 continue
-            asked, span = float(reference.position[i]), self._spans[i]
-            changed = abs(asked - self._first.setdefault(i, asked))
-            # Written with `not`, so that a measurement that is not a number releases the actuator.
-            if not abs(asked - float(measured[i])) <= _SAME * span or changed > _CHANGED * span:
+            wanted, span = float(reference.position[i]), self._spans[i]
+            changed = abs(wanted - self._first.setdefault(i, wanted))
+            # Written with `not`, so that a NaN as measurement releases the actuator.
+            if not abs(wanted - float(measured[i])) <= _SAME * span or changed > _CHANGED * span:
                 self._left.remove(i)
         return self._left

@@ -1,4 +1,4 @@
-"""An object between the fingers of an emulated device: the same way for every device."""
+"""An object between the fingers of an emulated device, in the same way for every device."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OPTION = "object"
 """The property of every emulated device that puts an object between its fingers at the start."""
 
 STIFFNESS = 50.0
-"""Stiffness of an object by default; see `ObjectInHand`."""
+"""Default stiffness of an object; for its unit, see `ObjectInHand`."""
 
 WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50mm:20 (softer)"
 """How an object is written, for messages."""
@@ -26,11 +26,11 @@ WRITTEN = "0.4 (part of the way that the fingers close), 50mm (its width), or 50
 _PATTERN = re.compile(r"([0-9.eE+-]+)\s*(mm|cm|m)?\s*(?::\s*([0-9.eE+-]+))?")
 _METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _SOFTEST, _HARDEST = 0.1, 1e6
-"""Range of an object's stiffness: softer, fingers close as if nothing were there; harder, an
-encoder's count is more than full effort."""
+"""Range of an object's stiffness: around a softer one the fingers close as if nothing were there;
+in a harder one a single encoder count is more than full effort."""
 _SLACK = 0.02
-"""How far fingers may be closed beyond an object that is placed [part of their way]: encoders and
-friction leave fingers that far from their target."""
+"""How far the fingers may already be closed beyond an object that is placed [fraction of their
+way]: friction and the resolution of encoders leave fingers that far from their target."""
 
 
 class Closes(Protocol):
@@ -40,18 +40,18 @@ class Closes(Protocol):
 
     @property
     def position(self) -> float:
-        """Where it is."""
+        """Position [the motor's unit]."""
         ...
 
 
 class Closing(NamedTuple):
-    """How a motor closes on an object, in its own units.
+    """How a motor closes on an object, in the motor's units.
 
     Attributes:
         motor: The motor.
-        opened: Where it is when the fingers are open.
-        closed: Where it is when they are closed.
-        effort: The greatest effort it can exert.
+        opened: Position at which the fingers are open.
+        closed: Position at which they are closed.
+        effort: Greatest effort of the motor.
     """
 
     motor: Closes
@@ -61,7 +61,7 @@ class Closing(NamedTuple):
 
     @property
     def part(self) -> float:
-        """How far it is closed, 0 to 1."""
+        """Fraction of the way that it is closed, 0 to 1."""
         return (self.motor.position - self.opened) / (self.closed - self.opened)
 
 
@@ -70,10 +70,11 @@ class ObjectInHand:
     """An object that fingers close on.
 
     Attributes:
-        closure: Part of the way from open to closed at which it is met, 0 to 1, where no width is.
-        width: Its width [m], for devices whose fingers' distance is known.
-        stiffness: Effort to squeeze it through the whole way [greatest effort of the device]: at
-            50, full effort presses the fingers 2 % of the way into it.
+        closure: Fraction of the way from open to closed at which the fingers meet it, 0 to 1;
+            ignored if the width is given.
+        width: Width [m], for devices whose distance between the fingers is known.
+        stiffness: Effort that presses the fingers through their whole way [greatest effort of the
+            device]: at 50, full effort presses them 2 % of the way into the object.
     """
 
     closure: float = 0.0
@@ -85,7 +86,7 @@ class ObjectInHand:
         """Read an object as text: ``0.4``, ``50mm``, ``0.05m``, ``50mm:20``.
 
         Raises:
-            ConfigError: if it is none of these, or out of range.
+            ConfigError: if the text has none of these forms, or a value is out of range.
         """
         # YAML's `yes` would otherwise be read as the number 1.
         found = None if isinstance(value, bool) else _PATTERN.fullmatch(str(value).strip())
@@ -114,17 +115,17 @@ def _numbers(found: re.Match[str]) -> tuple[float, float]:
 
 
 class Grasps(ABC):
-    """Part of an emulator of a device that can hold an object between its fingers."""
+    """Base class for the emulator of a device that can hold an object between its fingers."""
 
     @abstractmethod
     def closings(self) -> Sequence[Closing]:
-        """Return the motors that close on an object, and how."""
+        """Return how each motor that closes on an object does so."""
 
     def closure_at(self, width: float) -> float:
-        """Return the part of the way at which something of a width [m] is met.
+        """Return the fraction of the way at which the fingers meet an object of a width [m].
 
         Raises:
-            ConfigError: if the distance of this device's fingers is not known.
+            ConfigError: if the distance between this device's fingers is not known.
         """
         raise ConfigError(
             "the distance between this device's fingers is not known; give the part of the way at "
@@ -132,10 +133,10 @@ class Grasps(ABC):
         )
 
     def place_object(self, thing: ObjectInHand) -> None:
-        """Put an object between the fingers, in the place of one that is there.
+        """Put an object between the fingers, replacing one that is there.
 
         Raises:
-            ConfigError: if it is too wide, or the fingers have closed further already.
+            ConfigError: if the object is too wide, or the fingers are closed further already.
         """
         at = thing.closure if thing.width is None else self.closure_at(thing.width)
         if not 0.0 <= at <= 1.0:
@@ -160,7 +161,7 @@ class Grasps(ABC):
 
 
 def grasping(emulator: Emulator) -> Grasps:
-    """Return an emulator that an object can be given to.
+    """Return the emulator as one that can hold an object.
 
     Raises:
         ConfigError: if nothing can be put between its fingers.
@@ -171,17 +172,17 @@ def grasping(emulator: Emulator) -> Grasps:
 
 
 def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[DeviceSpec, ...]:
-    """Return the emulated devices of a hand with an object between their fingers.
+    """Return the devices of a hand, the emulated ones with an object between their fingers.
 
     Args:
         hand: The hand's name.
-        specs: Its devices.
+        specs: The devices of the hand.
         text: The object as text; see `ObjectInHand.parse`.
 
     Raises:
-        ConfigError: if it cannot be read, or none of them is emulated.
+        ConfigError: if the text cannot be read, or no device is emulated.
     """
-    # Parsed only to refuse it here, with one message for all devices.
+    # Parsed here only to refuse a wrong text once instead of for each device.
     ObjectInHand.parse(text)
     if not any(spec.emulated for spec in specs):
         drivers = ", ".join(sorted({spec.driver for spec in specs}))
@@ -198,13 +199,13 @@ def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[
 
 
 def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
-    """Make an emulator from a driver's options, with the object they name between its fingers.
+    """Make an emulator from a driver's options, with their object between its fingers.
 
     Raises:
-        ConfigError: if it cannot use the options.
+        ConfigError: if the options do not suit the emulator.
     """
     properties = dict(options.get("emulator") or {})
-    # Taken out: the object is no property of the device, which would refuse the name.
+    # Removed, since the emulator would refuse a name that is not a property of its device.
     given = properties.pop(OPTION, None)
     if given is None:
         return kind.from_options(options)

@@ -1,4 +1,4 @@
-"""Common parts of OnRobot's grippers: registers, options, how a tool is told from another.
+"""Common parts of OnRobot's grippers: registers, options, and the codes of the tools.
 
 Sources: the vendor's ROS 2 packages, its connectivity guide and published drivers, which agree on
 the addresses and units named here.
@@ -14,7 +14,7 @@ from rtee.drivers.options import DeviceOptions
 from rtee.drivers.register_blocks import ExchangeKind
 
 TARGETS = 0x0000
-"""First of the registers that command."""
+"""First of the target registers."""
 
 PRODUCT = 0x0600  # register of the product code
 FIRMWARE = 0x0604  # register of the firmware's version
@@ -24,7 +24,7 @@ SERIAL_COUNT = 16  # its registers, two characters each
 TENTH_MM = 1e-4  # m in a register's unit of widths and diameters
 
 PRODUCTS: dict[int, str] = {0x20: "RG2", 0x21: "RG6", 0xC0: "2FG7", 0xC1: "2FG14"}
-"""Product codes that the vendor's own packages give; that of the 3FG is contradicted."""
+"""Product codes from the vendor's own packages; sources disagree about that of the 3FG."""
 
 
 class OnRobotOptions(DeviceOptions):

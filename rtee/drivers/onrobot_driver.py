@@ -6,7 +6,7 @@ import contextlib
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
@@ -51,6 +51,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
     Attributes:
         MODEL: Its name in messages.
         EMULATOR: The name of its emulator.
+        STATUS_TYPE: The class of its state.
         SOURCE: First register of its state.
         COUNT: Registers of its state.
         SENT: Registers of a command.
@@ -58,6 +59,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
 
     MODEL: ClassVar[str]
     EMULATOR: ClassVar[str]
+    STATUS_TYPE: ClassVar[type[Any]]
     SOURCE: ClassVar[int]
     COUNT: ClassVar[int]
     SENT: ClassVar[int]
@@ -66,17 +68,13 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
         super().__init__(spec, buses)
         self._settings = settings
         only_actuator(spec, self.MODEL)
-        self._status = self._decoded(())
+        self._status: S = self.STATUS_TYPE()
 
-    # --- what differs ------------------------------------------------------------------------
-
-    @abstractmethod
-    def _decoded(self, block: Sequence[int]) -> S:
-        """Return the state from its registers, the default of none; raises `FrameError`."""
+    # --- defined by each model ---------------------------------------------------------------
 
     @abstractmethod
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
-        """Return what only this kind of gripper says about itself; raises `HandshakeError`."""
+        """Return the identity that only this model reports; raises `HandshakeError`."""
 
     @abstractmethod
     def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
@@ -84,7 +82,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
 
     @abstractmethod
     def _refuse(self, status: S) -> None:
-        """Raise the fault that it reports, if it does."""
+        """Raise the fault that a state reports, if any."""
 
     @abstractmethod
     def _measured(self, status: S, stamp: float) -> ActuatorState:
@@ -92,7 +90,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
 
     @abstractmethod
     def _registers_for(self, reference: Reference) -> Sequence[int] | None:
-        """Return what is to be sent for a reference, ``None`` for nothing."""
+        """Return the registers to send for a reference; ``None``: nothing."""
 
     @abstractmethod
     def _stopping(self) -> Sequence[int]:
@@ -101,7 +99,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the connection and see whether such a gripper answers; moves nothing."""
+        """Open the connection and identify the gripper; moves nothing."""
         options = self._settings
         blocks = await self.connection.open(
             self.buses.modbus(
@@ -160,7 +158,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
         return identity
 
     async def activate(self) -> None:
-        """See that it reports no fault."""
+        """Check that it reports no fault."""
         with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
@@ -175,7 +173,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return what the last exchange brought, or read it."""
+        """Return the state that came with the last exchange, or read it."""
         kept = self._last_read()
         if kept is None:
             self._note(await self._read())
@@ -185,28 +183,28 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
         return self._measured(self._status, stamp)
 
     async def move(self, reference: Reference) -> None:
-        """Send what a reference asks for, in one frame."""
+        """Send a reference in one frame."""
         if not reference.mask[0]:
             return
         registers = self._registers_for(reference)
         if registers is None:
             return
         blocks = self.connection.link
-        # Its answer is kept for the next sense: one frame in a cycle instead of two.
+        # The answer is kept for the next `sense`: one exchange in a cycle instead of two.
         block = await blocks.exchange(registers)
         self._note(self._decoded(block))
         self._accepted()
         blocks.keep(block)
 
     def _note(self, status: S) -> None:
-        """Take over what was read."""
+        """Store a state that was read."""
         self._status = status
 
     def _accepted(self) -> None:
-        """Note that the last command has arrived."""
+        """Note that the gripper has received the last command."""
 
     def _forget(self) -> None:
-        """Forget what was commanded."""
+        """Forget the last command."""
 
     # --- stop and faults ---------------------------------------------------------------------
 
@@ -216,7 +214,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
             self._forget()
 
     async def recover(self) -> None:
-        """Stop, and see that the cause of the fault is gone."""
+        """Check that the cause of the fault is gone, and stop."""
         with self.connection.link.unhurried():
             self._status = await self._read()
         self._refuse(self._status)
@@ -224,3 +222,7 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
 
     async def _read(self) -> S:
         return self._decoded(await self.connection.link.read())
+
+    def _decoded(self, block: Sequence[int]) -> S:
+        status: S = self.STATUS_TYPE.from_registers(block, self._settings.address)
+        return status

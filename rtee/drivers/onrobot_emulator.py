@@ -5,13 +5,20 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, ClassVar
 
-from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
+from rtee.buses.modbus_slave import (
+    ILLEGAL_ADDRESS,
+    ILLEGAL_VALUE,
+    Framing,
+    ModbusEmulator,
+    Refused,
+)
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.onrobot_common import FIRMWARE, PRODUCT, SERIAL, SERIAL_COUNT
-from rtee.drivers.properties import Byte, Positive, Rate
+from rtee.drivers.properties import Byte, Duration, Positive, Rate
 
 _GATEWAY_NO_TARGET = 0x0B  # Modbus exception: the target device does not answer the gateway
 _VERSION, _BUILD = 0x0105, 7  # firmware 1.5, build 7, as of no gripper in particular
@@ -20,7 +27,7 @@ Window = tuple[int, int]
 """First and last register of a block that can be read or written."""
 
 IDENTITY: Window = (PRODUCT, SERIAL + SERIAL_COUNT - 1)
-"""What the gripper says about itself."""
+"""The registers of product code, firmware and serial number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,51 +38,116 @@ class OnRobotProperties:
         unit: Its number behind the Compute Box or on the line.
         framing: ``tcp`` or ``rtu``.
         baudrate: Bits per second.
-        haste: How much faster than the real one it moves.
+        force_time: Time to build up the force after the contact [s].
+        haste: Factor by which it moves faster than the real one.
     """
 
     unit: Byte = 65
     framing: Framing = "tcp"
     baudrate: Rate = 1_000_000
+    force_time: Duration = 0.1
     haste: Positive = 1.0
 
 
 class OnRobotEmulator(ModbusEmulator, Grasps):
-    """An emulated gripper; its subclasses define what is in the registers and how it moves.
+    """An emulated gripper; its subclasses define the registers and the commands.
 
     Attributes:
         READABLE: Blocks that can be read.
         WRITABLE: Blocks that can be written.
+        CONTROL: The commands, values of the last target register.
+        NEAR: Distance below which a target counts as reached [units of the axis].
         axis: Its fingers.
-        moves: Times a motion was started.
+        moves: Number of motions started.
     """
 
     FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | {"no_tool"}
     FUNCTIONS: ClassVar[frozenset[int]] = frozenset({0x03, 0x06, 0x10, 0x17})
     EXCEPTIONS: ClassVar[bool] = True
+    # Without a port, the driver reaches the Compute Box by its host, which is Modbus TCP.
+    PORT: ClassVar[str] = "tcp://"
     READABLE: ClassVar[Sequence[Window]]
     WRITABLE: ClassVar[Sequence[Window]]
+    CONTROL: ClassVar[type[IntEnum]]
+    NEAR: ClassVar[float]
     axis: Axis
 
     def __init__(self, properties: OnRobotProperties) -> None:
         made = self._made = properties
         super().__init__(made.unit, made.framing, baudrate=made.baudrate)
-        # Over TCP, too: behind a Compute Box the unit tells the tools of a dual changer apart.
+        # Over TCP, too: behind a Compute Box the unit distinguishes the tools of a dual changer.
         self.any_unit = False
         self.moves = 0
-        self._now: float | None = None
+
+    def power_cycle(self, now: float) -> None:
+        """Stop, and forget targets and contact; the encoder is absolute and the gear holds."""
+        self.line_reset()
+        self._targets = self._idle_targets()
+        self._busy = False
+        self._contact = False
+        self._building = 0.0
+        self._halt()
+
+    def _halt(self) -> None:
+        self.axis.target = self.axis.position
+
+    @abstractmethod
+    def _idle_targets(self) -> list[int]:
+        """Return the target registers after power-up."""
 
     @abstractmethod
     def registers(self) -> Mapping[int, int]:
-        """Return what is in the registers."""
+        """Return the values of the registers."""
 
     @abstractmethod
+    def _command(self, control: Any) -> None:
+        """Carry out a command, with the targets that are set."""
+
+    @property
+    @abstractmethod
+    def _can_grip(self) -> bool:
+        """Whether the motion under way may end in a grip where it is blocked."""
+
+    @abstractmethod
+    def _effort(self, part: float) -> float:
+        """Return the effort limit when a part of the force is built up, 0 to 1."""
+
     def _set(self, address: int, values: Sequence[int]) -> None:
-        """Set registers of one block, and obey; raises `Refused`."""
+        """Set target registers, and carry out a command among them; raises `Refused`."""
+        self._targets[address : address + len(values)] = values
+        # Only a write that includes the control register starts anything, as on the device.
+        if address + len(values) == len(self._targets):
+            try:
+                control = self.CONTROL(values[-1])
+            except ValueError:
+                raise Refused(ILLEGAL_VALUE) from None
+            self._command(control)
 
-    @abstractmethod
+    @property
+    def _built_up(self) -> float:
+        """The part of the force that is built up, 0 to 1."""
+        return min(self._building / max(self._made.force_time, 1e-6), 1.0)
+
     def _advance_by(self, dt: float) -> None:
-        """Let ``dt`` seconds pass."""
+        """Let ``dt`` seconds pass; at an object, the force is built up."""
+        self.axis.advance(dt)
+        if not self._busy or self.axis.velocity != 0.0:
+            return
+        there = abs(self.axis.target - self.axis.position) < self.NEAR
+        if there or self.axis.stuck or not self._can_grip:
+            self._busy = False
+            return
+        self._contact = True
+        self._building += dt
+        self.axis.max_effort = self._effort(self._built_up)
+        self._busy = self._built_up < 1.0
+
+    def _settle(self) -> None:
+        """Finish a motion as one of an earlier program."""
+        # Ten seconds, long enough to arrive and to build up the whole force.
+        for _ in range(100):
+            self._advance_by(0.1)
+        self.moves = 0
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck."""
@@ -91,7 +163,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         return [known.get(address + i, 0) & 0xFFFF for i in range(count)]
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Set targets or settings; writing control starts what it names."""
+        """Set targets or settings; writing the control register starts a command."""
         self._reachable()
         if not _within(self.WRITABLE, address, len(values)):
             raise Refused(ILLEGAL_ADDRESS)
@@ -104,8 +176,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        dt = 0.0 if self._now is None else max(0.0, now - self._now)
-        self._now = now
+        dt = self._elapsed(now)
         if dt > 0.0:
             self._advance_by(dt * self._made.haste)
 
@@ -115,14 +186,6 @@ def identity(product: int, serial: str) -> dict[int, int]:
     text = serial.encode("ascii").ljust(2 * SERIAL_COUNT, b"\0")
     known = {SERIAL + i: text[2 * i] << 8 | text[2 * i + 1] for i in range(SERIAL_COUNT)}
     return known | {PRODUCT: product, FIRMWARE: _VERSION, FIRMWARE + 1: _BUILD}
-
-
-def fitting(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """Return the properties that follow from a driver's options: ``names`` and the framing."""
-    found = {name: options[name] for name in names if options.get(name) is not None}
-    # Without a port, the driver reaches the Compute Box by its host, which is Modbus TCP.
-    port = str(options.get("port") or "tcp://")
-    return {**found, "framing": "tcp" if port.startswith("tcp://") else "rtu"}
 
 
 def _within(blocks: Sequence[Window], address: int, count: int) -> bool:

@@ -1,4 +1,4 @@
-"""A driver's own options in hand.yaml: checked once, when the driver is made."""
+"""The options of a driver in hand.yaml: checked once, when the driver is made."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def read_options(model: type[O], spec: DeviceSpec) -> O:
     """Return the options of a device, checked.
 
     Raises:
-        ConfigError: if a name is unknown or a value unusable; it names the option and the file.
+        ConfigError: if a name is unknown or a value invalid; it names the option and the file.
     """
     try:
         return model.model_validate(dict(spec.options))

@@ -1,4 +1,4 @@
-"""Properties of an emulated device: its option ``emulator``, read into the emulator's dataclass."""
+"""Properties of an emulated device: the option ``emulator``, read into the emulator's dataclass."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FORMS = {
     "dict_type": "; a mapping is written {name: value}",
     "dataclass_type": "; a mapping is written {name: value}",
 }
-"""What to write where a value has the wrong form, by the kind of pydantic's error."""
+"""Hint on how to write a value of the wrong type, by pydantic's error type."""
 
 
 def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) -> P:
@@ -38,14 +38,14 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
     Args:
         kind: The emulator's dataclass of properties.
         options: The driver's options; only ``emulator`` is read.
-        defaults: Properties that follow from other options, unless given.
+        defaults: Values that follow from other options, for properties that are not given.
 
     Raises:
-        ConfigError: if a name is unknown or a value unusable.
+        ConfigError: if a name is unknown or a value invalid.
     """
     given = {**defaults, **dict(options.get("emulator") or {})}
     known = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    # Pydantic ignores names that a plain dataclass does not have: a misspelt one would go unseen.
+    # Pydantic ignores unknown names for a plain dataclass: a misspelt one would go unnoticed.
     for name in given:
         if name not in known:
             raise ConfigError(
@@ -56,8 +56,8 @@ def read_properties(kind: type[P], options: Mapping[str, Any], **defaults: Any) 
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"] if part != "[key]")
-        said = first["msg"].removeprefix("Value error, ").lower().replace("tuple", "list")
-        said += _FORMS.get(first["type"], "")
-        # Without a name, properties do not fit one another.
+        message = first["msg"].removeprefix("Value error, ").lower().replace("tuple", "list")
+        message += _FORMS.get(first["type"], "")
+        # An error without a name comes from `__post_init__`: the properties contradict each other.
         what = f"property '{name}'" if name else "properties"
-        raise ConfigError(f"{what} of the emulated device: {said}") from None
+        raise ConfigError(f"{what} of the emulated device: {message}") from None

@@ -3,38 +3,49 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from typing import Literal
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
-from rtee.drivers.connection import Connection, longer_deadline
-from rtee.errors import BusError, BusTimeout
+from rtee.drivers.connection import Connection
+from rtee.drivers.deadlines import Unhurried, cycle_deadline
+from rtee.errors import BusError, BusTimeout, DeviceFault
 from rtee.types import DeviceSpec
 
 ExchangeKind = Literal["auto", "combined", "separate"]
 
-PATIENT = 0.5
+PATIENT = Unhurried.PATIENCE
 """Longest time of an exchange outside the cycle, which a busy computer may delay [s]."""
 
 _TRIES = 3
-"""Attempts before function 23 counts as missing, or a write that must arrive as lost."""
+"""Attempts before function 23 counts as not supported, and for a write that must arrive."""
 
 _REFRESH = 0.005
 """Robotiq's grippers refresh their registers every 5 ms [s]; their manuals, Modbus RTU section."""
 
 
-class Blocks:
+class Blocks(Unhurried):
     """The output and the input block of one gripper.
 
     One exchange writes the output block and reads the input block, with function 23 where the
-    gripper has it, else with functions 16 and 3 or 4. Some grippers refuse by silence, so function
-    23 counts as missing when it was never answered in `_TRIES` attempts.
+    gripper supports it, else with functions 16 and 3 or 4. Some grippers ignore an unsupported
+    function, so 23 counts as not supported after `_TRIES` attempts without any answer.
+
+    Args:
+        bus: The line or connection.
+        unit: The gripper's number on it.
+        output: First register of the output block.
+        source: First register of the input block.
+        count: Registers of the input block.
+        deadline: Longest time of one exchange [s].
+        kind: Whether to use function 23.
+        function: Function to read the input block with, 3 or 4.
+        retries: How often a request is sent again within the deadline.
+        refresh: Period at which the gripper refreshes its registers [s].
 
     Attributes:
         bus: The line or connection.
@@ -66,17 +77,13 @@ class Blocks:
         self._function = function
         self._retries = retries
         self._refresh = refresh
-        self._silent = 0
+        self._silent = 0  # exchanges with function 23 that got no answer
         self._cached: tuple[tuple[int, ...], float] | None = None
 
     @property
     def combined(self) -> bool:
         """Whether function 23 is used."""
         return self._kind != "separate"
-
-    def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        return longer_deadline(self, PATIENT)
 
     async def read(self) -> tuple[int, ...]:
         """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""
@@ -113,7 +120,7 @@ class Blocks:
                     retries=self._retries,
                 )
             except ModbusRefusal as refusal:
-                # Exception 1: the gripper does not know the function, and never will.
+                # Exception 1: the gripper does not support the function, so it is not tried again.
                 if self._kind != "auto" or refusal.code != 1:
                     raise
                 self._kind = "separate"
@@ -125,6 +132,7 @@ class Blocks:
                     raise
                 self._kind = "separate"
             else:
+                # An answer proves that the gripper supports the function.
                 self._kind = "combined"
                 return block
         await self.write(values)
@@ -136,7 +144,7 @@ class Blocks:
 
     def fresh(self, age: float) -> tuple[tuple[int, ...], float] | None:
         """Return the kept block and its time, once; ``None`` when older than ``age`` [s]."""
-        # Handed out once: a second sense in the same cycle must read the gripper.
+        # Returned only once: a second `sense` in the same cycle must read the gripper.
         cached, self._cached = self._cached, None
         if cached is None or time.monotonic() - cached[1] > age:
             return None
@@ -158,7 +166,7 @@ class Blocks:
 
 
 class BlocksDriver(Driver):
-    """A driver of such a gripper: its connection, its pace, the block read last."""
+    """A driver of such a gripper: connection, deadline, newest input block, faults."""
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
@@ -166,12 +174,8 @@ class BlocksDriver(Driver):
         self._active = False
 
     def _pace(self, best: float) -> None:
-        """Set the deadline of an exchange to its share of ticks, for a best rate [Hz]."""
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        # One and a half of its periods leaves room for jitter; five exchanges are enough for a
-        # retry.
-        usual = max(1.5 * every / self.spec.rate, 5.0 / best)
-        self.connection.link.deadline = self.spec.deadline or usual
+        """Set the deadline of exchanges in the cycle, for the wire's best rate [Hz]."""
+        self.connection.link.deadline = cycle_deadline(self.spec, best)
 
     def _last_read(self) -> tuple[tuple[int, ...], float] | None:
         """Return the block of the last exchange and its time [s], unless it is old or used."""
@@ -180,13 +184,19 @@ class BlocksDriver(Driver):
         return self.connection.link.fresh(2.0 * max(1.0 / self.capabilities.best_rate, period))
 
     async def _insist(self, registers: Sequence[int]) -> bool:
-        """Write registers that must arrive; return whether they did."""
+        """Write registers, several times if need be; return whether they arrived."""
         # A stop may come before the connection is open or after it was closed, and must not raise.
         for _ in range(_TRIES if self.connection.is_open else 0):
             with contextlib.suppress(BusError):
                 await self.connection.link.write(registers)
                 return True
         return False
+
+    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
+        """Return a fault, with which the driver becomes inactive."""
+        # An inactive driver only reads, so that the fault is raised once and not in every cycle.
+        self._active = False
+        return DeviceFault(self.spec.name, code, name, hint=hint)
 
     async def deactivate(self) -> None:
         """Stop; a grip is kept."""

@@ -1,4 +1,4 @@
-"""Find drivers and emulators by name: those of rtee, entry points, or ``module:Class``."""
+"""Find drivers and emulators by name: built-in ones, entry points, or ``module:Class``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DRIVERS: Mapping[str, str] = {
     "orca_touch": "rtee.drivers.orca_touch.driver:OrcaTouchDriver",
     "mujoco": "rtee.drivers.mujoco.driver:MujocoDriver",
 }
-"""Name to ``module:Class``, imported only when asked for."""
+"""Built-in drivers: name to ``module:Class``, imported when first needed."""
 
 EMULATORS: Mapping[str, str] = {
     "robotiq_2f": "rtee.drivers.robotiq_2f.emulator:Robotiq2FEmulator",
@@ -55,34 +55,34 @@ EMULATORS: Mapping[str, str] = {
     "heri_ethercat": "rtee.drivers.heri_ethercat.emulator:HeriEmulator",
     "orca_touch": "rtee.drivers.orca_touch.emulator:OrcaTouchEmulator",
 }
-"""The same for the emulators of the drivers' devices."""
+"""Built-in emulators: name of the driver to ``module:Class``."""
 
 DRIVER_GROUP = "rtee.drivers"
-"""The entry point group under which other packages offer drivers."""
+"""The entry point group in which other packages offer drivers."""
 
 EMULATOR_GROUP = "rtee.emulators"
-"""The entry point group under which other packages offer emulators."""
+"""The entry point group in which other packages offer emulators."""
 
 
 def driver_names() -> list[str]:
-    """Return the names of all drivers that can be found, sorted."""
+    """Return the names of all built-in and installed drivers, sorted."""
     return sorted({*DRIVERS, *_offered(DRIVER_GROUP)})
 
 
 def emulator_names() -> list[str]:
-    """Return the names of all emulators that can be found, sorted."""
+    """Return the names of all built-in and installed emulators, sorted."""
     return sorted({*EMULATORS, *_offered(EMULATOR_GROUP)})
 
 
 def find_driver(name: str, *, source: str = "") -> type[Driver]:
-    """Return the driver class of that name.
+    """Return the driver class of a name.
 
     Args:
         name: A name in `DRIVERS`, an entry point's name, or ``module:Class``.
         source: ``file:line`` of the name, for the message.
 
     Raises:
-        ConfigError: if there is none, it cannot be imported, or it is not a `Driver`.
+        ConfigError: if the name is unknown, or the class cannot be imported or is not a `Driver`.
     """
     where = f"{source}: " if source else ""
     target = _target(name, DRIVERS, DRIVER_GROUP)
@@ -96,7 +96,8 @@ def find_emulator(name: str) -> type[Emulator]:
     """Return the emulator class of a driver's name, entry point or ``module:Class``.
 
     Raises:
-        ConfigError: if there is none, it cannot be imported, or it is not an `Emulator`.
+        ConfigError: if there is no emulator of that name, or the class cannot be imported or is not
+            an `Emulator`.
     """
     target = _target(name, EMULATORS, EMULATOR_GROUP)
     if target is None:
@@ -115,7 +116,7 @@ def _offered(group: str) -> Mapping[str, str]:
 
 
 def _target(name: str, built_in: Mapping[str, str], group: str) -> str | None:
-    """Return the ``module:Class`` that a name stands for; rtee's own names come first."""
+    """Return the ``module:Class`` that a name stands for; built-in names take precedence."""
     return built_in.get(name) or _offered(group).get(name) or (name if ":" in name else None)
 
 
@@ -123,7 +124,7 @@ def _imported(what: str, target: str, base: type) -> Any:
     module_name, _, class_name = target.partition(":")
     try:
         found = getattr(importlib.import_module(module_name), class_name)
-    except Exception as error:  # whatever a module of another package does when it is imported
+    except Exception as error:  # importing a module of another package may raise anything
         raise ConfigError(f"{what} cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, base)):
         raise ConfigError(f"{what} is not a subclass of {base.__name__}")

@@ -31,7 +31,7 @@ NOT_ACTIVATED = 0x07
 """The code of gFLT of a gripper that was never activated, or lost its activation."""
 
 SAME = 2
-"""Positions this near to each other are the same [counts]; at rest gPO varies by one."""
+"""Positions that differ by no more than this are the same [counts]; at rest gPO varies by one."""
 
 
 class Progress(IntEnum):
@@ -130,10 +130,10 @@ class RobotiqStatus(ABC):
 class Grip:
     """Contact as one motor reports it, debounced.
 
-    A gripper withdraws its report of contact at every new request, and repeats it when it has found
-    that the fingers do not move. While a request moves on, the report therefore comes and goes,
-    although the fingers press on the object all the time. So it is kept as long as the gripper is
-    about to move on in the same direction and the fingers have not moved.
+    A gripper clears its report of contact at every new request, and sets it again when it has found
+    that the fingers do not move. While requests change in every cycle, the report therefore comes
+    and goes, although the fingers press on the object all the time. So contact is kept as long as
+    the requested motion has the same direction and the fingers have not moved.
     """
 
     def __init__(self) -> None:
@@ -144,10 +144,10 @@ class Grip:
         """Return whether the motor is in contact.
 
         Args:
-            contact: It reports contact.
-            moving: It reports that it moves, or is about to.
-            position: Where it is [counts].
-            requested: Where it is asked to go [counts].
+            contact: Whether it reports contact.
+            moving: Whether it reports that it moves or is about to.
+            position: Measured position [counts].
+            requested: Requested position [counts].
         """
         side = (requested > position) - (requested < position)
         if contact:

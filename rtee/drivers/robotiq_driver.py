@@ -14,6 +14,7 @@ from typing import ClassVar, Generic, TypeVar
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
+from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.robotiq_common import (
@@ -38,7 +39,7 @@ _POLL = 0.01
 """Time between two readings of the status while the gripper moves by itself [s]."""
 
 _MISSED = 5
-"""Answers in a row that may be missing meanwhile: the gripper may be busy; more mean it is gone."""
+"""Missing answers in a row that are tolerated meanwhile: the gripper may be busy by itself."""
 
 S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
@@ -76,7 +77,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
-    # --- what differs ------------------------------------------------------------------------
+    # --- defined by each model ---------------------------------------------------------------
 
     @abstractmethod
     def _decoded(self, block: Sequence[int]) -> S:
@@ -84,10 +85,10 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
-        """Return where the output and the input block begin, and the function to read with."""
+        """Return the first registers of output and input block, and the function to read with."""
 
     def _gap(self) -> float | None:
-        """Return the silence that it needs before a request [s], ``None`` for the line's own."""
+        """Return the silence it needs before a request [s]; ``None``: the line's default."""
         return None
 
     @abstractmethod
@@ -122,9 +123,9 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         """Open the line and check that such a gripper answers; moves nothing."""
         settings = self._settings
         output, source, function = self._places()
-        # Where both blocks begin at the same place, function 23 cannot distinguish them.
+        # Where both blocks begin at the same register, function 23 cannot distinguish them.
         mixed = output == source and settings.exchange == "auto"
-        # Emulated, it is found active, as after an earlier run, unless it is to be homed.
+        # An emulated gripper starts activated, as after an earlier run, unless it is to be homed.
         found = {"activated": settings.home == "on_demand", **settings.emulator}
         blocks = await self.connection.open(
             self.buses.modbus(
@@ -168,14 +169,14 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
             ) from error
 
     async def activate(self) -> None:
-        """Attach to an active gripper; activate an inactive one where that was asked for."""
+        """Attach to an active gripper; activate an inactive one where that is allowed."""
         with self.connection.link.unhurried():
             status = self._status = await self._read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
         if not status.ready:
             if not allowed:
-                raise self._fault(NOT_ACTIVATED)
+                raise self._gripper_fault(NOT_ACTIVATED)
             await self._within("activating itself", self._activate)
         await self._prepare(allowed)
         self._home_asked = False
@@ -194,31 +195,21 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
 
     async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
         """Run steps that make the gripper move by itself, in limited time; cancelling stops it."""
+        seconds = self._settings.activation_timeout
         self.doing = doing
         try:
             with self.connection.link.unhurried():
-                async with asyncio.timeout(self._settings.activation_timeout):
+                async with time_limit(seconds, self._too_slow, end=self._end_activation):
                     await steps()
-        # A `BusTimeout` is a `TimeoutError` too, but means a lost gripper and not a slow one.
-        except BusTimeout:
-            raise
-        except TimeoutError:
-            # It must not go on moving by itself once the fault is told and fingers are freed.
-            await self._end_activation()
-            raise DeviceFault(
-                self.spec.name,
-                0x0D,
-                "activation not done in time",
-                hint="free the fingers, then `rtee recover`",
-            ) from None
-        except asyncio.CancelledError:
-            # The gripper would go on with its activation by itself; only a reset ends that.
-            await self._end_activation()
-            raise
         finally:
             self.doing = ""
 
+    def _too_slow(self) -> DeviceFault:
+        hint = "free the fingers, then `rtee recover`"
+        return DeviceFault(self.spec.name, 0x0D, "activation not done in time", hint=hint)
+
     async def _end_activation(self) -> None:
+        # Only a reset ends an activation; without it the gripper goes on once its fingers are free.
         with contextlib.suppress(BusError):
             await self._write(self.RESET)
 
@@ -258,7 +249,8 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
             if not status.ready:
                 # A write with rACT set has begun to activate it, which moves it.
                 await self._insist(self.RESET)
-                raise self._fault(NOT_ACTIVATED, "lost its activation; was its supply cut?")
+                name = "lost its activation; was its supply cut?"
+                raise self._gripper_fault(NOT_ACTIVATED, name)
         return self._measured(status, stamp)
 
     async def move(self, reference: Reference) -> None:
@@ -279,14 +271,14 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
             self._sent = None
 
     async def recover(self) -> None:
-        """Clear a fault; where that costs the activation, the next `activate` may move."""
+        """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
         with self.connection.link.unhurried():
             status = self._status = await self._read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:
                 await self._clear()
         self._refuse(self._status)
-        # The user asked for recovery, which is the consent to a motion that activation may need.
+        # By asking for recovery the user agrees to a motion that the activation may need.
         self._home_asked = True
 
     async def _clear(self) -> None:
@@ -295,7 +287,7 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         end = time.monotonic() + PATIENT
         while self._status.fault or self._status.activated:
             if time.monotonic() > end:
-                raise self._fault(self._status.fault or NOT_ACTIVATED)
+                raise self._gripper_fault(self._status.fault or NOT_ACTIVATED)
             await asyncio.sleep(_POLL)
             self._status = await self._read()
 
@@ -304,14 +296,12 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         fault = self.FAULTS.get(status.fault)
         # Code 7 must not keep callers from activating it; they see by `ready` that it is needed.
         if fault is not None and not fault.warning and status.fault != NOT_ACTIVATED:
-            raise self._fault(status.fault)
+            raise self._gripper_fault(status.fault)
 
-    def _fault(self, code: int, name: str = "") -> DeviceFault:
-        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
+    def _gripper_fault(self, code: int, name: str = "") -> DeviceFault:
         fault = self.FAULTS.get(code, Fault("a fault that no manual names", "recover"))
         hint = self.HINT if code == NOT_ACTIVATED else fault.hint
-        return DeviceFault(self.spec.name, code, name or fault.name, hint=hint)
+        return self._fault(code, name or fault.name, hint)
 
     def _warnings(self, status: S) -> tuple[str, ...]:
         fault = self.FAULTS.get(status.fault)

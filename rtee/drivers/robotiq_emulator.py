@@ -31,8 +31,8 @@ _RELEASING, _RELEASED = 0x0B, 0x0F  # gFLT: automatic release under way, complet
 _ACTIVATION_FAILED = 0x0D  # gFLT: activation fault
 
 _SELF_TEST = 800.0
-"""Way of a motor in the time of an activation, at most [counts]: three times its stroke, for there
-and back with a margin."""
+"""Travel of a motor during an activation, at most [counts]: three times its range, there and back
+with a margin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +88,9 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         self.activations = 0
         self.moves = 0
         self.begun: Any = self._command()
-        self._now: float | None = None
         self._power_up(made.activated)
 
-    # --- what differs ------------------------------------------------------------------------
+    # --- defined by each model ---------------------------------------------------------------
 
     @abstractmethod
     def _command(self) -> RobotiqCommand:
@@ -107,7 +106,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     @abstractmethod
     def _windows(self) -> Sequence[tuple[int, int]]:
-        """Return where the input and the output block begin, in each place that is served."""
+        """Return the first registers of input and output block, for each address they have."""
 
     @abstractmethod
     def status(self) -> RobotiqStatus:
@@ -176,7 +175,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         """Return registers of the input block, or of the output block where that is read."""
         self.advance(now)
         for inputs, outputs in self._windows():
-            # At one place, function 3 reads what was written, the others what is measured.
+            # At a common address, function 3 reads what was written, the others what is measured.
             shared = inputs == outputs and function == READ_HOLDING
             if inputs <= address and address + count <= inputs + BLOCK and not shared:
                 return self._input_block()[address - inputs : address - inputs + count]
@@ -253,19 +252,22 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        dt = 0.0 if self._now is None else max(0.0, now - self._now) * self._made.haste
-        self._now = now
+        dt = self._elapsed(now) * self._made.haste
         # The first reading after a command still reports motion, as on the real gripper.
         if dt > 0.0:
             self._started = False
-        if self._progress is Progress.ACTIVATING:
-            self._activate(dt)
+        self._progress_by(dt)
         if self._blocked() and not self._releasing:
             self._halt()
         for axis in self.axes:
             axis.advance(dt)
         if self._releasing and dt > 0.0 and all(axis.velocity == 0.0 for axis in self.axes):
             self._fault = _RELEASED
+
+    def _progress_by(self, dt: float) -> None:
+        """Go on with an activation under way."""
+        if self._progress is Progress.ACTIVATING:
+            self._activate(dt)
 
     def _activate(self, dt: float) -> None:
         """Close all motors, then open them, within the activation's time."""
@@ -288,11 +290,3 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self._halt()
             # A target that came meanwhile is followed only from here on.
             self._obey(self._command())
-
-
-def fitting(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """Return the properties that follow from a driver's options: ``names`` and the framing."""
-    found = {name: options[name] for name in names if options.get(name) is not None}
-    if str(options.get("port", "")).startswith("tcp://"):
-        found["framing"] = "tcp"
-    return found

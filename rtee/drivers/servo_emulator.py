@@ -1,4 +1,4 @@
-"""What emulated lines of servos share: all hear everything, each answers for itself."""
+"""Common parts of emulated lines of servos: all receive every request, each answers for itself."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ from collections.abc import Iterable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from rtee.buses.emulator import Emulator
+from rtee.drivers.axis import Axis, VirtualObject
 
 
 class EmulatedServo(Protocol):
     """One servo of an emulated line.
 
     Attributes:
-        silent_until: It answers nothing before this time [s].
+        axis: Its shaft.
+        silent_until: Time before which it does not answer [s].
     """
 
+    axis: Axis
     silent_until: float
 
     @property
@@ -32,7 +35,7 @@ class EmulatedServo(Protocol):
 
 
 class Resets(Protocol):
-    """A parser of what the host sends."""
+    """A parser of the host's requests."""
 
     def reset(self) -> None:
         """Forget the bytes of an incomplete frame."""
@@ -47,10 +50,10 @@ class ServoLine(Emulator, Generic[S]):
 
     Args:
         servos: The servos.
-        parser: Finds what the host sends.
+        parser: The parser of requests.
 
     Attributes:
-        ordered: The servos as they were given.
+        ordered: The servos in the order of the argument.
     """
 
     def __init__(self, servos: Sequence[S], parser: Resets) -> None:
@@ -61,14 +64,27 @@ class ServoLine(Emulator, Generic[S]):
     @property
     def servos(self) -> dict[int, S]:
         """The servos by id."""
-        # Made anew for every call, since a write may change a servo's id.
+        # Not stored, since a write may change a servo's id.
         return {servo.number: servo for servo in self.ordered}
 
     def listening(self, numbers: Iterable[int], now: float) -> list[S]:
-        """Return the servos of these ids that can answer, in this order."""
+        """Return the servos with these ids that can answer, in the order of the ids."""
         servos = self.servos
         found = [servos[n] for n in numbers if n in servos]
         return [servo for servo in found if now >= servo.silent_until]
+
+    def grip_object(
+        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
+    ) -> None:
+        """Put an object in a servo's way, met at a position [counts of the axis].
+
+        Args:
+            number: The servo's id.
+            position: Where it touches.
+            stiffness: Effort per displacement [effort of the axis per count].
+            closing: Direction in which the servo closes, +1 or -1.
+        """
+        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def power_cycle(self, now: float) -> None:
         """Cut the supply of all servos and bring it back."""

@@ -1,35 +1,34 @@
-"""What drivers of servos on a line share: options, who must be there, and the calibration.
+"""Common parts of drivers of servos on a line: options, presence check and calibration.
 
-A calibration is the reading of each servo at 0 rad, and the identity of the servo.
+A calibration consists of the reading of each servo at 0 rad, and the servo's identity.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
 from rtee.drivers.base import Driver
+from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import Positive
 from rtee.errors import CalibrationError, HandshakeError, NotConnected
-from rtee.hand.files import make_folder, write_atomically
 from rtee.sample import FloatArray
 
 
 class ServoOptions(BaseModel):
-    """Options that one servo has of every kind.
+    """Options of one servo that all kinds have.
 
     Attributes:
-        direction: +1 or -1: sense of its positions with the angle.
-        gear: Its turns per turn of the angle.
-        model: Model number expected; else any that is known.
-        torque_per_ampere: Torque per current [N·m/A]; else that of the line, or of the model.
+        direction: +1 or -1: sign of its positions relative to the joint's angle.
+        gear: Turns of the servo per turn of the joint.
+        model: Expected model number; by default any known one.
+        torque_per_ampere: Torque per current [N·m/A]; by default that of the line or the model.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -45,11 +44,11 @@ def check_line(baudrate: int, rates: Collection[int], ids: Sequence[int]) -> Non
 
     Args:
         baudrate: Its rate [baud].
-        rates: Rates that its servos know [baud].
+        rates: Rates that its servos support [baud].
         ids: Their ids.
 
     Raises:
-        ValueError: if they do not know the rate, or two have the same id.
+        ValueError: if they do not support the rate, or two have the same id.
     """
     if baudrate not in rates:
         raise ValueError(f"baudrate is one of {', '.join(str(rate) for rate in rates)}")
@@ -64,21 +63,21 @@ def check_present(
     found: Mapping[int, int | None],
     named: Callable[[int | None], str],
 ) -> None:
-    """Check that all servos of a device answer, each as the model that is expected.
+    """Check that all servos of a device answer, each with the expected model number.
 
     Args:
         device: The device's name.
-        port: Where it is, for the message.
-        expected: Id and model number, if one is expected, of each servo by its name.
-        found: Model number by id; ``None``: it does not answer.
-        named: Returns what a model number is called.
+        port: Its port, for the message.
+        expected: Id and expected model number (``None``: any) of each servo, by its name.
+        found: Model number by id; ``None``: no answer.
+        named: Returns the name of a model number.
 
     Raises:
-        NotConnected: if none answers.
-        HandshakeError: if some are missing or of another model than expected.
+        NotConnected: if no servo answers.
+        HandshakeError: if some are missing or of another model.
     """
     missing = [number for number, model in found.items() if model is None]
-    # None at all means supply, port or rate; some missing means an id or a cable.
+    # If none answers, the cause is supply, port or rate; if some do, it is an id or a cable.
     if len(missing) == len(found):
         raise NotConnected(
             device,
@@ -109,15 +108,15 @@ def _ranges(numbers: Sequence[int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Calibrated:
-    """One servo as it was calibrated.
+    """One calibrated servo.
 
     Attributes:
-        actuator: The actuator it drives, or its name where two drive one together.
+        actuator: The actuator that it drives, or its own name if two servos drive one together.
         id: Its id.
         model: Its model number.
-        drive_mode: Its drive mode, above all its sense of rotation.
+        drive_mode: Its drive mode, which includes the sense of rotation.
         homing_offset: Its homing offset [counts].
-        zero: Its position where the joint is at 0 rad [counts], within one turn.
+        zero: Its position at 0 rad of the joint [counts], within one turn.
     """
 
     actuator: str
@@ -132,41 +131,36 @@ def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
     """Return the calibrated servos by actuator.
 
     Raises:
-        CalibrationError: if the file is missing or says something else.
+        CalibrationError: if the file is missing or is not a calibration of servos.
     """
-    try:
-        stored = json.loads(path.read_text("utf-8"))
+
+    def servos_of(stored: Any) -> list[Calibrated]:
         servos = [Calibrated(**entry) for entry in stored["servos"]]
         for servo in servos:
-            # Not bool, a kind of int; not NaN either, which JSON as Python reads it may hold.
+            # `bool` is an `int`, and Python's JSON reader accepts NaN.
             if type(servo.zero) not in (int, float) or not math.isfinite(servo.zero):
                 raise ValueError(f"the zero of '{servo.actuator}' is {servo.zero!r}, not a number")
-    except FileNotFoundError:
-        raise CalibrationError(
-            device, f"there is no calibration at {path}; `rtee calibrate` makes one"
-        ) from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise CalibrationError(device, f"{path} is not a calibration of servos: {error}") from error
+        return servos
+
+    servos = read_calibration_file(path, device, servos_of, of=" of servos")
     return {servo.actuator: servo for servo in servos}
 
 
 def write_calibration(path: Path, servos: list[Calibrated]) -> None:
     """Write a calibration; raises `ConfigError` if the file cannot be written."""
-    make_folder(path.parent)
-    text = json.dumps({"servos": [asdict(servo) for servo in servos]}, indent=2)
-    write_atomically(path, text + "\n")
+    write_json(path, {"servos": [asdict(servo) for servo in servos]})
 
 
 def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[float]:
-    """Return the zeros that a calibration has for servos [counts].
+    """Return the calibrated zeros of servos [counts].
 
     Args:
         path: The file.
         device: The device's name.
-        servos: The servos as they are now.
+        servos: The servos as found.
 
     Raises:
-        CalibrationError: if the file cannot be used, or one of them is not as it was calibrated.
+        CalibrationError: if the file cannot be used, or a servo has changed since.
     """
     stored = read_calibration(path, device)
     zeros = []
@@ -186,9 +180,9 @@ def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[floa
 
 
 def _differences(then: Calibrated, now: Calibrated) -> list[str]:
-    """Return what about a servo is not as it was calibrated, in words."""
+    """Return the changes of a servo since its calibration, in words."""
     found = []
-    # These move the zero or say that it is another servo; gains and limits do neither.
+    # These change the zero or identify another servo; gains and limits do neither.
     for name in ("id", "model", "drive_mode", "homing_offset"):
         before, after = getattr(then, name), getattr(now, name)
         if before != after:
@@ -197,21 +191,21 @@ def _differences(then: Calibrated, now: Calibrated) -> list[str]:
 
 
 class CalibratesServos(Driver):
-    """A driver of servos whose zeros are found by putting the hand into its rest posture."""
+    """A driver of servos that are calibrated with the hand in its rest posture."""
 
     @abstractmethod
     async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Take the present positions for a posture [rad]; raises `BusError`."""
+        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
 
     async def calibrate(
         self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
     ) -> list[Calibrated]:
-        """Take the pose that the user puts the hand into for its rest posture; store the zeros.
+        """Let the user put the hand into its rest posture; set and store the zeros.
 
         Args:
             path: File to write.
             rest: Angles of the rest posture [rad], in the order of the actuators.
-            ready: Called with what to do; returns when it is done.
+            ready: Called with an instruction for the user; returns when the user has followed it.
 
         Raises:
             BusError: if the line fails.

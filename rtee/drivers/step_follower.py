@@ -1,4 +1,4 @@
-"""Follow a moving reference with a gripper that takes one target at a time and moves by itself."""
+"""Follow a moving reference with a gripper that accepts one target at a time."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from typing import Annotated
 from pydantic import Field
 
 _AGAIN = 0.5
-"""Time after which a command that was without effect is given again [s]: longer than a motion takes
-to begin."""
+"""Time after which a command that had no effect is sent again [s]: longer than a motion takes to
+begin."""
 
 
 Settle = Annotated[
     float,
-    Field(ge=0.0, description="a reference that rests this long is gone to, however near [s]"),
+    Field(
+        ge=0.0,
+        description="time after which a resting reference is sent, however close it is [s]",
+    ),
 ]
-"""The option `StepFollower` takes as ``settle``."""
+"""The option that becomes the argument ``settle`` of `StepFollower`."""
 
 
 class Order(Enum):
-    """What to send."""
+    """Which command to send."""
 
     NOTHING = "nothing"
     GO = "go"
@@ -29,22 +32,23 @@ class Order(Enum):
 
 
 class StepFollower:
-    """Decides when such a gripper is sent to its target, and when it is stopped before.
+    """Decides when to send the gripper to its target, and when to stop it before it gets there.
 
-    It refuses or ignores a new target while it is busy. So a reference that moves is followed in
-    steps, each as soon as the gripper is free, and one that rests by a last one. A motion that
-    leads past the reference, or with more force than is asked for now, is stopped. A gripper that
-    holds something with the force asked for is left alone when it is asked to press on, and one
-    just attached to as long as it is asked to stay.
+    The gripper plans its motion by itself, and refuses or ignores a new target while it is busy. So
+    a moving reference is followed in steps, each sent as soon as the gripper is free, and one more
+    is sent when the reference rests. A motion that would pass the reference, or that uses more
+    force than the reference now allows, is stopped.
+
+    Nothing is sent while the gripper holds an object with the wanted force and the reference only
+    presses on, nor after connecting, until the reference leaves the measured width.
 
     Widths and forces are in any unit of the caller.
 
     Args:
-        settle: A target that is the same for this long is gone to, however near [s].
-        step: One that moves is gone to in steps of at least this [width].
-        same: One this near to the measured width asks for no motion, as long as nothing was sent
-            [width].
-        reached: One this near counts as reached [width].
+        settle: Time after which a resting target is sent, however close it is [s].
+        step: Least distance to a moving target at which it is sent [width].
+        same: Distance within which a target commands no motion as long as nothing was sent [width].
+        reached: Distance within which a target counts as reached [width].
     """
 
     def __init__(self, settle: float, step: float, same: float, reached: float) -> None:
@@ -60,7 +64,7 @@ class StepFollower:
 
     @property
     def force(self) -> float | None:
-        """The force that was sent last; ``None``: nothing was."""
+        """The force that was sent last; ``None`` if nothing was sent."""
         return None if self._sent is None else self._sent[1]
 
     def forget(self) -> None:
@@ -68,22 +72,22 @@ class StepFollower:
         self._sent = None
 
     def halted(self, here: float) -> None:
-        """Note that the gripper was stopped where it is, on its way."""
+        """Note that the gripper was stopped on its way, at a measured width."""
         self._sent = here, 0.0 if self._sent is None else self._sent[1]
 
     def sent(self) -> None:
-        """Note that the gripper has accepted what the last `next` returned."""
+        """Note that the gripper has accepted the command that `next` returned last."""
         self._sent, self._sent_at = self._due, time.monotonic()
 
     def next(self, target: float, force: float, here: float, *, busy: bool, held: bool) -> Order:
-        """Return what to send.
+        """Return which command to send.
 
         Args:
-            target: Width that the reference asks for.
-            force: Force that it asks for.
+            target: Width of the reference.
+            force: Force of the reference.
             here: Measured width.
-            busy: The gripper moves, or builds up its force.
-            held: It reports that it holds something.
+            busy: Whether the gripper moves, or builds up its force.
+            held: Whether it reports that it holds something.
         """
         now = time.monotonic()
         if (target, force) != self._wanted:
@@ -94,15 +98,15 @@ class StepFollower:
             if busy or abs(target - here) <= self._same:
                 return Order.NOTHING
         elif busy:
-            leads_past = (sent[0] - target) * (sent[0] - here) > 0
-            leads_past = leads_past and abs(sent[0] - target) > self._reached
-            # A greater force can wait until it has arrived, a lesser one cannot.
-            if not leads_past and force >= sent[1]:
+            passes = (sent[0] - target) * (sent[0] - here) > 0
+            passes = passes and abs(sent[0] - target) > self._reached
+            # A greater force can wait until the gripper has arrived, a smaller one cannot.
+            if not passes and force >= sent[1]:
                 return Order.NOTHING
             self._due = here, sent[1]
             return Order.STOP
         else:
-            # It regulates the force by itself: a target farther beyond the object changes nothing.
+            # The gripper controls the force: a target farther inside the object changes nothing.
             presses = held and (target - here) * (sent[0] - here) > 0
             there = presses or abs(target - here) <= self._reached
             if there and (sent[1] == force or not rested or not held):

@@ -1,4 +1,4 @@
-"""Options that assign a servo, drive, motor or joint on the wire to each actuator."""
+"""Options that assign a servo, drive, motor or joint of the device to each actuator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def check_names(spec: DeviceSpec, option: str, named: Iterable[str]) -> None:
         named: The names in it.
 
     Raises:
-        ConfigError: if it does not.
+        ConfigError: if a name is missing or unknown.
     """
     wrong = {actuator.name for actuator in spec.actuators} ^ set(named)
     if wrong:
@@ -28,16 +28,16 @@ def check_names(spec: DeviceSpec, option: str, named: Iterable[str]) -> None:
 
 
 def numbers_of(spec: DeviceSpec, option: str, given: Mapping[str, int], what: str) -> list[int]:
-    """Return the number on the wire of each actuator of a device.
+    """Return the number that each actuator of a device has on the wire.
 
     Args:
         spec: The device.
         option: The option's name, for the message.
         given: The numbers in it, by actuator.
-        what: What is numbered, for the message.
+        what: The noun for the message, such as ``servo``.
 
     Raises:
-        ConfigError: if one is missing, or two are the same.
+        ConfigError: if a number is missing, or two are the same.
     """
     missing = [a.name for a in spec.actuators if a.name not in given]
     found = [given[a.name] for a in spec.actuators if a.name in given]
@@ -56,7 +56,7 @@ def motors_of(
     known: Sequence[str],
     guess: Callable[[str], str],
 ) -> tuple[int, ...]:
-    """Return the motor of each actuator of a device, by its place among the known ones.
+    """Return the motor of each actuator of a device, as an index into the known motors.
 
     Args:
         spec: The device.
@@ -66,10 +66,10 @@ def motors_of(
         guess: Returns the motor that an actuator's name suggests; empty if it suggests none.
 
     Raises:
-        ConfigError: if an actuator has none, or two have the same.
+        ConfigError: if an actuator has no motor, or two have the same.
     """
     if given:
-        # Without this, a misspelt name would go unseen and its actuator would get the guess.
+        # Without this, a misspelt name would go unnoticed and its actuator would get the guess.
         check_names(spec, option, given)
     named = {a.name: given.get(a.name) or guess(a.name) for a in spec.actuators}
     found = {name: known.index(motor) for name, motor in named.items() if motor in known}
@@ -77,11 +77,11 @@ def motors_of(
 
 
 def only_actuator(spec: DeviceSpec, what: str) -> ActuatorSpec:
-    """Return the actuator of a device that has one.
+    """Return the actuator of a device that has only one.
 
     Args:
         spec: The device.
-        what: What the device is, with its article, for the message.
+        what: The kind of device with its article, for the message, such as ``a WSG 50``.
 
     Raises:
         ConfigError: if it is configured with none, or with several.

@@ -1,4 +1,4 @@
-"""Find the actuators that swing a finger sideways instead of bending it."""
+"""Find the actuators of abduction, which swing a finger sideways instead of bending it."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, JointKind
 
 _PARALLEL: Final = 0.9
-"""Least cosine of the angle of axes that count as parallel: 26 degrees."""
+"""Least cosine of the angle between parallel axes: 26 degrees."""
 
 _ACROSS: Final = 0.5
-"""Greatest cosine of the angle of an axis that lies across others: they enclose 60 degrees."""
+"""Largest cosine of the angle between transverse axes: 60 degrees."""
 
 _MIDDLE: Final = 0.2
-"""Rest is in the middle of a range within this share of it to either side."""
+"""Largest distance of the rest position from the middle of the range [fraction of the range]."""
 
 _ACTUATORS: Final = 2
-"""Fewest actuators with parallel axes that bend the finger. With a single one, bending cannot be
-told from swinging."""
+"""Least number of actuators with parallel axes that bend the finger. With a single one, bending
+cannot be distinguished from swinging."""
 
 _JOINTS: Final = 3
-"""Fewest joints across its axis, as in fingers with three phalanges. Where a finger with two turns
-as a whole, all of its motion counts as bending, as in the paper."""
+"""Least number of joints with transverse axes, as in fingers with three phalanges. All motion of a
+finger with two phalanges counts as bending, as in the paper."""
 
 
 def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
     """Return the actuators that swing a finger sideways, nearest the palm first.
 
-    Such an actuator rests in the middle of its range and turns the fingertip about an axis across
-    those by which the finger bends, which at least two other actuators share; three joints or more
-    lie across it. It is one of those that move this finger only. Axes are compared at rest.
+    Such an actuator moves only this finger and rests in the middle of its range. It rotates the
+    fingertip about an axis transverse to the parallel axes of at least two other actuators, which
+    bend the finger, and to those of at least three joints. Axes are compared at rest.
     """
     if finger.tip is None or len(finger.own) <= _ACTUATORS:
         return ()
@@ -43,7 +43,7 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
     axes: dict[str, FloatArray] = {}
     for name in finger.own:
         axis = turning[:, hand.actuator_index(name)]
-        # Zero for what shifts the tip without turning it, such as a slide.
+        # Zero for an actuator that translates the tip without rotating it.
         length = float(np.linalg.norm(axis))
         if hand.actuator(name).kind is not JointKind.PRISMATIC and length > 0.0:
             axes[name] = axis / length
@@ -63,17 +63,17 @@ def abduction(hand: Hand, finger: Finger) -> tuple[str, ...]:
 
 
 def _bending(hand: Hand, axes: dict[str, FloatArray]) -> tuple[str, ...]:
-    """Return the actuators with about parallel axes that bend the finger farthest together."""
+    """Return the actuators with parallel axes that together bend the finger farthest."""
     groups = [
         tuple(name for name, axis in axes.items() if abs(float(axis @ axes[first])) >= _PARALLEL)
         for first in axes
     ]
-    # The largest sum of ranges, not the largest number: an idle joint more must not decide.
+    # By the sum of their ranges instead of their number, in which joints of small range count less.
     return max(groups, key=lambda group: sum(_span(hand.actuator(n)) for n in group), default=())
 
 
 def _joints(hand: Hand, tip: str, actuators: Sequence[str]) -> int:
-    """Return how many joints on the way to a fingertip some actuators move."""
+    """Return how many joints on the path to a fingertip are moved by some actuators."""
     rows = {joint.name: row for row, joint in enumerate(hand.joints)}
     moving = {hand.actuator_index(name) for name in actuators}
     way = (rows[joint.name] for joint in hand.urdf.path_to(tip) if joint.moving)

@@ -18,8 +18,8 @@ ALWAYS: Final = "touching at every configuration"
 AT_REST: Final = "touching at rest"
 
 _CONFIGURATIONS: Final = 64
-"""Postures compared before two links count as touching at every one: a link pair that comes apart
-anywhere does so in a good part of its range."""
+"""Number of postures at which two links must touch to count as always touching: links that separate
+at all do so in a large part of their range."""
 
 
 class AllowedCollision(NamedTuple):
@@ -37,11 +37,11 @@ class AllowedCollision(NamedTuple):
 
 
 def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
-    """Find the pairs of links whose contact says nothing about a posture.
+    """Find the pairs of links whose contact is no collision.
 
-    Adjacent links are joined by one moving joint. The others are compared on the exact geometry at
-    rest, and those that touch there at configurations spread evenly over the actuators' limits.
-    Two fingertips are such a pair only if they are adjacent: otherwise their contact is a pinch.
+    Adjacent links are connected by one moving joint. Other pairs are checked with the exact
+    geometry at rest and, if they touch there, at postures spread evenly over the actuators' limits.
+    Two fingertips are such a pair only if they are adjacent; otherwise their contact is a pinch.
 
     Raises:
         ModelError: A mesh cannot be read.
@@ -53,21 +53,21 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
     pairs = []
     for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
         first, second = (kinematics.body(link) for link in links)
-        # Links of one rigid body never move against each other.
+        # Links of the same rigid body do not move relative to each other.
         if first == second:
             continue
         if parents[first] == second or parents[second] == first:
             pairs.append(AllowedCollision(*links, ADJACENT))
         elif not tips.issuperset(links) and geometry.touching(links, at_rest):
-            # Only those that touch at rest are compared further: each posture costs a query of
-            # meshes.
+            # Only pairs that touch at rest are checked at other postures, since each check of
+            # meshes is expensive.
             always = all(geometry.touching(links, kinematics.placements(u)) for u in spread)
             pairs.append(AllowedCollision(*links, ALWAYS if always else AT_REST))
     return tuple(pairs)
 
 
 def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
-    """Return a function that says whether two links touch at rest, on the exact geometry.
+    """Return a function that checks whether two links touch at rest, with the exact geometry.
 
     Raises:
         ModelError: A mesh cannot be read.
@@ -78,8 +78,8 @@ def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
 
 
 def _spread(hand: Hand) -> list[FloatArray]:
-    """Return postures all over the limits: at the lower, at the upper, then a Halton sequence."""
-    # A joint without limits: one turn has all of its postures.
+    """Return postures within the limits: the lower and the upper ones, then a Halton sequence."""
+    # One turn covers all postures of a joint without limits.
     lower = np.where(np.isfinite(hand.lower), hand.lower, -np.pi)
     upper = np.where(np.isfinite(hand.upper), hand.upper, np.pi)
     corners = np.array([np.zeros_like(lower), np.ones_like(lower)])

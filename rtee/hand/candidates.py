@@ -1,4 +1,4 @@
-"""Find what a URDF leaves open: joints that may have no motor, actuators that carry the hand."""
+"""Guess facts that a URDF leaves open: joints without a motor, and actuators of a wrist."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _SPRINGS: Final = ("springStiffness", "springReference", "spring_stiffness", "sp
 """Elements and attributes that describe a spring to a simulator."""
 
 _PLAY: Final = 0.25
-"""A joint that turns less than this from end to end [rad] is hardly worth a motor: 14 degrees."""
+"""Range below which a joint is unlikely to have a motor [rad]: 14 degrees."""
 
 _PARALLEL: Final = 0.9
-"""Least cosine of the angle of axes that count as parallel: 26 degrees."""
+"""Least cosine of the angle between parallel axes: 26 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A joint that counts as an actuator and may have no motor.
+    """A joint that is read as an actuator but may have no motor.
 
     Attributes:
         joint: Its name.
-        why: The evidence for it, in words that continue after the joint's name.
-        likely: Whether that is hard to explain otherwise.
+        why: The evidence, as a predicate after the joint's name.
+        likely: Whether the evidence is strong.
     """
 
     joint: str
@@ -56,12 +56,12 @@ def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
     Raises:
         ModelError: Its URDF cannot be read again.
     """
-    # Read again: the model keeps only what kinematics needs.
+    # Read again, since the model keeps only the data for kinematics.
     root = read_xml(hand.urdf.path, "URDF")[0]
     reasons: dict[str, str] = {}
     for found in (_springs(hand, root), _idle(hand), _undriven(hand, root), _pulled(hand)):
         for joint, why in found.items():
-            # The first reason counts: they are in the order of how much they say.
+            # The reasons are in decreasing order of strength, and the first one is kept.
             reasons.setdefault(joint, why)
     likely = [Candidate(joint, why, True) for joint, why in reasons.items()]
     possible = [
@@ -69,7 +69,7 @@ def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
         for joint, why in _outer(hand).items()
         if joint not in reasons and not reasons.keys() & set(_finger_of(hand, joint).own)
     ]
-    # With nothing left to move, none of it can be true.
+    # A hand must have an actuator, so the evidence is wrong.
     if len(likely) == len(hand.actuators):
         return ()
     order = hand.actuator_names
@@ -98,7 +98,7 @@ def _springs(hand: Hand, root: Element) -> dict[str, str]:
 
 
 def _idle(hand: Hand) -> dict[str, str]:
-    """Return the joints without effort or velocity where others have one."""
+    """Return the joints without effort or velocity limit if others have one."""
     joints = [hand.urdf.joints[name] for name in hand.actuator_names]
     found: dict[str, str] = {}
     for quantity in ("effort", "velocity"):
@@ -109,21 +109,21 @@ def _idle(hand: Hand) -> dict[str, str]:
 
 
 def _undriven(hand: Hand, root: Element) -> dict[str, str]:
-    """Return the joints that no transmission names where one names another."""
+    """Return the joints without a transmission if others have one."""
     driven = {
         joint.attributes.get("name", "")
         for element in root.all("transmission")
         for joint in element.all("joint")
     }
     left = [name for name in hand.actuator_names if name not in driven]
-    # Many URDFs have no transmissions at all, which says nothing.
+    # Many URDFs have no transmissions at all, which is no evidence.
     if len(left) == len(hand.actuators):
         return {}
     return dict.fromkeys(left, "has no <transmission>, as others have")
 
 
 def _pulled(hand: Hand) -> dict[str, str]:
-    """Return the joints of fingers whose other joints follow a motor beside the finger."""
+    """Return the joints of fingers whose other joints follow a motor outside the finger."""
     found: dict[str, str] = {}
     for finger in hand.fingers:
         way = {joint.name for joint in hand.urdf.path_to(finger.links[-1])}
@@ -135,7 +135,7 @@ def _pulled(hand: Hand) -> dict[str, str]:
 
 
 def _outer(hand: Hand) -> dict[str, str]:
-    """Return the outer one of two parallel joints that are all that bends a finger."""
+    """Return the outer one of two parallel joints, for fingers with no other joints."""
     found = {}
     for finger in hand.fingers:
         if finger.tip is None or len(finger.own) != 2:
@@ -147,7 +147,7 @@ def _outer(hand: Hand) -> dict[str, str]:
         turning = tip_pose_and_jacobian(hand, finger.tip, hand.rest)[1][3:]
         axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
         lengths = [float(np.linalg.norm(axis)) for axis in axes]
-        # The axis of a slide is zero here, since it turns nothing.
+        # A prismatic joint has the angular velocity 0 here.
         if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
             found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
     return found
@@ -158,7 +158,7 @@ def _finger_of(hand: Hand, actuator: str) -> Finger:
 
 
 def in_words(candidates: Sequence[Candidate]) -> list[str]:
-    """Return the candidates as sentences, those with the same reason in one."""
+    """Return the candidates as sentences, one for each reason."""
     reasons: dict[str, list[str]] = {}
     for candidate in candidates:
         reasons.setdefault(candidate.why, []).append(f"'{candidate.joint}'")
@@ -169,7 +169,7 @@ def in_words(candidates: Sequence[Candidate]) -> list[str]:
 
 
 def double_limits(hand: Hand) -> list[str]:
-    """Return which actuators have several limits in the URDF, of which the first counts.
+    """Return notes on actuators with several limits in the URDF, of which the first is used.
 
     Raises:
         ModelError: The URDF cannot be read again.
@@ -187,10 +187,10 @@ def double_limits(hand: Hand) -> list[str]:
 
 
 def carriers(hand: Hand) -> tuple[str, ...]:
-    """Return the actuators that move all fingers as one body, as those of a wrist, in order.
+    """Return the actuators that move all fingers as one body, as in a wrist, in the hand's order.
 
-    All that such an actuator moves on the way to any fingertip lies where all the ways are one.
-    None are returned where no other actuator would be left, or with fewer than two fingers.
+    All joints that such an actuator moves on the path to any fingertip are on the paths to all of
+    them. The result is empty if no other actuator would be left, or with fewer than two fingers.
     """
     tips = [finger.tip for finger in hand.fingers if finger.tip]
     if len(tips) < 2:
@@ -205,5 +205,5 @@ def carriers(hand: Hand) -> tuple[str, ...]:
             if index is not None:
                 moved.setdefault(index, set()).add(name)
     found = [hand.actuators[index].name for index in sorted(moved) if moved[index] <= common]
-    # A hand whose every actuator carries all fingers has no wrist, but a single finger's motion.
+    # If every actuator moves all fingers, the hand has no wrist.
     return tuple(found) if len(found) < len(moved) else ()

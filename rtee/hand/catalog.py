@@ -1,4 +1,4 @@
-"""Find the hands, their folders, and whether their files have changed."""
+"""Find the folders of hands, and detect changes of their files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ FILE_NAME: Final = "hand.yaml"
 
 
 def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
-    """Return the folders that hold hands, those that take precedence first.
+    """Return the folders that contain hands, in the order of precedence.
 
-    They are ``extra``, the user's (see `own_dirs`), the ones that came with rtee, and last the
-    working directory, in which nothing replaces a hand known elsewhere.
+    They are ``extra``, the user's folders (see `own_dirs`), the hands that came with rtee, and
+    last the working directory.
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]
@@ -28,22 +28,22 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     candidates.append(Path())
     found: dict[Path, Path] = {}
     for folder in candidates:
-        if os.path.isdir(folder):  # unlike Path.is_dir, also beside folders that may not be read
-            # Resolved: the same folder may be named twice, as by a link.
+        if os.path.isdir(folder):  # Path.is_dir would raise an error in a folder without access
+            # Resolved, since the same folder may occur twice, for example by a link.
             found.setdefault(folder.resolve(), folder)
     return list(found.values())
 
 
 def own_dirs() -> list[Path]:
-    """Return the folders for hands of the user, whether they exist or not, by precedence.
+    """Return the folders for hands of the user, existing or not, in the order of precedence.
 
-    They are those in ``RTEE_CONFIG_PATH``, ``./config``, and ``rtee/hands`` in the user's folder of
-    settings (``XDG_CONFIG_HOME``, else ``~/.config``).
+    They are those in ``RTEE_CONFIG_PATH``, ``./config``, and ``rtee/hands`` in the user's
+    configuration directory (``XDG_CONFIG_HOME``, else ``~/.config``).
     """
     found = [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
     found.append(Path("config"))
-    # `~` stays where no home is known, and a relative XDG_CONFIG_HOME is to be ignored; either
-    # would be a folder in the working directory.
+    # Without a home directory, `~` is not expanded, and the XDG specification requires that a
+    # relative path is ignored; either would be a folder in the working directory.
     settings = Path(os.environ.get("XDG_CONFIG_HOME") or os.path.expanduser("~/.config"))
     return [*found, settings / "rtee" / "hands"] if settings.is_absolute() else found
 
@@ -52,7 +52,7 @@ def hands(extra: Sequence[Path | str] = ()) -> dict[str, Path]:
     """Return the folders of all hands by name, sorted by name."""
     found: dict[str, Path] = {}
     for name, folder in _all(config_dirs(extra)):
-        # The first one counts: folders come in the order of precedence.
+        # The first one is kept, since the folders are in the order of precedence.
         found.setdefault(name, folder)
     return dict(sorted(found.items()))
 
@@ -70,7 +70,7 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     """
     check_name(name, "hand")
     for folder in config_dirs(extra):
-        # As in `config_dirs`: Path.is_file ends with an error where a folder may not be entered.
+        # Path.is_file would raise an error in a folder without access.
         if os.path.isfile(folder / name / FILE_NAME):
             return folder / name
     raise ConfigError(
@@ -86,9 +86,9 @@ def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 
 
 def fingerprint(folder: Path) -> str:
-    """Return a word of 16 characters that changes with the hand's model, configuration or actions.
+    """Return a hash of the hand's model, configuration and actions, as 16 hexadecimal digits.
 
-    Meshes are not looked at.
+    It does not depend on meshes.
 
     Args:
         folder: The hand's folder.
@@ -112,6 +112,6 @@ def _model(folder: Path) -> list[Path]:
 def _digest(folder: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for file in sorted(files):
-        # With the names, so that moving a file is a change, too.
+        # With the path, so that moving a file is a change, too.
         digest.update(file.relative_to(folder).as_posix().encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]

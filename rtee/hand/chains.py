@@ -14,12 +14,12 @@ GROUP_OF_FINGERS = "end_effector_fingers"
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """A chain of links that is a finger, before its actuators are known.
+    """The chain of links of a finger, before its actuators are known.
 
     Attributes:
         name: The finger's name.
         links: Its links from base to end.
-        reason: Why this is a finger.
+        reason: Why the chain is a finger.
         line: Line in the SRDF; 0 if it was found in the tree.
     """
 
@@ -30,7 +30,7 @@ class Chain:
 
     def tip(self, urdf: Urdf) -> str | None:
         """Return the last link with collision geometry below the base, if there is one."""
-        # The base is the palm, for all but a finger of a single link.
+        # The base is the palm, except for a finger of a single link.
         below = reversed(self.links[1:] or self.links)
         return next((link for link in below if urdf.links[link].collisions), None)
 
@@ -39,11 +39,11 @@ def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:
     """Check an SRDF against its URDF.
 
     Returns:
-        What is odd but harmless, one sentence each.
+        Notes on harmless mistakes, one sentence each.
 
     Raises:
-        ModelError: It names a link, joint or group that does not exist, or a chain whose tip is not
-            below its base; the message names file and line.
+        ModelError: The SRDF names a link, joint or group that does not exist, or a chain whose tip
+            is not below its base; the message names file and line.
     """
     for group in srdf.groups.values():
         _check_group(srdf, group, urdf)
@@ -100,7 +100,7 @@ def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
             raise UnknownJoint(name, tuple(urdf.joints), path=srdf.path, line=line)
         if not joint.moving:
             notes.append(f"passive joint '{name}' (line {line} of the SRDF) is fixed")
-        # Its position is determined by the joint it follows, which is more than passive says.
+        # The joint that it follows determines its position, whether it is passive or not.
         elif joint.mimic is not None:
             notes.append(f"joint '{name}' is both mimic and passive; it is taken as a mimic")
     return notes
@@ -109,9 +109,9 @@ def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
 def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
     """Return the fingers that an SRDF names; none if it has no chains.
 
-    Where there is a group of groups, only its members are fingers: the group of the
-    ``<end_effector>``, or ``end_effector_fingers``, or the only one there is. Otherwise every
-    group that is a chain is a finger.
+    If there are groups of groups, the fingers are the members of one of them: the group of the
+    ``<end_effector>``, or ``end_effector_fingers``, or the largest one. Otherwise every group that
+    is a chain is a finger.
 
     Raises:
         ModelError: A member of the group of fingers is not a single chain, or groups contain one
@@ -147,7 +147,7 @@ def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
             return group, f"group '{group.name}'"
     if not collections:
         return None, ""
-    # Without a hint by name, the group with most members is likelier to be all fingers.
+    # Otherwise, the group with the most members is the likeliest one to have all fingers.
     named = [group for group in collections if "finger" in group.name.lower()]
     group = max(named or collections, key=lambda g: len(g.subgroups))
     return group, f"group '{group.name}'"
@@ -157,7 +157,7 @@ def _members(
     srdf: Srdf, group: SrdfGroup, above: tuple[str, ...], seen: set[str]
 ) -> Iterator[SrdfGroup]:
     """Yield the groups without subgroups inside a group, each once and in order."""
-    # Checked on the way down, or groups that contain each other would never end.
+    # Groups that contain each other would recurse without end.
     if group.name in above:
         raise ModelError(f"group '{group.name}' contains itself", path=srdf.path, line=group.line)
     if group.name in seen:
@@ -173,7 +173,7 @@ def _members(
 
 
 def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
-    """Return a group as a chain, if it is a single one."""
+    """Return the chain of a group, or ``None`` if the group is not a single chain."""
     if len(group.chains) == 1 and not group.links and not group.joints:
         links = urdf.chain(group.chains[0].base, group.chains[0].tip)
         line = group.chains[0].line
@@ -188,7 +188,7 @@ def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
 
 
 def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
-    """Return the path from the first to the last of some links if they all lie on one."""
+    """Return the path through some links, or ``None`` if they are not all on one path."""
     if not links:
         return None
     # Sorted, so that equally deep links give the same result on every run.
@@ -197,5 +197,5 @@ def _as_path(links: set[str], urdf: Urdf) -> tuple[str, ...] | None:
     if not links <= set(path):
         return None
     first = min(path.index(link) for link in links)
-    # With the link above the first one, which is the base of the chain.
+    # From the link above the first one, which is the base of the chain.
     return path[max(first - 1, 0) :]

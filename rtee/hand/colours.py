@@ -1,7 +1,7 @@
-"""One colour per finger, the same in every picture, plot and user interface.
+"""A colour per finger, the same in every picture, plot and user interface.
 
-The palette is that of Okabe and Ito (2008), which people with any of the usual colour vision
-deficiencies can tell apart; the order keeps neighbours far from one another.
+The palette is that of Okabe and Ito (2008), whose colours people with the usual colour vision
+deficiencies can distinguish; in this order, neighbours differ most.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ def finger_colours(hand: Hand) -> dict[str, str]:
 
 
 def finger_of_link(hand: Hand) -> dict[str, str]:
-    """Return the finger that a link belongs to, by link; links of the palm are missing.
+    """Return the finger of each link; links of the palm are missing.
 
-    A link belongs to a finger when it, or a link it hangs on, is in the finger's chain below the
-    base. Where chains share links, these belong to none of the fingers.
+    A link belongs to a finger if it, or a link above it, is in the finger's chain below the base.
+    Links shared by several chains belong to no finger.
     """
     owners: dict[str, set[str]] = {}
     for finger in hand.fingers:
@@ -36,6 +36,6 @@ def finger_of_link(hand: Hand) -> dict[str, str]:
             if len(names) == 1:
                 found[joint.child] = next(iter(names))
         elif joint.parent in found:
-            # Joints are in the order of the tree, so the parent is known by now.
+            # Joints are in the order of the tree, so the parent is already known.
             found[joint.child] = found[joint.parent]
     return found

@@ -1,4 +1,4 @@
-"""Make the fingers of a hand with their actuators: from its SRDF, or else from its tree."""
+"""Find the fingers of a hand and their actuators, from its SRDF or else from its tree."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.hand.urdf import Urdf
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
 
 PREFIXES: Final = {"th": "thumb", "ff": "index", "mf": "middle", "rf": "ring", "lf": "little"}
-"""Beginnings of names of links and joints that do not spell a finger out."""
+"""Abbreviations of fingers at the start of names of links and joints, as for the Shadow Hand."""
 
 _PREFIX: Final = re.compile(
     rf"(?<![a-z0-9])({'|'.join(PREFIXES)})(?=[^a-z]|$|tip|distal|middle|proximal|knuckle|metacarpal"
@@ -35,10 +35,10 @@ def make_fingers(
     Args:
         urdf: The hand's URDF.
         srdf: Its SRDF, if it has one.
-        movers: The actuator that moves a joint, by joint; joints that nothing moves are missing.
+        movers: The actuator that moves each joint; joints that no actuator moves are missing.
 
     Returns:
-        The fingers, and what was noticed, one sentence each.
+        The fingers, and notes of one sentence each.
 
     Raises:
         ModelError: Two fingers share a fingertip, or a group of fingers is not well defined.
@@ -96,8 +96,8 @@ def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, s
 def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
     """Return the actuators that move a link, nearest the root first.
 
-    An actuator comes where its own joint is on the path to the link, or else where the first joint
-    that follows it is.
+    The place of an actuator is that of its joint on the path to the link, or else that of the first
+    joint that follows it.
     """
     place: dict[str, int] = {}
     for position, joint in enumerate(urdf.path_to(link)):
@@ -105,8 +105,8 @@ def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]
         if actuator == joint.name:
             place[actuator] = position
         elif actuator is not None:
-            # The first joint that follows it: an actuator in the forearm has no place of its own
-            # here.
+            # An actuator that is not on the path, such as in the forearm, gets the place of the
+            # first joint that follows it.
             place.setdefault(actuator, position)
     return tuple(sorted(place, key=place.__getitem__))
 
@@ -120,8 +120,8 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
     """Find the fingers of a hand without an SRDF.
 
     A finger is a branch of the tree that carries a joint moved by an actuator and ends in a link
-    with collision geometry; its base is the link where it parts from the other branches. Ends that
-    are fixed to one another are one finger.
+    with collision geometry; its base is the link where it separates from the other branches. Ends
+    that are fixed to one another are one finger.
 
     Args:
         urdf: The hand's URDF.
@@ -148,7 +148,7 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
 
 def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
     """Return the last links with geometry of the branches that move, one per rigid body."""
-    # A finger ends where nothing solid follows; ends on one rigid body are one finger.
+    # A finger ends at a link with geometry below which no link has any.
     solid = {name for name, link in urdf.links.items() if link.collisions}
     followed: set[str] = set()
     for link in solid:
@@ -160,7 +160,7 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
             continue
         body = _body(link, urdf, moved)
         if body is not None:
-            # Of ends on one rigid body, the one that most joints carry is the tip.
+            # Of several ends on the same rigid body, the tip is the one with the longest path.
             bodies[body] = _farther(bodies.get(body), link, urdf)
     order = list(urdf.joint_to)
     return sorted(bodies.values(), key=order.index)
@@ -178,7 +178,7 @@ def _farther(first: str | None, second: str, urdf: Urdf) -> str:
 
 
 def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
-    """Return the links from where a branch parts from all others down to its end."""
+    """Return the links of a branch, from where it separates from all others down to its end."""
     path = (urdf.root, *(joint.child for joint in urdf.path_to(end)))
     shared = 0
     for other in ends:
@@ -186,25 +186,24 @@ def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
             continue
         way = (urdf.root, *(joint.child for joint in urdf.path_to(other)))
         common = sum(1 for a, b in zip(path, way, strict=False) if a == b)
-        # The last common link is the base from which both branch off.
+        # The last common link is the base at which both separate.
         shared = max(shared, common - 1)
     return path[shared:]
 
 
 def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
-    """Name fingers after words in their links and joints, or by what distinguishes their ends.
+    """Name fingers after words in their links and joints, or after the distinct part of their ends.
 
-    People write the usual word (``index``), the prefix of the Shadow Hand (``ff``), or a number
-    (``finger_1``, ``f1``). These count only where every finger has one, and each another one.
+    The words are the usual ones (``index``), the prefixes of the Shadow Hand (``ff``), or numbers
+    (``finger_1``, ``f1``). They are used only if every finger has one and all are different.
 
     Args:
         ends: The last link of each finger.
         urdf: The hand's URDF.
 
     Returns:
-        Per finger its name, and where it comes from.
+        The name of each finger, and the reason for it.
     """
-    # A name that only some fingers have says nothing about the others.
     called = [_called(end, ends, urdf) for end in ends]
     names = [name for name, _ in filter(None, called)]
     if len(names) == len(set(names)) == len(ends):
@@ -214,10 +213,10 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
 
 
 def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None:
-    """Return what people call a finger, and why; nothing where its names do not agree."""
+    """Return the usual name of a finger, and the reason; ``None`` if its links do not agree."""
     links = _branch(end, ends, urdf)[1:]
     text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
-    # Only where a word begins: "spring" holds "ring".
+    # Only at the beginning of a word, since "spring" contains "ring".
     words = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
     if len(words) == 1:
         return words[0], "named after the word in its links and joints"
@@ -233,13 +232,13 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
 
 
 def _distinct_parts(names: Sequence[str]) -> Iterable[str]:
-    """Return what is left of names without the parts that all begin or end with."""
+    """Return the names without the parts with which all begin or end."""
     parts = [name.split("_") for name in names]
     head = shared_length(parts)
     tail = shared_length([part[head:][::-1] for part in parts])
     for name, part in zip(names, parts, strict=True):
         kept = "_".join(part[head : len(part) - tail])
-        # A bare number would not be a name for people.
+        # A number alone would not be a name for people.
         yield kept if kept and not kept.isdigit() else f"finger_{kept}" if kept else name
 
 
@@ -248,6 +247,6 @@ def _unique(names: Sequence[str]) -> list[str]:
     unique = []
     for name in names:
         seen[name] = seen.get(name, 0) + 1
-        # Numbered from the second on: the first keeps its plain name.
+        # Numbered from the second on; the first keeps its name.
         unique.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
     return unique

@@ -1,4 +1,4 @@
-"""Complete the configured dynamics of actuators, with the joints that follow by springs."""
+"""Complete the configured dynamics of actuators, with the joints that follow them by springs."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def make_dynamics(
     """Return the dynamics of every actuator, with the names of the joints on springs.
 
     Args:
-        given: The configuration of some actuators.
-        defaults: That of all others, and of what these leave out.
+        given: The configured dynamics of some actuators.
+        defaults: The dynamics of all others, and for missing values of these.
         actuators: The hand's actuators, in order.
         urdf: Its URDF.
-        transmission: What follows what.
+        transmission: Its transmission.
         refuse: Makes the error for a value of the configuration, from its place and a message.
 
     Raises:
@@ -49,8 +49,8 @@ def make_dynamics(
             chosen = {
                 joint: 1.0
                 for joint in follow
-                # An actuator's own joint without a shape behind it is only a motor: nothing yields
-                # there.
+                # An actuator's own joint without a shape below it is only a motor, without a
+                # spring.
                 if joint != name or _carries_shape(urdf, urdf.joints[joint].child)
             }
         for place, pattern in enumerate(patterns or ()):
@@ -62,7 +62,7 @@ def make_dynamics(
             chosen |= dict.fromkeys(matching, (dynamics.shares or {}).get(pattern, 1.0))
         if dynamics.coupling in (None, Following.RIGID):
             chosen = {}
-        # In the hand's order, whatever the order of the patterns.
+        # In the hand's order, independent of that of the patterns.
         chosen = {joint: chosen[joint] for joint in follow if joint in chosen}
         shares = chosen if dynamics.shares is not None else None
         found[name] = replace(dynamics, joints=tuple(chosen), shares=shares)
@@ -70,7 +70,7 @@ def make_dynamics(
 
 
 def _completed(own: ActuatorDynamics | None, defaults: ActuatorDynamics) -> ActuatorDynamics:
-    """Return an actuator's dynamics with the defaults where it has no values of its own."""
+    """Return an actuator's dynamics with the defaults for missing values."""
     if own is None:
         return defaults
     missing = [field.name for field in fields(own) if getattr(own, field.name) is None]

@@ -1,4 +1,4 @@
-"""Read the meshes of a hand as data, to embed them where the files are not available."""
+"""Read the meshes of a hand as data, to embed them for programs without access to the files."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FOLDER: Final = "meshes"
 """Folder in the names of embedded meshes."""
 
 LARGEST: Final = 48_000_000
-"""All meshes together may take this much as text in a description, each as often as it is named
-[bytes]: no message may be longer than 64 MB."""
+"""Largest total size of all meshes as text in a description, where each may occur several times
+[byte]; no message may be longer than 64 MB."""
 
 _AS_TEXT: Final = 4 / 3
 """Characters of base64 per byte."""
@@ -34,7 +34,7 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     ".glb": "model/gltf-binary",
     ".gltf": "model/gltf+json",
 }
-"""Ending of a mesh's file to its media type, by which viewers know the format of a data URL."""
+"""Media types by file name suffix, by which viewers recognize the format of a data URL."""
 
 _MESH = re.compile(r"""(<(?:\w+:)?mesh\b[^<>]*?\bfilename\s*=\s*)(["'])(.*?)\2""", re.DOTALL)
 
@@ -55,12 +55,12 @@ class EmbeddedMesh:
 
     @property
     def media_type(self) -> str:
-        """Its media type; that of unknown data if viewers do not know its format."""
+        """Its media type; ``application/octet-stream`` if viewers do not know its format."""
         return MEDIA_TYPES.get(PurePosixPath(self.name).suffix, "application/octet-stream")
 
     @property
     def data_url(self) -> str | None:
-        """Its content as an address; ``None`` if viewers do not know its format."""
+        """Its content as a data URL; ``None`` if viewers do not know its format."""
         if PurePosixPath(self.name).suffix not in MEDIA_TYPES:
             return None
         return f"data:{self.media_type};base64,{base64.b64encode(self.data).decode()}"
@@ -71,8 +71,8 @@ class EmbeddedMeshes:
     """The meshes of a hand.
 
     Attributes:
-        meshes: Address in the URDF to the mesh; two addresses may lead to the same one.
-        left_out: Address in the URDF to why its mesh is not embedded.
+        meshes: Meshes by their addresses in the URDF; two addresses may have the same mesh.
+        left_out: Why a mesh is not embedded, by its address in the URDF.
     """
 
     meshes: Mapping[str, EmbeddedMesh]
@@ -80,7 +80,7 @@ class EmbeddedMeshes:
 
     @property
     def files(self) -> dict[str, EmbeddedMesh]:
-        """The meshes by their names, each once."""
+        """The meshes by name."""
         return {mesh.name: mesh for mesh in self.meshes.values()}
 
 
@@ -89,8 +89,8 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
 
     Args:
         hand: The hand.
-        largest: All together may take this much as text in a description [bytes]; what is beyond
-            is left out.
+        largest: Largest total size of the meshes as text in a description [byte]; meshes beyond it
+            are left out.
     """
     times = Counter(shape.mesh for shape in _shapes(hand.urdf))
     meshes: dict[str, EmbeddedMesh] = {}
@@ -105,7 +105,7 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
             if mesh is None:
                 data = read_bytes(path, "mesh", ModelError)
                 mesh = EmbeddedMesh(_name(path, names), path, data)
-            # A description holds a mesh once for every address that names it.
+            # A description contains a mesh as often as its address occurs.
             size = _AS_TEXT * times[address] * len(mesh.data)
             if size > room:
                 left_out[address] = f"the meshes take more than {largest / 1e6:g} MB"
@@ -121,13 +121,13 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
 
 def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
     links = urdf.links.values()
-    # Visual meshes first: if there is not room for all, pictures matter more to viewers.
+    # Visual meshes first, since they matter more to viewers if there is not room for all.
     for shapes in (*(link.visuals for link in links), *(link.collisions for link in links)):
         yield from (shape for shape in shapes if shape.kind == "mesh")
 
 
 def _name(path: Path, taken: set[str]) -> str:
-    """Return a name that no other mesh has, and reserve it."""
+    """Return a unique name for a mesh, and reserve it."""
     stem, suffix = safe_name(path.stem, "mesh"), path.suffix.lower()
     number = 1
     name = f"{FOLDER}/{stem}{suffix}"
@@ -143,7 +143,7 @@ def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
 
     Args:
         text: The URDF.
-        addresses: Old address to new one; others stay.
+        addresses: New addresses by the old ones; others are kept.
     """
     if not addresses:
         return text
@@ -153,5 +153,5 @@ def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
         new = addresses.get(html.unescape(match[3]).strip())
         return match[0] if new is None else f'{match[1]}"{html.escape(new)}"'
 
-    # On the text, so that everything else stays as it was written, comments included.
+    # As text, to keep everything else, including comments.
     return _MESH.sub(replaced, text)

@@ -1,10 +1,10 @@
 """Expressions in ``x`` of non-linear couplings (``nlFunPos``), with exact derivatives.
 
-They are written as muParser reads them: numbers, ``x``, the constants and functions below, ``+ - *
-/ ^`` and parentheses. ``^`` is Python's ``**``, which binds tighter than a sign, and to the right.
-A text of known words in a valid order goes to Python's parser, and the tree that this returns is
-turned into functions node by node: nothing is compiled or run as Python code. Derivatives follow
-from dual numbers (forward mode): each node gives its value and its slope.
+The syntax is that of muParser: numbers, ``x``, the constants and functions below, ``+ - * / ^`` and
+parentheses. ``^`` is Python's ``**``, which binds tighter than a sign and is right-associative. A
+text of known tokens in a valid order is passed to Python's parser, and the resulting tree is
+converted to functions node by node; nothing is compiled or executed as Python code. Derivatives are
+computed with dual numbers (forward mode): each node returns its value and its derivative.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from rtee.errors import ExpressionError
 from rtee.sample import FloatArray
 
 MAX_LENGTH: Final = 4000
-"""Longest text [characters]; the longest of a hand in ``config/`` has 180."""
+"""Longest text [characters]; the longest one in ``config/`` has 180."""
 
 MAX_DEPTH: Final = 100
-"""Most operations within operations: each takes a frame or two of Python's stack of 1000."""
+"""Largest nesting depth of operations: each level needs one or two of the 1000 frames of Python's
+stack."""
 
 MAX_POWER: Final = 100
 """Highest power of ``x`` in a polynomial, which is also the number of its coefficients."""
@@ -82,7 +83,7 @@ class Expression:
         self.text = text
         try:
             tree = ast.parse(_as_python(text), mode="eval").body
-        except (SyntaxError, RecursionError, MemoryError):  # in valid order, but too deep for it
+        except (SyntaxError, RecursionError, MemoryError):  # valid, but too deep for the parser
             raise _too_deep() from None
         self._node = _node(tree, 1)
 
@@ -119,17 +120,17 @@ class Expression:
 
 
 def _as_python(text: str) -> str:
-    """Return the text in Python's syntax, made of known words in a valid order only."""
+    """Convert a text to Python's syntax; it then has only known tokens in a valid order."""
     if len(text) > MAX_LENGTH:
         raise ExpressionError(f"the expression is longer than {MAX_LENGTH} characters")
     words: list[str] = []
-    opened: list[str] = []  # what comes before each open parenthesis
+    opened: list[str] = []  # the token before each open parenthesis
     previous, value_follows = "", True
     for match in _TOKEN.finditer(text.rstrip()):
         number, name, symbol = match.groups(default="")
         token, column = match[match.lastindex or 0], match.start(match.lastindex or 0)
         if previous in _CALLED:
-            # A function needs its argument at once.
+            # A function name must be followed by its argument.
             fits = symbol == "("
         elif value_follows:
             fits = symbol in ("", "+", "-", "(")
@@ -157,7 +158,7 @@ def _as_python(text: str) -> str:
         elif symbol == ")":
             opened.pop()
         previous, value_follows = token, symbol not in ("", ")")
-        # As floats: Python's integers have no bounds, and a power of them could take for ever.
+        # As floats, since integers are unbounded in Python: their powers could take for ever.
         words.append(repr(float(number)) if number else token.replace("^", "**"))
     if not words:
         raise ExpressionError("the expression is empty")
@@ -199,7 +200,7 @@ _X: Final = _Node(lambda x: x, lambda x: (x, 1.0), {1: 1.0})
 
 
 def _node(tree: ast.expr, depth: int) -> _Node:
-    """Return what a tree computes; only what is named here is understood."""
+    """Convert a syntax tree to a node; only the cases listed here are allowed."""
     if depth > MAX_DEPTH:
         raise _too_deep()
     inner = partial(_node, depth=depth + 1)
@@ -230,10 +231,14 @@ def _node(tree: ast.expr, depth: int) -> _Node:
 
 
 def _chain(tree: ast.BinOp, kinds: tuple[type, type]) -> Iterator[tuple[bool, ast.expr]]:
-    """Return what a chain as ``a - b + c`` joins, each with whether the second kind joins it."""
+    """Return the operands of a chain such as ``a - b + c``.
+
+    Each is paired with whether the second kind of operator, such as ``-``, precedes it.
+    """
     parts: list[tuple[bool, ast.expr]] = []
     node: ast.expr = tree
-    # Python's tree nests chains to the left. A part in parentheses begins after them.
+    # Python nests chains to the left. A part in parentheses has another column offset, since it
+    # begins after the parenthesis.
     while (
         isinstance(node, ast.BinOp)
         and isinstance(node.op, kinds)
@@ -259,12 +264,12 @@ def _combined(
     value_of: Callable[[list[float]], float],
     slope_of: Callable[[list[float], list[float]], float],
 ) -> _Node:
-    """Return a node made of parts; a number if these don't depend on ``x``.
+    """Return a node made of parts; a number if no part depends on ``x``.
 
     Args:
         parts: The parts.
-        value_of: Its value from those of the parts.
-        slope_of: Its derivative from the values and the derivatives of the parts.
+        value_of: Returns the node's value from the values of the parts.
+        slope_of: Returns its derivative from the values and the derivatives of the parts.
     """
     values, duals = [part.value for part in parts], [part.dual for part in parts]
 
@@ -302,7 +307,7 @@ def _polynomial(terms: dict[int, float]) -> _Node:
     def dual(x: float) -> Dual:
         value, slope = 0.0, 0.0
         for factor in factors:
-            # The slope comes first: it needs the value of the step before.
+            # The slope first, since it needs the value of the previous step.
             slope = slope * x + value
             value = value * x + factor
         return value, slope
@@ -318,7 +323,7 @@ def _sum(parts: list[_Node]) -> _Node:
             for power, factor in terms.items():
                 total[power] = total.get(power, 0.0) + factor
         return _polynomial(total)
-    # fsum rounds once: the order of the terms does not matter.
+    # fsum rounds only once, so that the result does not depend on the order of the terms.
     return _combined(parts, math.fsum, lambda _, da: math.fsum(da))
 
 
@@ -357,7 +362,7 @@ def _power(base: _Node, exponent: _Node) -> _Node:
 def _power_slope(a: list[float], da: list[float]) -> float:
     base, exponent = a
     slope = math.pow(base, exponent) * math.log(base) * da[1] if da[1] else 0.0
-    # Where the base does not change, its power may still have no finite slope: 0 to a half.
+    # Skipped for a constant base, whose power may have no finite derivative, such as 0 to 0.5.
     return slope + exponent * math.pow(base, exponent - 1.0) * da[0] if da[0] else slope
 
 
@@ -369,12 +374,12 @@ def _constant_power(base: _Node, power: float) -> _Node:
     def slope(a: list[float], da: list[float]) -> float:
         return (power * math.pow(a[0], power - 1.0) if power else 0.0) * da[0]
 
-    # Not ``**``, which makes complex numbers of roots of negative ones; math.pow raises an error.
+    # Not ``**``, which returns complex roots of negative numbers; math.pow raises an error.
     return _combined([base], lambda a: math.pow(a[0], power), slope)
 
 
 def _applied(value: _Function, derivative: _Function, part: _Node) -> _Node:
-    """Return a function of a part."""
+    """Return a node that applies a function to a part."""
     return _combined([part], lambda a: value(a[0]), lambda a, da: derivative(a[0]) * da[0])
 
 
@@ -382,7 +387,7 @@ def _choice(choose: Callable[[Any], Any], parts: list[_Node]) -> _Node:
     """Return the least or greatest part, with its derivative."""
 
     def slope(a: list[float], da: list[float]) -> float:
-        # min and max compare the values first; of equal ones, the derivatives decide.
+        # min and max compare the values first, and for equal values the derivatives.
         chosen: Dual = choose(zip(a, da, strict=True))
         return chosen[1]
 

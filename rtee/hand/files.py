@@ -1,4 +1,4 @@
-"""Read and write files: completely or not at all, with every failure as one sentence."""
+"""Read and write files, completely or not at all; every failure is a one-sentence error."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from typing import Final
 from rtee.errors import ConfigError, UserError
 
 MAX_SIZE: Final = 64_000_000
-"""Largest file that is read [bytes]: more than any mesh or model of a hand takes."""
+"""Size of the largest file that is read [byte]: more than any mesh or model of a hand needs."""
 
 
 def write_atomically(path: Path | str, data: str | bytes) -> None:
     """Write a file so that a reader sees the old content or the new one, never a part.
 
-    The data goes to a temporary file in the same folder, is flushed to the disk and renamed.
+    The data is written to a temporary file in the same folder, which is flushed to the disk and
+    renamed.
 
     Raises:
-        ConfigError: The folder or disk does not allow it; nothing has changed.
+        ConfigError: The file cannot be written; nothing has changed.
     """
     write_together({Path(path): data})
 
 
 def write_together(files: Mapping[Path, str | bytes]) -> None:
-    """Write several files, each as `write_atomically` does; none unless there is room for all.
+    """Write several files, each as `write_atomically` does; none unless there is space for all.
 
-    Links stay; the files they lead to are written. Devices and pipes are not files.
+    A symbolic link is kept, and the file that it leads to is written. Devices and pipes are errors.
 
     Raises:
-        ConfigError: The folder or disk does not allow one of them; nothing has changed.
+        ConfigError: One of the files cannot be written; nothing has changed.
     """
     staged: dict[Path, str] = {}
     target = Path()
@@ -42,17 +43,17 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
         for target, data in files.items():
             content = data.encode() if isinstance(data, str) else data
             place = _place_of(target)
-            # In the same folder: renaming is atomic only within one file system.
+            # In the same folder, since renaming is atomic only within a file system.
             descriptor, staged[place] = tempfile.mkstemp(
                 dir=place.parent, prefix=f".{place.name[:40]}.", suffix=".tmp"
             )
             with os.fdopen(descriptor, "wb") as file:
-                # mkstemp makes files that only their owner can read.
+                # Only the owner can read a file made by mkstemp.
                 os.fchmod(file.fileno(), _mode_of(place))
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-        # Renaming is atomic; what could fail for lack of space or rights has happened before.
+        # Everything that could fail for lack of space or permission is already done.
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
@@ -69,14 +70,14 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
 
 
 def check_writable(path: Path | str, *, folder: bool = False) -> None:
-    """Find out whether a file could be written, before the work that makes its content.
+    """Check that a file can be written, before the work that makes its content.
 
     Args:
-        path: The file, or with ``folder`` a folder that would be made to hold some.
-        folder: Whether missing folders would be made.
+        path: The file; with ``folder``, a folder for files.
+        folder: Whether ``path`` is a folder that will be made if it is missing.
 
     Raises:
-        ConfigError: It could not.
+        ConfigError: The file cannot be written.
     """
     target = Path(path)
     there = target if folder else target.parent
@@ -85,7 +86,7 @@ def check_writable(path: Path | str, *, folder: bool = False) -> None:
     try:
         if not folder:
             there = _place_of(target).parent
-        # Trying says more than asking: rights, a full disk and a read-only mount.
+        # A trial finds missing permissions as well as a full disk or a read-only file system.
         with tempfile.TemporaryFile(dir=there):
             pass
     except (OSError, ValueError) as error:
@@ -93,10 +94,10 @@ def check_writable(path: Path | str, *, folder: bool = False) -> None:
 
 
 def make_folder(path: Path | str) -> Path:
-    """Make a folder with its parents, or accept the one there is.
+    """Make a folder with its parents unless it exists.
 
     Raises:
-        ConfigError: It cannot be made, or is a file.
+        ConfigError: The folder cannot be made, or the path is a file.
     """
     folder = Path(path)
     try:
@@ -108,17 +109,17 @@ def make_folder(path: Path | str) -> Path:
 
 @contextlib.contextmanager
 def new_folder(path: Path | str) -> Iterator[Path]:
-    """Make a folder for what is written inside the block; if that fails, it does not stay.
+    """Make a folder for files written inside the block; remove it if the block fails.
 
     Raises:
-        ConfigError: It cannot be made, or is a file.
+        ConfigError: The folder cannot be made, or the path is a file.
     """
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         yield make_folder(folder)
     except BaseException:
-        # The innermost first; rmdir leaves folders alone in which there is something by now.
+        # The innermost first; rmdir fails for folders that are not empty, which stay.
         for each in made:
             with contextlib.suppress(OSError):
                 each.rmdir()
@@ -127,10 +128,10 @@ def new_folder(path: Path | str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_tree(target: Path) -> Iterator[Path]:
-    """Make a folder whole or not at all: it is filled under another name inside the block.
+    """Make a folder completely or not at all: inside the block it has a temporary name.
 
     Args:
-        target: The folder, which does not exist; the one that is to hold it is made if needed.
+        target: The folder, which must not exist; its parent is made if needed.
 
     Raises:
         ConfigError: The folder exists, or cannot be made.
@@ -139,7 +140,7 @@ def new_tree(target: Path) -> Iterator[Path]:
         raise ConfigError("is already there; remove the folder first", path=target)
     with new_folder(target.parent) as place:
         try:
-            # Beside the target: a folder can be renamed only within its file system.
+            # Next to the target, since a folder can be renamed only within its file system.
             with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=place) as scratch:
                 filled = Path(scratch) / target.name
                 filled.mkdir()
@@ -160,12 +161,12 @@ def write_all(
     """Write several files as `write_together` does, make their folders, and delete others.
 
     Args:
-        files: What to write where.
-        folders: Folders to make even if no file goes there.
-        gone: Files to delete once the others are written.
+        files: Content by path.
+        folders: Folders to make even if they get no file.
+        gone: Files to delete after the others were written.
 
     Raises:
-        ConfigError: Something cannot be written, and nothing has changed; or not be deleted.
+        ConfigError: A file cannot be written, and nothing has changed; or a file cannot be deleted.
     """
     with contextlib.ExitStack() as made:
         for folder in sorted({*folders, *(path.parent for path in files)}):
@@ -183,11 +184,11 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
 
     Args:
         path: The file.
-        what: What it should be, for the message, such as ``"URDF"``.
-        error: The error to raise; `ConfigError` unless given.
+        what: Kind of file for the message, such as ``"URDF"``.
+        error: Class of the error to raise; by default `ConfigError`.
 
     Raises:
-        UserError: It does not exist, cannot be read, or is larger than 64 MB.
+        UserError: The file does not exist, cannot be read, or is larger than 64 MB.
     """
     raised: type[UserError] = error or ConfigError
     file = Path(path)
@@ -205,7 +206,7 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
 
 
 def reason(error: Exception) -> str:
-    """Return what the operating system says, in lower case and without numbers and paths."""
+    """Return the message of the operating system, in lower case, without error number and path."""
     if isinstance(error, OSError) and error.strerror:
         text = error.strerror
     else:
@@ -214,10 +215,10 @@ def reason(error: Exception) -> str:
 
 
 def _place_of(target: Path) -> Path:
-    """Return where a file is written: where links lead to.
+    """Return the path of a file with symbolic links resolved.
 
     Raises:
-        OSError: Something other than a file is there.
+        OSError: The path exists, but is not a regular file.
     """
     place = Path(os.path.realpath(target))
     if place.is_dir():
@@ -228,18 +229,18 @@ def _place_of(target: Path) -> Path:
 
 
 def _mode_of(target: Path) -> int:
-    """Return the permissions the new file gets: those of the old one, or the usual ones."""
+    """Return the permissions of the new file: those of the old file, or the default ones."""
     try:
         return target.stat().st_mode & 0o777
     except OSError:
-        # The mask can only be read by setting it; it is set back at once.
+        # The mask can be read only by setting it, so it is restored at once.
         mask = os.umask(0)
         os.umask(mask)
         return 0o666 & ~mask
 
 
 def sync_folder(folder: Path) -> None:
-    """Have a folder's renamed files survive a power cut; raises `OSError`."""
+    """Flush a folder to the disk, so that renamed files survive a power cut; raises `OSError`."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -58,7 +58,7 @@ def quaternion(rpy: Triple) -> FloatArray:
 
 
 def turn(axis: FloatArray, angle: float) -> FloatArray:
-    """Return the unit quaternion (w, x, y, z) of a turn by ``angle`` [rad] about a unit axis."""
+    """Return the quaternion (w, x, y, z) of a rotation by ``angle`` [rad] about a unit axis."""
     half = 0.5 * angle
     return np.concatenate(([math.cos(half)], math.sin(half) * axis))
 
@@ -71,9 +71,9 @@ def pose_matrix(pose: FloatArray) -> FloatArray:
 
 
 def seen_from(base: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return a pose in the frame of another one; each as position and quaternion ``(7,)``."""
+    """Return ``pose`` relative to ``base``; each a position [m] and a quaternion ``(7,)``."""
     w, x, y, z = base[3:] / np.linalg.norm(base[3:])
-    # The matrix of multiplying from the left by the conjugate of `base`.
+    # The matrix of left multiplication by the conjugate of the quaternion of `base`.
     back = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
     position = pose_matrix(base)[:3, :3].T @ (pose[:3] - base[:3])
     return np.concatenate((position, back @ pose[3:]))
@@ -83,7 +83,7 @@ def pose_in_hand(channels: Mapping[str, FloatArray]) -> FloatArray | None:
     """Return the pose ``(7,)`` of a simulated object in the hand's base frame, if it is known.
 
     Args:
-        channels: The further channels of a state, without the device's name in front.
+        channels: The further channels of a state by name, without the prefix of the device.
     """
     pose, base = channels.get(OBJECT_POSE), channels.get(BASE_POSE)
     if pose is None or not _is_pose(pose):
@@ -94,19 +94,19 @@ def pose_in_hand(channels: Mapping[str, FloatArray]) -> FloatArray | None:
 
 
 def _is_pose(values: FloatArray) -> bool:
-    """Return whether a channel can be used: it may come from another program, or a file."""
+    """Return whether a channel is a valid pose; it may come from another program, or a file."""
     return len(values) == 7 and bool(np.isfinite(values).all()) and bool(values[3:].any())
 
 
 def joint_motion(kind: str, axis: Triple, q: float) -> FloatArray:
-    """Return the transform ``(4, 4)`` that a joint makes at ``q`` [rad | m], in its own frame."""
+    """Return the transform ``(4, 4)`` of a joint at position ``q`` [rad | m], in its frame."""
     if kind == "prismatic":
         return homogeneous(np.eye(3), q * np.array(axis, dtype=np.float64))
     return homogeneous(rotation(axis, q), np.zeros(3))
 
 
 def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where a link is and how the actuators move it.
+    """Return the pose and the Jacobian of a link.
 
     Args:
         hand: The hand.
@@ -114,7 +114,8 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
         u: Actuator positions ``(n,)`` [rad | m].
 
     Returns:
-        Its pose in the hand's base frame ``(4, 4)``, and its Jacobian ``(6, n)``.
+        Its pose in the hand's base frame ``(4, 4)``, and its Jacobian by the actuator positions
+        ``(6, n)``: linear velocity above angular velocity.
     """
     q = hand.transmission.joints(u)
     slope = hand.transmission.jacobian(u)
@@ -128,13 +129,13 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
         row, turning = rows[joint.name], joint.kind != "prismatic"
         axis = np.array(joint.axis, dtype=np.float64)
         axes.append((row, pose[:3, :3] @ axis, pose[:3, 3].copy(), turning))
-        # After noting the axis: the joint turns about it, wherever it is turned to.
+        # After storing the axis, which the joint's motion does not change.
         pose = pose @ joint_motion(joint.kind, joint.axis, float(q[row]))
     jacobian = np.zeros((6, len(hand.actuators)))
     for row, axis, where, turning in axes:
         column = np.zeros(6)
         if turning:
-            # The lever from the axis to the link, at its final position.
+            # The lever arm from the axis to the final position of the link.
             column[:3], column[3:] = np.cross(axis, pose[:3, 3] - where), axis
         else:
             column[:3] = axis
@@ -145,8 +146,8 @@ def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatAr
 class JointFrames:
     """The poses of the child links of joints in their parent links.
 
-    The moving joints change: a hinge turns its link, a slider shifts it. Both are linear in a few
-    numbers per joint, so that all joints are computed at once.
+    A revolute joint rotates its child link, a prismatic one translates it. Both are linear in a few
+    numbers per joint, so that NumPy computes all joints at once.
 
     Args:
         hand: The hand.
@@ -169,9 +170,9 @@ class JointFrames:
         begin = np.array([quaternion(joint.rpy) for joint in driven]).reshape(-1, 4)
         axes = np.array([joint.axis for joint in driven]).reshape(-1, 3)
         slides = np.array([joint.kind == "prismatic" for joint in driven], dtype=bool)
-        # 0 for a slide, which keeps its orientation in the formula below.
+        # 0 for a prismatic joint, which keeps its orientation in the formula below.
         self._half = np.where(slides, 0.0, 0.5)
-        # The quaternion product of the orientation at 0 and a turn by q about the axis is
+        # The quaternion product of the orientation at 0 and a rotation by q about the axis is
         # cos(q/2) · begin + sin(q/2) · (begin × axis).
         self._begin = _last_first(begin)
         self._across = _last_first(_times_axis(begin, axes))

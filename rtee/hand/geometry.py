@@ -1,4 +1,4 @@
-"""The hand's collision geometry: as given in the URDF, and as convex parts, with Coal."""
+"""The collision geometry of a hand with Coal: the shapes of the URDF and their convex hulls."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from rtee.hand.urdfread import FARTHEST
 from rtee.sample import FloatArray
 
 _FLAT: Final = 1e-4
-"""A mesh flatter than this share of its extent has no proper convex hull and is thickened."""
+"""Ratio of thickness to extent below which a mesh has no proper convex hull and is thickened."""
 
 _THICKNESS: Final = 1e-5
-"""Half the thickness that a flat mesh gets [m]: far below the accuracy of models."""
+"""Half the thickness given to a flat mesh [m]: far below the accuracy of models."""
 
 
 def _settle_boxes() -> None:
-    """Ask Coal about a box in a direction that has no zeros, before anything else does.
+    """Make Coal's first query about a box one in a direction without zeros.
 
-    The first direction decides whether Coal stretches boxes by 1e-10 for the rest of the process;
-    results would depend on what was asked before.
+    The direction of the first query decides whether Coal enlarges boxes by 1e-10 for the rest of
+    the process; otherwise, results would depend on earlier queries.
     """
     askew = coal.Transform3s(pin.rpy.rpyToMatrix(0.3, 0.5, 0.7), np.array([3.0, 1.0, 2.0]))
     here, request, result = coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
@@ -50,10 +50,10 @@ class Shape:
 
     Attributes:
         link: The link's name.
-        body: The joint that carries it, 0 for the base.
-        of_link: The link's pose in that joint's frame.
-        placement: Its pose in that joint's frame.
-        in_link: Its pose in the link's frame.
+        body: Index of the joint that carries it, 0 for the base.
+        of_link: Pose of the link in that joint's frame.
+        placement: Pose of the shape in that joint's frame.
+        in_link: Pose of the shape in the link's frame.
         exact: The shape as given: a solid primitive, or the triangles of a mesh.
         source: Its definition in the URDF.
     """
@@ -72,7 +72,7 @@ class Shape:
         self.in_link = pose(source.xyz, source.rpy)
         self.placement = of_link * self.in_link
         self.exact = exact
-        # Coal does not do so by itself for primitives.
+        # Coal does not compute the bounding boxes of primitives by itself.
         self.exact.computeLocalAABB()
         self.source = source
 
@@ -82,7 +82,7 @@ class Shape:
         return self.source.kind == "mesh"
 
     def at(self, link_pose: FloatArray) -> coal.Transform3s:
-        """Return where the shape is when its link is at a pose ``(4, 4)``, in the same frame."""
+        """Return the pose of the shape in the frame in which its link has a pose ``(4, 4)``."""
         pose = pin.SE3(link_pose) * self.in_link
         return coal.Transform3s(pose.rotation, pose.translation)
 
@@ -93,15 +93,15 @@ class Shape:
 
     @cached_property
     def faces(self) -> tuple[FloatArray, FloatArray]:
-        """Outward normals ``(f, 3)`` of a mesh's hull and how far along them it reaches ``(f,)``.
+        """Outward normals ``(f, 3)`` of a mesh's convex hull and the offsets of its faces ``(f,)``.
 
-        In the shape's own frame, in metres.
+        In the shape's frame. The offsets are distances from the origin along the normals [m].
         """
         return np.array(self.convex.normals()), -np.array(self.convex.offsets())
 
     @cached_property
     def triangles(self) -> Triangles:
-        """Vertices ``(v, 3)`` [m] in the shape's own frame and faces ``(f, 3)``."""
+        """Vertices ``(v, 3)`` [m] in the shape's frame, and faces as vertex indices ``(f, 3)``."""
         kind, source = self.source.kind, self.source
         if kind == "box":
             return box(source.size)
@@ -115,19 +115,19 @@ class Shape:
 
     @cached_property
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the bounding box in the shape's own frame [m]."""
+        """Lowest and highest corner of the bounding box in the shape's frame ``(3,)`` [m]."""
         bounds = self.exact.aabb_local
         return np.array(bounds.min_), np.array(bounds.max_)
 
     @cached_property
     def ball(self) -> tuple[FloatArray, float]:
-        """Centre of the bounding box and the distance of its corners from there [m]."""
+        """Centre ``(3,)`` and radius of the sphere around the bounding box [m]."""
         low, high = self.box
         return (low + high) / 2.0, norm(high - low) / 2.0
 
     @cached_property
     def points(self) -> FloatArray:
-        """Points ``(k, 3)`` [m] in the shape's own frame whose hull contains the shape."""
+        """Points ``(k, 3)`` [m] in the shape's frame whose convex hull contains the shape."""
         kind, source = self.source.kind, self.source
         if kind == "mesh":
             return np.array(self.convex.points())
@@ -156,9 +156,9 @@ class HandGeometry:
 
         Args:
             hand: The hand.
-            kinematics: Its kinematics, where there is one already.
-            visual: Read the visual shapes instead, for pictures; the collision shapes of links
-                that have none or whose visual meshes cannot be read.
+            kinematics: Its kinematics, if they exist already.
+            visual: Whether to read the visual shapes instead, for pictures. Links without visual
+                shapes, or whose visual meshes cannot be read, get their collision shapes.
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
@@ -179,19 +179,19 @@ class HandGeometry:
     def closest(
         self, links: tuple[str, str], poses: Mapping[str, FloatArray], *, convex: bool
     ) -> tuple[float, FloatArray]:
-        """Return how far two links are apart and the middle of their closest points.
+        """Return the distance between two links and the midpoint of their closest points.
 
         Args:
             links: The links.
             poses: The pose ``(4, 4)`` of every link.
-            convex: Measure the convex parts, whose distance is negative where they overlap,
-                instead of the shapes as given.
+            convex: Whether to measure between the convex hulls, with negative distances if they
+                overlap, instead of the shapes of the URDF.
 
         Returns:
             The distance [m], and a point ``(3,)`` [m] in the frame of the poses.
         """
         request = coal.DistanceRequest()
-        # Asks for the depth, as a negative distance, where parts overlap.
+        # Overlapping parts have a negative distance, the penetration depth.
         request.enable_signed_distance = True
         best, middle = np.inf, np.zeros(3)
         for first, second in self._couples(links):
@@ -205,7 +205,7 @@ class HandGeometry:
         return float(best), middle
 
     def touching(self, links: tuple[str, str], poses: Mapping[str, FloatArray]) -> bool:
-        """Return whether the shapes of two links touch, as given; see `closest`."""
+        """Return whether the shapes of two links touch; see `closest`."""
         request = coal.CollisionRequest()
         return any(
             coal.collide(
@@ -225,11 +225,11 @@ class HandGeometry:
         return product(first, second)
 
     def triangles(self, link: str) -> Triangles:
-        """Return a link's collision geometry as triangles, for pictures.
+        """Return the geometry of a link as triangles, for pictures.
 
         Returns:
-            Vertices ``(v, 3)`` [m] in the link's frame and faces ``(f, 3)``, counter-clockwise seen
-            from outside where the source is.
+            Vertices ``(v, 3)`` [m] in the link's frame, and faces as vertex indices ``(f, 3)``:
+            counter-clockwise seen from outside, if they are so in the source.
         """
         vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
         for i in self.of_link(link):
@@ -242,12 +242,12 @@ class HandGeometry:
 
 
 class _Meshes:
-    """Loads meshes, each content once."""
+    """Loads meshes; equal meshes are loaded once."""
 
     def __init__(self, hand: Hand) -> None:
         self._hand = hand
         self._loader = coal.MeshLoader(coal.NODE_TYPE.BV_kIOS)
-        self._draft = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)  # its volumes are made fastest
+        self._draft = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)  # fastest bounding volumes
         self._known: dict[tuple[object, ...], coal.BVHModelBase] = {}
 
     def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
@@ -258,8 +258,8 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
-        # Other formats may hold several parts, which the loader mixes up (see `mesh_repair`). The
-        # fast loader finds out.
+        # Files of other formats may have several parts, which the loader mixes up (see
+        # `mesh_repair`). The fast loader is enough to detect that.
         if path.suffix.lower() == ".stl":  # a single part
             return self._checked(self._loader, path, source)
         draft = self._checked(self._draft, path, source)
@@ -293,7 +293,7 @@ _COAL_PREFIXES: Final = ("From file", "in function", "at line", "message", "Hint
 
 
 def _identity(path: Path) -> object:
-    """Return what identifies a mesh; files other than STL may refer to further ones."""
+    """Return a key of a mesh: the hash of an STL file; the path of others, which may have parts."""
     if path.suffix.lower() == ".stl":
         return hashlib.blake2b(path.read_bytes(), digest_size=16).digest()
     return path
@@ -302,7 +302,7 @@ def _identity(path: Path) -> object:
 def _of_link(
     link: UrdfLink, meshes: _Meshes, *, visual: bool
 ) -> list[tuple[UrdfGeometry, coal.CollisionGeometry]]:
-    # A picture with collision shapes is better than none; an extraction must not do the same.
+    # A picture with collision shapes is better than none; an extraction needs its own shapes.
     if visual and link.visuals:
         try:
             return [(source, _exact(source, meshes)) for source in link.visuals]
@@ -322,9 +322,9 @@ def _exact(source: UrdfGeometry, meshes: _Meshes) -> coal.CollisionGeometry:
 
 
 def hull_of(points: FloatArray) -> coal.ConvexBase:
-    """Return the convex hull of points ``(k, 3)`` [m]; flat ones are first thickened by 10 µm."""
+    """Return the convex hull of points ``(k, 3)`` [m]; flat sets are thickened by 10 µm first."""
     if not _is_flat(points):
-        # Qt: Qhull splits its faces into triangles, which Coal is asked to keep.
+        # "Qt" makes Qhull split the faces into triangles, which Coal keeps (True).
         return coal.Convex.convexHull(_vector(points), True, "Qt")
     # Each point becomes a tiny cube, whose hull is never flat.
     corners = np.array(np.meshgrid(*[(-_THICKNESS, _THICKNESS)] * 3)).T.reshape(-1, 1, 3)
@@ -343,7 +343,7 @@ def _hull(mesh: coal.BVHModelBase) -> coal.ConvexBase:
 def _is_flat(points: FloatArray) -> bool:
     if len(points) < 4:
         return True
-    # The variances along the principal axes: a plane has none along its normal.
+    # The variances along the principal axes; that along the normal of a plane is 0.
     spread = np.linalg.eigvalsh(np.cov(points.T))
     return bool(spread[0] <= _FLAT**2 * spread[-1])
 

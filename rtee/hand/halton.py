@@ -1,4 +1,4 @@
-"""Points spread evenly over a cube, by the Halton sequence."""
+"""Points spread evenly over a cube: the Halton sequence."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def halton(size: int, count: int) -> FloatArray:
             rest //= base
             weight /= base
         points[:, column] = value
-    # The result is cached: nobody may change it for the others.
+    # The result is cached, so callers must not change it.
     points.flags.writeable = False
     return points
 
 
 def _multiplier(base: int) -> int:
-    """Return a multiplier near the golden section of a prime, which spreads its multiples well."""
+    """Return a multiplier near the golden section of a prime, which spreads the digits well."""
     return max(1, round(base * (math.sqrt(5.0) - 1.0) / 2.0)) if base > 3 else 1
 
 

@@ -1,7 +1,7 @@
 """Forward kinematics of a hand with Pinocchio.
 
-The searches of the extraction evaluate it millions of times. `rtee.hand.frames` works without
-Pinocchio, for everything that looks at a posture now and then.
+The searches of the extraction evaluate it millions of times. For occasional evaluations,
+`rtee.hand.frames` works without Pinocchio.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ class Kinematics:
     """Forward kinematics of a hand.
 
     Every moving joint of the URDF is a joint of the Pinocchio model, in the order of
-    ``hand.joints``; couplings between joints come from the hand's transmission alone. Links joined
-    by fixed joints form one body. A continuous joint is a revolute one without limits, so that a
-    joint position is always one number.
+    ``hand.joints``; only the hand's transmission contains couplings between joints. Links connected
+    by fixed joints form one body. A continuous joint is a revolute one without limits, so that each
+    joint position is one number.
 
     Attributes:
         hand: The hand.
         model: Its Pinocchio model; joint ``i + 1`` is ``hand.joints[i]``.
-        bodies: Per link, the joint that carries it (0: the base) and its pose in that joint's
-            frame.
+        bodies: For each link, the index of the joint that carries it (0: the base) and its pose in
+            that joint's frame.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -44,8 +44,8 @@ class Kinematics:
             placement = placement * pose(joint.xyz, joint.rpy)
             if joint.moving:
                 added = self.model.addJoint(parent, _joint_model(joint), placement, joint.name)
-                # Pinocchio numbers joints as they are added; arrays of joints rely on the same
-                # order.
+                # Pinocchio numbers joints in the order in which they are added, which must be that
+                # of arrays of joints.
                 if added != index[joint.name] + 1:
                     raise ModelError(
                         f"joint '{joint.name}' is not in the order of the tree",
@@ -58,7 +58,7 @@ class Kinematics:
         self.data = self.model.createData()
 
     def body(self, link: str) -> int:
-        """Return the joint that carries a link, 0 for the base.
+        """Return the index of the joint that carries a link, 0 for the base.
 
         Raises:
             UnknownLink: The hand has no such link.
@@ -66,7 +66,7 @@ class Kinematics:
         return self._body(link)[0]
 
     def support(self, body: int) -> FloatArray:
-        """Return which joints move a body: 1 or 0 per joint ``(m,)``."""
+        """Return a mask of the joints that move a body: 1 or 0 per joint ``(m,)``."""
         mask = np.zeros(self.model.nv)
         for joint in self.model.supports[body]:
             # Joint 0 is Pinocchio's universe, which never moves.
@@ -122,5 +122,5 @@ def _joint_model(joint: UrdfJoint) -> pin.JointModel:
     axis = np.array(joint.axis)
     if joint.kind == "prismatic":
         return pin.JointModelPrismaticUnaligned(axis)
-    # Pinocchio's own continuous joint has two numbers, cosine and sine.
+    # The position of Pinocchio's continuous joint has two numbers, cosine and sine.
     return pin.JointModelRevoluteUnaligned(axis)

@@ -17,17 +17,18 @@ from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.types import ActuatorSpec, JointKind
 
 REST_STATES: Final = ("rest", "open", "home")
-"""Names of SRDF group states taken for the rest posture; the first one found counts."""
+"""Names of SRDF group states for the rest posture; the first one found is used."""
 
 ACCELERATION_TIME: Final = 0.1
-"""Time in which an actuator reaches its velocity limit [s], where no acceleration is configured:
-quick, yet gentle enough for the gears of small hands."""
+"""Time in which an actuator reaches its velocity limit if no acceleration is configured [s]: quick,
+yet gentle enough for the gears of small hands."""
 
 JERK_TIME: Final = 0.05
-"""Time in which it reaches its acceleration limit [s], where no jerk is configured: half of the
-above, so that a motion has no jolts."""
+"""Time in which it reaches its acceleration limit if no jerk is configured [s]: half of the above,
+for smooth motions."""
 
-# By the kind of joint [rad/s | m/s]: slow enough to watch, and to stop by hand.
+# Assumed velocity limit by the kind of joint [rad/s | m/s]: slow enough to watch and to stop by
+# hand.
 _ASSUMED_VELOCITY: Final = {
     JointKind.REVOLUTE: 1.0,
     JointKind.CONTINUOUS: 1.0,
@@ -37,24 +38,24 @@ _ASSUMED_VELOCITY: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """What a configuration adds to the model.
+    """The part of a configuration that adds to the model.
 
     Attributes:
-        name: The hand's name; the robot's in the URDF if ``None``.
+        name: The hand's name; if ``None``, the robot's name in the URDF.
         title: Its name for people.
-        package_dirs: Folders to look mesh packages up in.
+        package_dirs: Folders in which to look up mesh packages.
         rest: Rest positions by actuator [rad | m].
         limits: Limits by actuator.
-        default_limits: Limits of actuators that have none of their own there.
+        default_limits: Limits of actuators that are not in ``limits``.
         dynamics: Dynamics by actuator.
-        default_dynamics: Dynamics of all actuators, where they say nothing else.
+        default_dynamics: Dynamics of all actuators, for values not in ``dynamics``.
         tip_friction: Friction of fingertips by finger; ``defaults``: of all others.
-        touch: Where touch sensors are, by name.
+        touch: Placement of touch sensors, by name.
         clearance: Distance that clear poses keep from other links [m].
-        payload: Largest mass that it may hold [kg].
-        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
-        ignore: Actuators that stay fixed at rest and take no part.
-        passive: Joints without a motor, besides the SRDF's.
+        payload: Largest mass that the hand may hold [kg].
+        openings: Pairs of intensity and opening [m] measured on the real hand, by action.
+        ignore: Actuators that stay at rest like fixed joints.
+        passive: Joints without a motor, in addition to those of the SRDF.
         error: Makes the error for a value of the configuration, from its place and a message.
     """
 
@@ -81,7 +82,7 @@ def rest_state(srdf: Srdf | None) -> tuple[str, dict[str, float]]:
     for name in REST_STATES:
         states = [state for state in srdf.states if state.name.lower() == name] if srdf else []
         if states:
-            # A group_state is of one group: the posture of a hand may be spread over several.
+            # A group_state belongs to one group, so a hand's posture may be split into several.
             values = {joint: value for state in states for joint, value in state.values.items()}
             return states[0].name, values
     return "", {}
@@ -101,10 +102,10 @@ def actuator_spec(
         joint: The actuator.
         urdf: The hand's URDF.
         state: Joint positions of the SRDF's rest posture [rad | m].
-        overrides: What the configuration says.
+        overrides: The configuration.
 
     Returns:
-        The actuator, without its fingers, and what was assumed about it, one sentence each.
+        The actuator, without its fingers, and a sentence for each assumption.
 
     Raises:
         UserError: Its limits are empty or wider than the URDF's, or it rests outside them.
@@ -114,7 +115,7 @@ def actuator_spec(
     velocity, effort = reader.tighter("velocity"), reader.tighter("effort")
     notes = []
     if velocity <= 0:
-        # 0 means "not given" in a URDF; a limiter needs a number, and a slow one is safe.
+        # 0 means "not given" in a URDF; the limiter needs a number, and a small one is safe.
         velocity = _ASSUMED_VELOCITY[JointKind(joint.kind)]
         notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
     acceleration = reader.configured("acceleration") or velocity / ACCELERATION_TIME
@@ -134,7 +135,7 @@ def actuator_spec(
         velocity=velocity,
         acceleration=acceleration,
         jerk=reader.configured("jerk") or acceleration / JERK_TIME,
-        # 0 means "not given", as above; without a limit the device's own one holds.
+        # 0 means "not given", as above; without a limit, only that of the device applies.
         effort=effort if effort > 0 else math.inf,
         rest=rest,
     )
@@ -181,10 +182,10 @@ class _Reader:
         return lower, upper
 
     def tighter(self, key: str) -> float:
-        """Return the velocity or effort limit; 0 where neither URDF nor configuration has one."""
+        """Return the velocity or effort limit; 0 if neither URDF nor configuration has one."""
         model: float = getattr(self.joint, key)
         own: float | None = getattr(self.own, key)
-        # Only an actuator's own value is refused; a default for all is simply lowered.
+        # Only the value for this actuator is refused; a default for all is lowered.
         if own is not None and 0 < model < own:
             raise self.error(
                 ("limits", self.joint.name, key),
@@ -203,14 +204,14 @@ class _Reader:
         if value is None or lower <= value <= upper:
             return value
         message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
-        # The SRDF is wrong and not hand.yaml, so the error names the model's file.
+        # The SRDF is wrong, not hand.yaml, so the error names the model's file.
         if configured is None:
             message = f"actuator '{name}': the SRDF's {message}"
             raise ModelError(message, path=self.urdf.path, line=self.joint.line)
         raise self.error(("rest", name), message)
 
     def error(self, location: tuple[str, ...], message: str) -> UserError:
-        """Return an error that points at the configuration, or else at the joint."""
+        """Return an error with the place in the configuration, or else that of the joint."""
         if self.overrides.error is not None:
             return self.overrides.error(location, message)
         return ModelError(
@@ -224,26 +225,26 @@ def standing_position(
     """Return the position of a joint that no actuator moves [rad | m].
 
     Raises:
-        UserError: It is configured to be outside its limits.
+        UserError: Its configured rest position is outside its limits.
     """
     if joint.name in overrides.ignore:
         rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest
-    # Without a motor it is wherever springs and weight put it; rest is the best guess.
+    # Without a motor, springs and weight determine its position; rest is the best guess.
     return clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
 
 
 def rest_note(
     name: str, state: Mapping[str, float], actuators: Sequence[str], overrides: Overrides
 ) -> list[str]:
-    """Note where the rest posture comes from, as far as it comes from the SRDF.
+    """Return a note if the rest posture comes from the SRDF, at least in part.
 
     Args:
         name: Name of the SRDF's group_state.
         state: Its joint positions [rad | m].
         actuators: Names of the actuators.
-        overrides: What the configuration says.
+        overrides: The configuration.
     """
     taken = [actuator for actuator in actuators if actuator in state]
     own = [actuator for actuator in taken if actuator in overrides.rest]
@@ -256,14 +257,14 @@ def rest_note(
 def images_outside(
     joints: Sequence[Joint], specs: Sequence[ActuatorSpec], transmission: Transmission
 ) -> list[str]:
-    """Note the mimic joints that their actuator drives outside their own limits."""
+    """Return notes on mimic joints that leave their limits when their actuator moves."""
     notes = []
     for joint, coupling in zip(joints, transmission.couplings, strict=True):
         if joint.role is not JointRole.MIMIC or coupling.actuator is None:
             continue
         spec = specs[coupling.actuator]
         image = [coupling.value(q) for q in sample(spec.lower, spec.upper)]
-        # A thousandth of the range: what rounded numbers in a URDF differ by.
+        # A thousandth of the range, the effect of rounded numbers in a URDF.
         slack = 1e-3 * (joint.upper - joint.lower)
         if min(image) < joint.lower - slack or max(image) > joint.upper + slack:
             notes.append(

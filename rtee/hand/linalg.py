@@ -1,10 +1,9 @@
-"""Small products and norms that come out the same on every processor.
+"""Small products and norms with the same result on every processor.
 
-BLAS picks a kernel for the processor it runs on, and kernels add up in different orders; numpy's
-``dot``, ``@`` and ``linalg`` hand on what comes out. Here every product is an element-wise
-multiplication followed by `numpy.add.reduce`, whose order is fixed by the shape of its operand, and
-which does not fuse multiplications with additions. For the few dozen numbers that a hand needs they
-take about as long.
+BLAS, which NumPy uses for ``dot``, ``@`` and ``linalg``, chooses a kernel for the processor, and
+kernels add in different orders. Here every product is an element-wise multiplication followed by
+`numpy.add.reduce`, whose order depends only on the shape of its operand, and which does not fuse
+multiplications with additions. For the few dozen numbers of a hand, this takes about as long.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A URDF that can be moved: its meshes beside it, addressed relative to it."""
+"""Make a URDF that can be moved together with its meshes, by relative addresses."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from rtee.hand.urdf import Urdf
 _DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
 
 _ENDING: Final = 10
-"""Longest ending of a mesh's name that is kept [characters]; those of formats have up to five."""
+"""Longest suffix of a mesh's name that is kept [characters]; those of mesh formats have up to five.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalMeshes:
-    """A URDF's text and the meshes that belong beside it.
+    """A URDF with relative addresses of meshes, and the meshes to copy.
 
     Attributes:
         text: The URDF, with relative addresses.
-        meshes: Where each mesh is now, by its place relative to the URDF.
-        notes: What was left where it is, one sentence each.
+        meshes: Present file of each mesh, by its path relative to the URDF.
+        notes: A sentence for each mesh whose address was not changed.
     """
 
     text: str
@@ -37,10 +38,10 @@ class LocalMeshes:
 
 
 def with_local_meshes(hand: Hand) -> LocalMeshes:
-    """Return a hand's URDF with relative addresses of its meshes, and where these are now.
+    """Return a hand's URDF with relative addresses of its meshes, and the files of the meshes.
 
     Raises:
-        ModelError: A collision mesh is missing; a visual one is only noted.
+        ModelError: A collision mesh is missing; a missing visual mesh is only noted.
     """
     addresses: dict[str, str] = {}
     sources: dict[str, Path] = {}
@@ -60,14 +61,14 @@ def with_local_meshes(hand: Hand) -> LocalMeshes:
 
 
 def as_utf8(text: str) -> str:
-    """Return the text of an XML file as it is declared when it is written in UTF-8."""
+    """Return the text of an XML file with a declaration for UTF-8."""
     return '<?xml version="1.0"?>\n' + _DECLARATION.sub("", text)
 
 
 def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
-    """Return every mesh once: its address, its line, and whether it is collision geometry."""
+    """Return each mesh: its address, its line, and whether it is collision geometry."""
     found: dict[str, tuple[str, int, bool]] = {}
-    # Collision meshes first: a mesh that serves for both must not be missing.
+    # Collision meshes first, since a mesh used for both must exist.
     for needed in (True, False):
         for link in urdf.links.values():
             for shape in link.collisions if needed else link.visuals:
@@ -77,7 +78,7 @@ def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
 
 
 def _free(place: str, taken: Mapping[str, Path]) -> str:
-    """Return a place that no other mesh has: two packages may have meshes of the same name."""
+    """Return a path of no other mesh, since two packages may have meshes of the same name."""
     if place not in taken:
         return place
     stem = PurePosixPath(place)
@@ -86,17 +87,17 @@ def _free(place: str, taken: Mapping[str, Path]) -> str:
 
 
 def _place(uri: str, source: Path) -> str:
-    """Return where a mesh goes: as in its address below its package, or else in ``meshes``."""
+    """Return the new path of a mesh: that inside its package, or else in the folder ``meshes``."""
     scheme, separator, rest = uri.partition("://")
     if separator:
         parts = [] if scheme == "file" else rest.split("/")[1:-1]
     else:
         parts = uri.split("/")[:-1]
     parts = [part for part in parts if part not in ("", ".")]
-    # An address may come from anywhere: it must not lead out of the hand's folder.
+    # An address from an untrusted file must not lead out of the hand's folder.
     if ".." in parts or not parts:
         parts = ["meshes"]
-    # The ending by itself: it says the format, and nothing else may be left of a name.
+    # The suffix separately, since it gives the format and must be kept.
     ending = re.sub(r"[^A-Za-z0-9.]", "", source.suffix)[:_ENDING]
     name = safe_name(source.stem, "mesh")[: MAX_LENGTH - _ENDING] + ending
     return "/".join([*(safe_name(part, "x") for part in parts), name])

@@ -1,9 +1,9 @@
 """Repair meshes of several parts, whose triangles Coal's loader mixes up.
 
-A file may hold several surfaces, one per material. The loader concatenates the corners of all of
-them, but numbers the triangles of each from its own first corner on, so that those of the later
-surfaces join corners of the first one and the later corners stay unused. This module separates the
-parts again: each begins with a triangle of its corners 0, 1 and 2.
+A file may contain several surfaces, one per material. The loader concatenates the vertices of all
+surfaces, but the vertex indices in the triangles of each surface start from 0. So triangles of the
+later surfaces refer to vertices of the first one, and the later vertices are unused. This module
+separates the parts again: each begins with a triangle of its vertices 0, 1 and 2.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from numpy.typing import NDArray
 from rtee.sample import FloatArray
 
 _FEWEST: Final = 3
-"""Fewest corners of a part: those of one triangle."""
+"""Least number of vertices of a part: those of one triangle."""
 
 _MOST: Final = 12
-"""Most places considered where a part may begin; beyond, the search would take too long."""
+"""Largest number of possible beginnings of parts; with more, the search would take too long."""
 
 _LOST: Final = 8
-"""Most corners that may stay unused, since the loader drops degenerate triangles."""
+"""Largest number of unused vertices, since the loader drops degenerate triangles."""
 
 Faces = NDArray[np.int64]
 
 
 def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelBase:
-    """Return a mesh with the triangles of all its parts in place; the same one if nothing is amiss.
+    """Return a mesh with correct triangles in all parts; the same object if it is correct already.
 
     Args:
-        mesh: What Coal's loader made of a file.
-        loader: The loader; only it makes meshes of its own kind of bounding volumes.
+        mesh: A mesh from Coal's loader.
+        loader: A loader, which determines the kind of bounding volumes of the result.
     """
     corners = np.array(mesh.vertices())
     triangles = (mesh.tri_indices(i) for i in range(mesh.num_tris))
@@ -46,26 +46,26 @@ def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelB
     if apart is None:
         return mesh
     with NamedTemporaryFile(suffix=".stl") as file:
-        # Through a file: Coal's Python bindings build a mesh with these volumes only when they load
-        # it.
+        # Through a file, since Coal's Python bindings make these bounding volumes only when they
+        # load a mesh.
         file.write(_stl(corners[apart]))
         file.flush()
         return loader.load(file.name, np.ones(3))
 
 
 def split_parts(faces: Faces, corners: int) -> Faces | None:
-    """Return the triangles ``(f, 3)`` numbered through all parts, ``None`` where none are found.
+    """Return triangles ``(f, 3)`` with indices into all vertices; ``None`` for a single part.
 
     Args:
-        faces: The triangles ``(f, 3)``, numbered from 0 in every part.
-        corners: Number of corners of all parts.
+        faces: The triangles ``(f, 3)`` with indices from 0 in every part.
+        corners: Number of vertices of all parts.
     """
     first = np.flatnonzero((np.sort(faces, axis=1) == (0, 1, 2)).all(axis=1))
     places = [int(i) for i in first if i > 0]
     if not places or len(places) > _MOST:
         return None
     best: tuple[int, Faces] | None = None
-    # Many parts first: with fewer, corners of different parts would be joined.
+    # Many parts first, since with fewer ones, vertices of different parts would be connected.
     for count in range(len(places), 0, -1):
         for cuts in combinations(places, count):
             parts = np.split(faces, cuts)

@@ -1,4 +1,4 @@
-"""Find the file of a mesh named in a URDF, and check its content."""
+"""Find the mesh file for an address in a URDF, and check its content."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ def resolve_mesh(
     """Return the file of a mesh.
 
     A plain path is relative to the URDF. ``file://`` is absolute. ``package://NAME/REST`` is
-    looked up beside the URDF and in the folders above it, in ``package_dirs`` (each either holds
-    packages or is the package), in ``ROS_PACKAGE_PATH`` and in ``share`` of ``AMENT_PREFIX_PATH``.
+    looked up in the folder of the URDF and the folders above it, in ``package_dirs`` (folders of
+    packages, or packages), in ``ROS_PACKAGE_PATH`` and in ``share`` of ``AMENT_PREFIX_PATH``.
 
     Args:
-        uri: The mesh's address as written in the URDF.
+        uri: The mesh's address as in the URDF.
         urdf: The URDF's path.
-        package_dirs: Folders to look packages up in, before those of the environment.
+        package_dirs: Folders in which to look up packages, before those of the environment.
         line: Line of the address in the URDF, for messages.
 
     Raises:
-        ModelError: There is no such file; the message says where it was searched.
+        ModelError: There is no such file.
     """
     folder = Path(urdf).absolute().parent
     match = _SCHEME.match(uri)
@@ -67,7 +67,7 @@ def resolve_mesh(
 
 
 def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
-    """Yield where a file of a package may lie, the most specific place first."""
+    """Yield the possible paths of a file in a package, the most specific one first."""
     package, _, rest = address.partition("/")
     for place in _packages(package, folder, package_dirs):
         yield place / rest
@@ -77,8 +77,8 @@ def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str])
 
 
 def _packages(package: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
-    """Yield where a package may lie by its name, the most specific place first."""
-    # A model usually lies in the package that it names, or beside it.
+    """Yield the possible folders of a package by its name, the most specific one first."""
+    # A model is usually in the package that it names, or next to it.
     roots = [folder, *folder.parents, *(Path(p).absolute() for p in package_dirs)]
     roots += [Path(p) for p in _variable("ROS_PACKAGE_PATH")]
     for root in roots:
@@ -94,15 +94,15 @@ def find_package(
 ) -> Path | None:
     """Return the folder of a package; ``None`` if it is not found.
 
-    It is looked up as for ``package://`` (see `resolve_mesh`); a folder of another name counts if
-    its ``package.xml`` says that it is the package.
+    It is looked up as for ``package://`` (see `resolve_mesh`). A folder of another name is found if
+    its ``package.xml`` has the name of the package.
 
     Args:
         package: Its name.
         folder: Folder of the file that names it.
-        package_dirs: Folders to look it up in, before those of the environment.
+        package_dirs: Folders in which to look it up, before those of the environment.
     """
-    # Such a name would lead away from the folders in which packages lie.
+    # Such names would lead out of the folders of packages.
     if package in ("", ".", "..") or "/" in package:
         return None
     place = next((p for p in _packages(package, folder, package_dirs) if p.is_dir()), None)
@@ -126,11 +126,11 @@ def _variable(name: str) -> list[str]:
 
 
 def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | str] = ()) -> Path:
-    """Return the file of a mesh after a look inside.
+    """Return the file of a mesh after a check of its content.
 
     Raises:
-        ModelError: The file does not exist, cannot be read, is empty or truncated, or is of a
-            format that is not a mesh.
+        ModelError: The file does not exist, cannot be read, is empty or truncated, or has an
+            unknown format.
     """
     path = resolve_mesh(shape.mesh, urdf.path, package_dirs, line=shape.line)
     suffix = path.suffix.lower()
@@ -150,11 +150,11 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
 
 
 def why_no_mesh(data: bytes, suffix: str) -> str | None:
-    """Return why the content of a file is not a mesh of a format, or ``None`` if it may be one.
+    """Return why a file is not a mesh of its format, or ``None`` if it may be one.
 
     Args:
         data: The file's content.
-        suffix: Its suffix in small letters, one of `FORMATS`.
+        suffix: Its suffix in lower case, one of `FORMATS`.
     """
     if not data.strip():
         return "the file is empty"
@@ -172,7 +172,7 @@ def why_no_mesh(data: bytes, suffix: str) -> str | None:
 
 
 def _why_no_stl(data: bytes) -> str | None:
-    # Binary files may begin with "solid", too; the first facet of a text comes soon.
+    # Binary files may begin with "solid", too, but a text file soon has its first "facet".
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:2000]:
         return None
     if len(data) < 84:

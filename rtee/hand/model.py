@@ -1,4 +1,4 @@
-"""The hand as data: fingers, actuators, joints, and which moves which."""
+"""The model of a hand: its fingers, actuators and joints, and the transmission between them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, JointKind, readonly
 
 CLEARANCE: Final = 0.001
-"""Default distance that clear poses keep from other links [m]: real hands differ from their models
-by about a millimetre."""
+"""Default distance that clear poses keep from other links [m]: the error of models of real hands is
+about a millimetre."""
 
 
 class JointRole(StrEnum):
@@ -67,8 +67,8 @@ class Finger:
         tip: The fingertip: last link of the chain with collision geometry; ``None`` if it has none.
         links: Links of the chain from base to end.
         actuators: Names of the actuators that move the fingertip, nearest the palm first.
-        own: Those of them that move no other fingertip, nearest the palm first.
-        reason: Why this is a finger.
+        own: The actuators that move no other fingertip, nearest the palm first.
+        reason: Why the chain is a finger.
     """
 
     name: str
@@ -88,21 +88,21 @@ class Hand:
         name: Its name.
         base: Root link; the hand's base frame.
         joints: All moving joints in the order of the URDF's tree.
-        actuators: The actuators in the order of the URDF's tree, which all actuator arrays have.
+        actuators: The actuators in the order of the URDF's tree, the order of all actuator arrays.
         fingers: The fingers.
-        transmission: From actuator positions to joint positions.
+        transmission: Map from actuator positions to joint positions.
         rest: Rest posture ``(n,)`` [rad | m].
         urdf: The parsed URDF.
-        disabled_collisions: Pairs of links never to be checked, with the SRDF's reason.
-        notes: What was noticed in the model and assumed about it, one sentence each.
-        package_dirs: Where ``package://`` is looked up.
+        disabled_collisions: Pairs of links that are never checked, with the SRDF's reason.
+        notes: Findings about the model and assumptions, one sentence each.
+        package_dirs: Folders in which to look up ``package://``.
         description: Its name for people.
-        clearance: Distance that clear poses and their ways keep from all other links [m].
-        dynamics: Dynamics of the actuators, by name; nothing is known of one that is missing.
-        payload: Largest mass that it may hold [kg]; infinite where that is not known.
-        openings: Pairs of intensity and opening [m] measured on the real hand, by the action.
-        tip_friction: Coefficient of friction of the fingertips, by finger, where it is known.
-        touch: Where touch sensors are, by name, as far as hand.yaml says.
+        clearance: Distance that clear poses and the paths to them keep from all other links [m].
+        dynamics: Dynamics of the actuators, by name; unknown for missing ones.
+        payload: Largest mass that it may hold [kg]; infinite if unknown.
+        openings: Pairs of intensity and opening [m] measured on the real hand, by action.
+        tip_friction: Coefficient of friction of fingertips, by finger; unknown for missing ones.
+        touch: Placement of touch sensors in hand.yaml, by name.
     """
 
     name: str
@@ -143,7 +143,7 @@ class Hand:
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the moving joints, in order; the order of ``transmission``'s output."""
+        """Names of the moving joints, in the order of the transmission's joint positions."""
         return tuple(j.name for j in self.joints)
 
     @cached_property

@@ -11,10 +11,10 @@ from typing import Final
 from rtee.errors import ConfigError
 
 MAX_LENGTH: Final = 100
-"""Longest name [characters]: with an ending it fits into a file name of any file system."""
+"""Longest name [characters]: together with a suffix, it is a valid file name on any file system."""
 
 _WORTH: Final = 5
-"""A beginning with fewer characters than this is not worth leaving out."""
+"""Length of the shortest prefix that is worth leaving out [characters]."""
 
 _ALLOWED = re.compile(r"[A-Za-z0-9_\-.]+\Z")
 _FORBIDDEN = re.compile(r"[^A-Za-z0-9_\-.]+")
@@ -27,13 +27,13 @@ def check_name(
 
     Args:
         name: The name to check.
-        what: What it names, for the message, such as ``"action"``.
-        path: The file it is in.
-        line: Its line there.
+        what: Noun for the message, such as ``"action"``.
+        path: The file that contains the name.
+        line: Its line in that file.
 
     Raises:
-        ConfigError: It is empty, longer than 100 characters, starts with a dot, holds ``..`` or
-            anything but letters, digits, ``_``, ``-`` and ``.``.
+        ConfigError: The name is empty, longer than 100 characters, starts with a dot, contains
+            ``..`` or characters other than letters, digits, ``_``, ``-`` and ``.``.
     """
     wrong = _why_not(name)
     if wrong:
@@ -46,16 +46,16 @@ def check_name(
 
 
 def safe_name(text: str, default: str = "hand") -> str:
-    """Return ``text`` made into a valid name, or ``default`` when nothing of it is left."""
+    """Return a valid name made from ``text``, or ``default`` if nothing of it is left."""
     name = _FORBIDDEN.sub("_", text).strip("_.")[:MAX_LENGTH]
-    # Repeatedly: three dots become two, which are refused as well.
+    # Repeatedly, since three dots become two.
     while ".." in name:
         name = name.replace("..", ".")
     return name or default
 
 
 def _why_not(name: str) -> str | None:
-    # Nearly all names: the other checks are for the rest.
+    # A fast check, which nearly all names pass.
     if name.isalnum() and name.isascii() and len(name) <= MAX_LENGTH:
         return None
     if not name:
@@ -72,16 +72,16 @@ def _why_not(name: str) -> str | None:
 
 
 def shared_length(parts: Sequence[Sequence[str]]) -> int:
-    """Return how many items all of several sequences begin with; 0 for a single one."""
+    """Return the length of the common prefix of several sequences; 0 for a single one."""
     columns = zip(*parts, strict=False) if len(parts) > 1 else ()
     return sum(1 for _ in takewhile(lambda column: len(set(column)) == 1, columns))
 
 
 def common_prefix(names: Collection[str]) -> str:
-    """Return the words that all names begin with, to be left out where room is scarce.
+    """Return the words with which all names begin, to leave them out where space is scarce.
 
-    Words end in ``_``, ``-``, ``.``, ``/`` or a blank. Empty for a single name, and where little
-    would be gained or nothing be left of a name.
+    Words end in ``_``, ``-``, ``.``, ``/`` or a blank. The prefix is empty for a single name, if it
+    would be short, or if nothing of a name would be left.
     """
     same = next(iter(names), "")[: shared_length(list(names))]
     end = 1 + max(same.rfind(mark) for mark in "_-./ ")

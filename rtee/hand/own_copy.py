@@ -1,8 +1,8 @@
-"""Make the user's own copy of a hand that must not be changed in its place.
+"""Copy a hand that must not be changed to a folder of the user.
 
 Hands that came with rtee stay as they were installed, and a folder may be write-protected. Before
-such a hand is changed (an action, its primitives or results of trials are stored), it is copied to
-a folder in which hands are looked up earlier: from then on, the copy is the hand of that name.
+such a hand is changed (to store an action, its primitives or results of trials), it is copied to a
+folder that takes precedence: from then on, the copy is the hand of that name.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from rtee.hand.schema import SCHEMA_FILE, schema_text
 from rtee.hand.yamlwrite import emit_scalar
 
 SHIPPED: Final = Path(__file__).resolve().parents[1] / "_config"
-"""The hands in an installed rtee. A checkout has none there: its ``config/`` is its owner's."""
+"""Folder of the hands in an installed rtee. A checkout has none; its ``config/`` may be changed."""
 
 TRIALS: Final = "trials.yaml"
-"""Results of trials in a hand's folder; they are valid for the hand they were made with only."""
+"""File of the results of trials in a hand's folder; they are valid only for the hand tested."""
 
 _NAME = re.compile(r"^(name:[ \t]*)\S+", re.MULTILINE)
 
 
 def is_own(folder: Path) -> bool:
-    """Return whether the files of a hand are the user's to change.
+    """Return whether the files of a hand may be changed.
 
     Args:
         folder: The hand's folder.
@@ -40,22 +40,22 @@ def is_own(folder: Path) -> bool:
     real = folder.resolve()
     if real.is_relative_to(SHIPPED):
         return False
-    # A single protected folder inside would make a later change fail halfway.
+    # The subfolders, too: with a protected one, a later change would fail halfway.
     inside = (place for place in real.rglob("*") if place.is_dir())
     return all(os.access(place, os.W_OK | os.X_OK) for place in (real, *inside))
 
 
 def own_place(folder: Path) -> Path:
-    """Return where the changes of a hand go: its folder, or that of the copy that `own` would make.
+    """Return the folder for changes of a hand: its own, or that of the copy that `own` would make.
 
-    The copy's place is the first that can be written to of those where users' hands are looked up.
+    The copy is made in the first of the folders for users' hands that can be written to.
 
     Args:
         folder: The hand's folder.
 
     Raises:
-        ConfigError: There is no such place, a hand of that name is there already, or the copy would
-            not be the hand of that name.
+        ConfigError: There is no such folder, it has a hand of that name already, or another hand of
+            that name takes precedence over the copy.
     """
     if is_own(folder):
         return folder
@@ -78,7 +78,7 @@ def own_place(folder: Path) -> Path:
 
 
 def own(folder: Path) -> Path:
-    """Return the folder in which a hand may be changed: its own, or a copy that is made now.
+    """Return the folder in which a hand may be changed: its own, or that of a new copy.
 
     Args:
         folder: The hand's folder.
@@ -93,7 +93,7 @@ def own(folder: Path) -> Path:
 
 
 def copied_since(folder: Path) -> Path | None:
-    """Return the user's copy of a hand that came with rtee, if there is one by now.
+    """Return the user's copy of a hand that came with rtee, if there is one.
 
     Args:
         folder: The hand's folder.
@@ -105,28 +105,28 @@ def copied_since(folder: Path) -> Path | None:
 
 
 def copy_notice(folder: Path, copy: Path) -> str:
-    """Return the line that informs people of a copy.
+    """Return the message about a copy for the user.
 
     Args:
-        folder: Where the hand was.
-        copy: Where it is now.
+        folder: Folder of the original.
+        copy: Folder of the copy.
     """
     why = "came with rtee" if folder.resolve().is_relative_to(SHIPPED) else "is write-protected"
     return f"hand '{copy.name}' {why}; it is copied to {copy}, which is used from now on"
 
 
 def copy_hand(folder: Path, target: Path) -> None:
-    """Copy a hand: its whole folder, or nothing.
+    """Copy the folder of a hand, completely or not at all.
 
-    A copy of another name is a hand of that name, and has no results of trials.
+    A copy with another name gets this name, and no results of trials.
 
     Args:
         folder: The hand's folder.
-        target: Folder of the copy, which does not exist; it gives the name.
+        target: Folder of the copy, which must not exist; its name is that of the copy.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
-        ModelError: What was copied is not a hand, because files outside of its folder belong to it.
+        ModelError: The copy cannot be loaded, because the hand has files outside of its folder.
     """
     name = check_name(target.name, "hand")
     if target.exists():
@@ -138,26 +138,26 @@ def copy_hand(folder: Path, target: Path) -> None:
 
 
 def _fill(folder: Path, copy: Path, name: str) -> None:
-    """Copy the files, give them to the user, and set the name; check that it is a hand."""
+    """Copy the files, make them writable, set the name, and check that the copy can be loaded."""
     config = load_configured(folder)[1]
     ignored = ["__pycache__", ".*", *([] if config.name == name else [TRIALS])]
     shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(*ignored), dirs_exist_ok=True)
     for place in (copy, *copy.rglob("*")):
-        # copytree keeps the permissions: a read-only original would give a read-only copy.
+        # copytree keeps permissions, so the copy of a read-only file would be read-only.
         place.chmod(stat.S_IMODE(place.stat().st_mode) | stat.S_IWUSR)
     if config.name != name:
         file = copy / FILE_NAME
-        # As text, so that comments and layout stay.
+        # As text, to keep comments and layout.
         text = read_bytes(file, FILE_NAME).decode("utf-8")
         write_atomically(file, _NAME.sub(lambda found: found[1] + emit_scalar(name), text, count=1))
-    # Loaded before it gets its place: what cannot be loaded is never the hand of that name.
+    # Loaded under its temporary name, so that a copy that cannot be loaded does not remain.
     made = load_configured(copy)[1]
     if made.name != name:
         raise ConfigError(f"the name cannot be set to '{name}'; do it by hand", path=folder)
 
 
 def _can_be_made(place: Path) -> bool:
-    """Return whether a folder could be made in a place, the place itself as well."""
+    """Return whether a folder exists and can be written to, or could be made."""
     while not os.path.exists(place) and place != place.parent:
         place = place.parent
     return os.path.isdir(place) and os.access(place, os.W_OK | os.X_OK)

@@ -1,4 +1,4 @@
-"""Detect rest postures that are a pinch, as of grippers with a closed zero; find better ones."""
+"""Detect rest postures that are a pinch, as for grippers closed at zero, and find better ones."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
     from rtee.hand.geometry import HandGeometry
 
 NEAR: Final = 0.002
-"""Tips nearer than this nearly touch [m]: each may be a millimetre away from its model."""
+"""Gap below which two tips nearly touch [m]: the error of a model is about a millimetre per tip."""
 
 _STEP: Final = 0.05
-"""Share of the way to a limit for testing whether an actuator moves the tips apart: small, since
-the direction may change on the way."""
+"""Fraction of the way to a limit at which to test whether an actuator moves the tips apart: small,
+since the direction may change on the way."""
 
 APART: Final = 0.5
-"""Least part of the motion of one tip past the other that widens the gap where they are opposed;
-tips side by side slide along each other instead."""
+"""Least ratio of the change of the gap to the relative motion of two opposed tips; for tips side by
+side, which slide along each other, it is smaller."""
 
 OWN: Final = 0.25
-"""An actuator that moves one finger only decides about it if it carries the tip at least this share
-of the way that any actuator does; less is an adjustment."""
+"""Least motion of the tips at which an actuator of only one finger counts [fraction of the largest
+motion by any actuator]; smaller ones are adjustments."""
 
 _PASSES: Final = 2
-"""How often every actuator's limits are compared: the second time with the others' chosen."""
+"""Number of times that the limits of every actuator are compared; the second time, the limits
+chosen for the others are known."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,11 @@ class ClosedRest:
     """A rest posture that is a pinch, and a better one.
 
     Attributes:
-        fingers: The fingers whose tips touch or nearly do, two by two.
-        gap: The widest of the gaps between them at rest [m]; 0 where they touch.
-        opened: Rest positions for hand.yaml [rad | m]: at the limits where the tips are farthest
-            apart for the actuators that open them, as they are where a rest is given already.
-        opening: The narrowest of their gaps there [m].
+        fingers: The pairs of fingers whose tips touch or nearly touch.
+        gap: The widest gap of these pairs at rest [m]; 0 if all touch.
+        opened: Rest positions for hand.yaml [rad | m]. Actuators that open the tips are at the
+            limit with the widest gap; the others keep a rest position that is given already.
+        opening: The narrowest gap of these pairs at ``opened`` [m].
     """
 
     fingers: tuple[tuple[str, str], ...]
@@ -60,14 +61,14 @@ class ClosedRest:
 
     @property
     def found(self) -> str:
-        """What was found, in words."""
+        """The finding as a phrase."""
         pairs = ", ".join(f"'{a}' and '{b}'" for a, b in self.fingers)
         how = f"are only {self.gap * 1e3:.1f} mm apart" if self.gap > 0.0 else "touch"
         return f"the tips of {pairs} {how}"
 
     @property
     def text(self) -> str:
-        """What is wrong and what to type, in one sentence."""
+        """The problem and its remedy in one sentence."""
         return (
             f"the rest posture is a pinch: {self.found} there, so `rtee open` closes the hand; "
             f"type into hand.yaml: {self.line} (then they are {self.opening * 1e3:.1f} mm apart) "
@@ -76,10 +77,10 @@ class ClosedRest:
 
 
 def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
-    """Return that the rest posture of a hand is a pinch, if it is one and the hand can open.
+    """Return how the rest posture of a hand is a pinch; ``None`` if it is none or cannot be opened.
 
-    Two tips pinch at rest where they touch or nearly do, and the motion by which they move farthest
-    past each other parts them. Tips side by side, which bend beside each other, do not.
+    Two tips pinch at rest if they touch or nearly touch, and their largest relative motion moves
+    them apart. Tips side by side, which bend next to each other, do not.
 
     Args:
         geometry: The hand's geometry.
@@ -95,13 +96,13 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     hand = geometry.hand
     gaps = search.gaps(hand.rest, pairs)
     openings = search.gaps(u, pairs)
-    # No better posture was found: a hand that stays closed there means to.
+    # No better posture was found, so the hand is meant to be closed at rest.
     if min(openings) <= NEAR or sum(openings) <= sum(gaps):
         return None
     rest = {
         spec.name: float(value)
         for spec, value in zip(hand.actuators, u, strict=True)
-        # Only what differs from the default has to be in hand.yaml.
+        # Only values that differ from the default need to be in hand.yaml.
         if value != spec.rest or spec.rest != min(max(0.0, spec.lower), spec.upper)
     }
     names = tuple((hand.fingers[i].name, hand.fingers[j].name) for i, j in pairs)
@@ -112,14 +113,14 @@ Pair = tuple[int, int]
 
 
 class _Search:
-    """Gaps between fingertips, and what widens them."""
+    """Computes gaps between fingertips, and finds the actuators that widen them."""
 
     def __init__(self, geometry: HandGeometry) -> None:
         self._geometry = geometry
         self._hand = geometry.hand
 
     def pinching(self) -> list[Pair]:
-        """Return the fingers, two by two, whose tips pinch at rest."""
+        """Return the pairs of fingers whose tips pinch at rest."""
         hand = self._hand
         tipped = [i for i, finger in enumerate(hand.fingers) if finger.tip]
         return [
@@ -129,19 +130,19 @@ class _Search:
         ]
 
     def gaps(self, u: FloatArray, pairs: Iterable[Pair]) -> list[float]:
-        """Return the gap between the tips of some fingers at a posture [m]; 0 where they touch."""
+        """Return the gap of each pair of tips at a posture [m]; 0 if they touch."""
         poses = self._geometry.kinematics.placements(u)
         closest = self._geometry.closest
         return [max(0.0, closest(self._tips(p), poses, convex=False)[0]) for p in pairs]
 
     def opened(self, pairs: Sequence[Pair]) -> FloatArray:
-        """Return rest with the actuators that part the tips at their best limits ``(n,)``."""
+        """Return the rest posture ``(n,)`` with actuators that open tips at their best limit."""
         u = np.array(self._hand.rest)
         helpful = {
             a for pair in pairs for a, bound in self._steps(pair) if self._parts(pair, a, bound)
         }
         for _ in range(_PASSES):
-            # In the hand's order: what is chosen for one actuator counts for those after it.
+            # In the hand's order, since the choice for an actuator affects the following ones.
             for a in sorted(helpful):
                 spec = self._hand.actuators[a]
                 tried = []
@@ -149,7 +150,7 @@ class _Search:
                     v = u.copy()
                     v[a] = value
                     tried.append((sum(self.gaps(v, pairs)), value))
-                # Where limits are equally good, the first one: what is there already stays.
+                # Of equally good positions, the first one, so that the present one is kept.
                 u[a] = max(tried, key=lambda found: found[0])[1]
         return u
 
@@ -163,11 +164,11 @@ class _Search:
         tips = self._tips(pair)
         (first, reach), (second, other) = (self._ball(tip, poses) for tip in tips)
         between = float(np.linalg.norm(first - second)) - reach - other
-        # The balls first: distances of meshes are only measured where they may be small.
+        # The spheres first, since distances of meshes are expensive.
         return between <= NEAR and self._geometry.closest(tips, poses, convex=False)[0] <= NEAR
 
     def _ball(self, tip: str, poses: Mapping[str, FloatArray]) -> tuple[FloatArray, float]:
-        """Return a ball around a fingertip: its centre and radius [m]."""
+        """Return the centre ``(3,)`` and radius of a sphere around a fingertip [m]."""
         shapes = [self._geometry.shapes[i] for i in self._geometry.of_link(tip)]
         centres = [s.in_link.rotation @ s.ball[0] + s.in_link.translation for s in shapes]
         middle = np.mean(centres, axis=0)
@@ -179,7 +180,7 @@ class _Search:
         return pose[:3, :3] @ middle + pose[:3, 3], radius
 
     def _steps(self, pair: Pair) -> list[tuple[int, float]]:
-        """Return what moves the tips against each other: actuators, each with a limit."""
+        """Return the motions of the tips to test: indices of actuators, each with a limit."""
         hand = self._hand
         moving = {a for i in pair for a in hand.fingers[i].actuators}
         return [
@@ -191,9 +192,10 @@ class _Search:
         ]
 
     def _opposed(self, pair: Pair) -> bool:
-        """Return whether the motion that carries the tips farthest past each other parts them.
+        """Return whether the largest relative motion of the tips moves them apart.
 
-        A motion of one of them only comes first: spreading moves several that lie side by side.
+        Motions of only one of the fingers take precedence, since spreading moves several fingers
+        that lie side by side.
         """
         hand = self._hand
         own = {name for i in pair for name in hand.fingers[i].own}
@@ -208,9 +210,10 @@ class _Search:
         return moved > 0.0 and widened >= APART * moved
 
     def _moved(self, pair: Pair, actuator: int, bound: float) -> tuple[float, float]:
-        """Return how far a step to a limit moves the tips past each other, and how much apart [m].
+        """Return the relative motion of the tips by a step to a limit, and the change of their gap.
 
-        The distance between convex parts is signed, so that it grows where tips overlap, too.
+        Both in metres. The distance of convex parts is signed, so that it changes for overlapping
+        tips, too.
         """
         kinematics, tips = self._geometry.kinematics, self._tips(pair)
         u = np.array(self._hand.rest)
@@ -229,12 +232,12 @@ class _Search:
 
 
 def closed_rest_of(hand: Hand) -> ClosedRest | None:
-    """Return that a hand's rest posture is a pinch; see `closed_rest`.
+    """Return how a hand's rest posture is a pinch; see `closed_rest`.
 
     Raises:
         ModelError: A mesh cannot be read.
     """
-    # Here only: it needs Coal and Pinocchio, which a robot's computer may not have.
+    # Imported here, since it needs Coal and Pinocchio, which a robot's computer may not have.
     from rtee.hand.geometry import HandGeometry
 
     return closed_rest(HandGeometry(hand))

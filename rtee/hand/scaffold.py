@@ -1,4 +1,4 @@
-"""Make the folder of a new hand: hand.yaml, URDF, SRDF and meshes, all or nothing."""
+"""Make the folder of a new hand: hand.yaml, URDF, SRDF and meshes, completely or not at all."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rtee.hand.xmlfile import read_xml
 from rtee.hand.yamlwrite import emit_scalar, ignore_line, rest_line
 
 Ask = Callable[[str, bool], bool]
-"""Asks a yes-or-no question; the second argument is the likelier answer."""
+"""Asks the user a yes-or-no question; the second argument is the likelier answer."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,21 @@ def make_hand(
 ) -> NewHand:
     """Make the folder of a new hand.
 
-    Its meshes are copied beside the URDF and addressed relative to it. Without an SRDF one is
-    written from what is found in the tree, with the reasons. Actuators that move all fingers as one
-    body are ignored, and a rest posture that is a pinch is opened; hand.yaml says both.
+    The meshes are copied next to the URDF and addressed relative to it. Without an SRDF, one is
+    written for the fingers found in the tree, with the reasons. Actuators that move all fingers as
+    one body are ignored, and a rest posture that is a pinch is opened, both in hand.yaml.
 
     Args:
         name: The hand's name.
         urdf: Its URDF.
         srdf: Its SRDF, if it has one.
-        package_dirs: Folders to look mesh packages up in.
+        package_dirs: Folders in which to look up mesh packages.
         into: Folder of the hands.
-        ask: Asks about what the files cannot say for sure; without it joints that may have no motor
-            are noted only.
-        passive: The joints without a motor besides the SRDF's, where that is known.
-        excluded: Pairs of links that are never checked for collision besides those found, and why.
+        ask: Asks the user about facts that the files leave open. Without it, joints that may have
+            no motor are only noted.
+        passive: The joints without a motor, if they are known, in addition to those of the SRDF.
+        excluded: Pairs of links that are never checked for collision, with the reason, in addition
+            to those found.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
@@ -97,7 +98,7 @@ def make_hand(
         )
     with new_tree(target) as folder:
         notes += _fill(folder, settled, srdf)
-        # Before the folder gets its name: what cannot be loaded must not stay.
+        # Before the folder gets its name, since a hand that cannot be loaded must not remain.
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
@@ -141,8 +142,8 @@ def _settle(
 
     Args:
         load: Loads the hand, with what was settled so far.
-        searched: Whether the fingers are found in the tree.
-        motors_known: Whether it is known which joints have motors; an SRDF says so, too.
+        searched: Whether the fingers are found in the tree, without an SRDF.
+        motors_known: Whether it is known which joints have motors.
         ask: Asks the user, if there is one.
     """
     hand: Hand = load()
@@ -153,13 +154,13 @@ def _settle(
         if passive:
             chosen["passive"] = passive
             hand = load(**chosen)
-    # After the passive joints: one without a motor must not be asked about as a wrist.
-    ignored, said = _ignored(hand, ask)
-    notes += said
+    # After the passive joints, so that a joint without a motor is not taken for a wrist.
+    ignored, reasons = _ignored(hand, ask)
+    notes += reasons
     if ignored:
         chosen["ignore"] = ignored
         hand = load(**chosen)
-    # For the posture at rest, so they are found once more where that changes below.
+    # These depend on the rest posture, and are computed again if it changes below.
     pairs = allowed_collisions(hand)
     fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
     hand = replace(hand, fingers=fingers)
@@ -178,7 +179,7 @@ def _settle(
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
-    """Return the joints without a motor as the user says, or notes on those that may have none."""
+    """Return the joints without a motor according to the user, or notes on likely ones."""
     candidates = passive_candidates(hand)
     if ask is not None:
         chosen = tuple(
@@ -202,18 +203,18 @@ def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
 
 
 def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
-    """Return the actuators to ignore, and what was chosen about them."""
+    """Return the actuators to ignore, and a note about them."""
     found = carriers(hand)
     if not found:
         return (), []
     one = len(found) == 1
     names = ", ".join(f"'{name}'" for name in found)
-    said = f"{names} {'moves' if one else 'each move'} all fingers as one body, as a wrist does"
+    why = f"{names} {'moves' if one else 'each move'} all fingers as one body, as a wrist does"
     them = "it" if one else "them"
-    if ask is not None and not ask(f"{said}. Ignore {them}?", True):
+    if ask is not None and not ask(f"{why}. Ignore {them}?", True):
         return (), []
     line = ignore_line(found)
-    return found, [f"{said}, so hand.yaml ignores {them} by '{line}'"]
+    return found, [f"{why}, so hand.yaml ignores {them} by '{line}'"]
 
 
 def without_linkages(
@@ -226,9 +227,9 @@ def without_linkages(
         pairs: Its pairs of touching links.
 
     Returns:
-        The fingers that remain, with new names, and which were left out, one sentence each.
+        The remaining fingers, with new names, and a sentence for each one left out.
     """
-    # Neither the base, which fingers share, nor another tip, which a pinch touches, is a linkage.
+    # The base, which fingers share, and other tips, which pinches touch, are no linkages.
     always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
     kept, notes = [], []
     for finger in hand.fingers:
@@ -252,7 +253,7 @@ def without_linkages(
     if not kept or not notes:
         return hand.fingers, []
     names = name_fingers([finger.links[-1] for finger in kept], hand.urdf)
-    # The last part of a reason says where the name comes from, which may have changed.
+    # The last part of a reason is that of the name, which may have changed.
     return tuple(
         replace(f, name=name, reason=f"{f.reason.rpartition('; ')[0]}; {why}")
         for f, (name, why) in zip(kept, names, strict=True)
@@ -260,7 +261,7 @@ def without_linkages(
 
 
 def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:
-    """Write the files of a hand into a folder; return what was noticed."""
+    """Write the files of a hand into a folder; return notes."""
     hand, pairs = settled.hand, settled.pairs
     local = with_local_meshes(hand)
     for place, source in local.meshes.items():
@@ -271,7 +272,7 @@ def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]
         srdf_text = format_srdf(hand, pairs, with_rest=not settled.rest)
     else:
         srdf_text = as_utf8(read_xml(srdf, "SRDF")[1])
-        # An SRDF that lists pairs was made with care; pairs are added only where it has none.
+        # Pairs are added only to an SRDF without any: one with pairs was made with care.
         given = read_srdf(srdf)
         if not given.disabled:
             srdf_text = with_disabled(srdf_text, pairs)

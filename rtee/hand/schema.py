@@ -9,7 +9,7 @@ from rtee.hand.config_schema import ActuatorLimits, DefaultLimits
 
 SCHEMA_FILE: Final = "hand.schema.json"
 SCHEMA_LINE: Final = f"# yaml-language-server: $schema=../{SCHEMA_FILE}\n"
-"""First line of a hand.yaml; the schema lies beside the hands' folders."""
+"""First line of a hand.yaml; the schema is in the same folder as the folders of the hands."""
 
 
 def hand_schema() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The SRDF as data: groups, passive joints, named postures and disabled collisions, with lines."""
+"""Read an SRDF: groups, passive joints, named postures and disabled collisions, with lines."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class SrdfGroup:
         name: Its name.
         line: Line in the SRDF.
         chains: Its chains.
-        links: Links named one by one, with their lines.
-        joints: Joints named one by one, with their lines.
-        subgroups: Groups it consists of, with their lines.
+        links: Lines of its single links, by name.
+        joints: Lines of its single joints, by name.
+        subgroups: Lines of its subgroups, by name.
     """
 
     name: str
@@ -59,7 +59,7 @@ class SrdfState:
 
 @dataclass(frozen=True, slots=True)
 class SrdfEndEffector:
-    """An end-effector: which group it is."""
+    """An end-effector and its group."""
 
     name: str
     group: str
@@ -68,7 +68,7 @@ class SrdfEndEffector:
 
 @dataclass(frozen=True, slots=True)
 class SrdfDisabled:
-    """A pair of links whose collision is never to be checked."""
+    """A pair of links that are never checked for collision."""
 
     link1: str
     link2: str
@@ -85,9 +85,9 @@ class Srdf:
         path: The file it was read from.
         groups: Groups by name, in the file's order.
         end_effectors: The end-effectors.
-        passive: Passive joints, with their lines.
+        passive: Lines of the passive joints, by name.
         states: Named postures.
-        disabled: Pairs of links never to be checked for collision.
+        disabled: Pairs of links that are never checked for collision.
     """
 
     name: str
@@ -103,12 +103,12 @@ def read_srdf(path: Path | str) -> Srdf:
     """Read an SRDF.
 
     Raises:
-        ModelError: The file does not exist, is neither XML nor an SRDF, or defines a name twice.
+        ModelError: The file does not exist, is not an SRDF, or defines a name twice.
     """
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":
         raise root.error(f"is <{root.tag}>, not an SRDF, whose root element is <robot>")
-    # A URDF given as SRDF would be read as one without any group.
+    # Without this check, a URDF would be read as an SRDF without groups.
     joint = next(root.all("joint"), None)
     if joint is not None:
         raise joint.error("a joint is defined here, as in a URDF; an SRDF only names joints")
@@ -134,7 +134,7 @@ def _named(element: Element, tag: str) -> Mapping[str, int]:
     found: dict[str, int] = {}
     for child in element.all(tag):
         name = child.required("name")
-        # Refused rather than taken twice: the second may be a slip of the pen for another name.
+        # Refused, since the second one may be a misspelling of another name.
         if name in found:
             raise child.error(f"<{tag}> '{name}' occurs twice, first in line {found[name]}")
         found[name] = child.line

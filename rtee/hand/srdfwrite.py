@@ -1,4 +1,4 @@
-"""Write the fingers found in a hand as an SRDF, made to be read and edited."""
+"""Write the fingers of a hand as an SRDF that people can read and edit."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.model import Finger, Hand, JointRole
 
 DisabledPair = tuple[str, str, str]
-"""Two links that are never checked for collision, and why."""
+"""Two links that are never checked for collision, and the reason."""
 
 _END = re.compile(r"<!--.*?-->|(</robot\s*>)", re.DOTALL)
-"""Comments, which may name the end, and the end itself."""
+"""Comments, which may contain the end tag, and the end tag."""
 
 _HEAD = """<?xml version="1.0"?>
 <!-- Which links of the URDF are fingers. Edit names and chains; rtee checks them when it reads. -->
@@ -26,7 +26,7 @@ def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = 
     Args:
         hand: The hand.
         pairs: Pairs of links that need not be checked for collision.
-        with_rest: Write the rest posture; it is in hand.yaml otherwise.
+        with_rest: Whether to write the rest posture; otherwise it is in hand.yaml.
     """
     lines = [f"<robot name={quoteattr(hand.urdf.name)}>"]
     for finger in hand.fingers:
@@ -46,7 +46,7 @@ def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = 
 
 
 def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
-    """Return the lines that disable collisions, with what they mean."""
+    """Return the lines that disable collisions, with a comment."""
     if not pairs:
         return []
     return [
@@ -61,17 +61,17 @@ def disabled_lines(pairs: Sequence[DisabledPair]) -> list[str]:
 
 
 def with_disabled(srdf: str, pairs: Sequence[DisabledPair]) -> str:
-    """Return an SRDF's text with the pairs added before its end."""
+    """Return the text of an SRDF with added pairs."""
     return _with_lines(srdf, disabled_lines(pairs))
 
 
 def with_passive(srdf: str, joints: Sequence[str]) -> str:
-    """Return an SRDF's text with joints without a motor added before its end."""
+    """Return the text of an SRDF with added joints without a motor."""
     return _with_lines(srdf, [f"  <passive_joint name={quoteattr(joint)}/>" for joint in joints])
 
 
 def _with_lines(srdf: str, lines: Sequence[str]) -> str:
-    # As text, so that a file of the user keeps its comments and layout.
+    # As text, to keep the comments and layout of the user's file.
     ends = [found.start() for found in _END.finditer(srdf) if found[1]]
     if not ends or not lines:
         return srdf

@@ -15,7 +15,7 @@ Triangles = tuple[FloatArray, NDArray[np.int64]]
 
 _AROUND: Final = 32
 _RINGS: Final = 16
-"""Corners around a surface of revolution, and rings of a sphere: smooth in a picture."""
+"""Vertices around a surface of revolution, and rings of a sphere: enough to look smooth."""
 
 
 def box(size: tuple[float, float, float]) -> Triangles:
@@ -52,11 +52,11 @@ def sphere(radius: float) -> Triangles:
 
 
 def subdivided(corners: FloatArray, longest: float) -> FloatArray:
-    """Return triangles ``(t, 3, 3)`` with their edges halved until none is longer than allowed.
+    """Return triangles ``(t, 3, 3)`` with edges halved until none is too long.
 
     Args:
         corners: Triangles ``(t, 3, 3)`` [m].
-        longest: Greatest length of an edge [m].
+        longest: Largest length of an edge [m].
     """
     while True:
         lengths = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
@@ -72,7 +72,7 @@ def subdivided(corners: FloatArray, longest: float) -> FloatArray:
 
 
 def _revolve(profile: list[tuple[float, float]]) -> Triangles:
-    """Return the surface that a profile of (radius, height) sweeps around z, from below to above.
+    """Return the surface of revolution of a profile (radius, height) about z, from bottom to top.
 
     The first and the last point lie on the axis.
     """

@@ -1,4 +1,4 @@
-"""Put touch sensors where they are on a hand."""
+"""Place touch sensors on a hand."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from rtee.touch import NEWTON, TouchSensor
 
 
 def taxel_count(section: TouchSection) -> int:
-    """Return how many taxels a section of hand.yaml places."""
+    """Return the number of taxels in a section of hand.yaml."""
     if section.grid is not None:
         return section.grid[0] * section.grid[1]
     return len(section.positions) or 1
 
 
 def grid_points(grid: tuple[int, int], pitch: Sequence[float]) -> FloatArray:
-    """Return the points of a grid about the origin ``(n, 3)`` [m], row by row, in the plane z = 0.
+    """Return the points ``(n, 3)`` [m] of a grid around the origin in the plane z = 0, row by row.
 
     Args:
-        grid: Rows along x, columns along y.
-        pitch: Distance from row to row and from column to column [m].
+        grid: Number of rows along x and of columns along y.
+        pitch: Distance between rows and between columns [m].
     """
     x, y = ((np.arange(n) - 0.5 * (n - 1)) * step for n, step in zip(grid, pitch, strict=True))
     points = np.zeros((grid[0] * grid[1], 3))
@@ -36,7 +36,7 @@ def grid_points(grid: tuple[int, int], pitch: Sequence[float]) -> FloatArray:
 
 
 def taxels_of(section: TouchSection) -> tuple[FloatArray, FloatArray]:
-    """Return the positions of taxels in their link's frame, and normals, ``(n, 3)`` [m] each."""
+    """Return positions [m] and unit normals of taxels in their link's frame, ``(n, 3)`` each."""
     frame = origin(section.xyz, section.rpy)
     if section.grid is not None:
         points = grid_points(section.grid, section.pitch)
@@ -50,23 +50,23 @@ def taxels_of(section: TouchSection) -> tuple[FloatArray, FloatArray]:
 
 
 def finger_of(hand: Hand, link: str) -> str:
-    """Return the finger that a link belongs to, as in pictures; empty: none, such as the palm."""
+    """Return the finger of a link; empty if it belongs to none, such as the palm."""
     return finger_of_link(hand).get(link, "")
 
 
 def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
-    """Return a sensor as its driver declares it, completed from the hand and its hand.yaml.
+    """Return a sensor with its placement from the hand's hand.yaml.
 
-    What hand.yaml says of its place goes before what the driver says. With a scale its unit is the
-    newton; its values are still to be multiplied by that.
+    A placement in hand.yaml replaces that of the driver. With a scale in hand.yaml, the unit is the
+    newton; the values must still be multiplied by `scale_of`.
 
     Args:
-        sensor: The sensor.
-        hand: The hand that it is on.
+        sensor: The sensor as its driver declares it.
+        hand: The hand.
 
     Raises:
         ValueError: if hand.yaml places another number of taxels, or the driver names a link that
-            the hand does not have, with a message.
+            the hand does not have.
     """
     section = hand.touch.get(sensor.name)
     if section is not None and section.scale is not None:
@@ -79,7 +79,7 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
     finger = finger_of(hand, section.link)
     count = taxel_count(section)
     if sensor.taxels > 1 and section.grid is None and not section.positions:
-        # The link alone is known: enough to feel with, not to draw.
+        # Only the link is known, not the positions of the taxels, so they cannot be drawn.
         nowhere = np.zeros((0, 3))
         return replace(sensor, link=section.link, finger=finger, position=nowhere, normal=nowhere)
     if count != sensor.taxels:
@@ -96,9 +96,10 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
 
 
 def scale_of(sensor: TouchSensor, hand: Hand) -> float:
-    """Return what the values of a sensor as its driver declares it are to be multiplied by.
+    """Return the factor from the values of a sensor, as its driver declares it, to newtons.
 
-    That is 1 for one that measures in newtons itself, as a simulated or recorded one does.
+    It is 1 for a sensor that measures in newtons, such as a simulated or recorded one, and for one
+    without a scale in hand.yaml.
     """
     section = hand.touch.get(sensor.name)
     if section is None or section.scale is None or sensor.unit == NEWTON:

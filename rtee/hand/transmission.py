@@ -1,8 +1,8 @@
-"""Map actuator positions to joint positions: mimic joints, chains of them, non-linear ones.
+"""Map actuator positions to joint positions, for mimic joints, chains of them and expressions.
 
-Every moving joint follows at most one actuator, directly or through a chain of mimics. Its
-position is the composition of that chain: ``multiplier · q + offset`` at a linear coupling, an
-expression of ``q`` at a non-linear one. Passive joints stay at rest.
+Every moving joint follows at most one actuator, directly or through a chain of mimics. Its position
+is the composition of the couplings in that chain: ``multiplier · q + offset`` for a linear one, an
+expression of ``q`` for a non-linear one. Passive joints stay at rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rtee.hand.expression import Expression
 
 _SAMPLES: Final = 65
-"""At how many positions of an actuator a coupling is checked: enough to meet a pole or a root of a
+"""Number of actuator positions at which a coupling is checked: enough to find a pole or a root of a
 usual formula."""
 
 
@@ -37,12 +37,12 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """How one joint follows an actuator.
+    """How a joint follows an actuator.
 
     Attributes:
         actuator: Index of the actuator; ``None`` for a joint that does not move.
-        stages: Functions applied one after the other, from the actuator outward; never two linear
-            ones in a row.
+        stages: Functions applied in order from the actuator to the joint; never two linear ones in
+            a row.
     """
 
     actuator: int | None
@@ -57,10 +57,10 @@ class Coupling:
         """Return the coupling of a joint that follows this one by ``stage``."""
         last = self.stages[-1]
         if isinstance(stage, Linear) and isinstance(last, Linear):
-            # One stage: long chains of mimics cost no more than a single one.
+            # Merged, so that long chains of mimics cost no more than a single one.
             merged = Linear(stage.factor * last.factor, stage.factor * last.offset + stage.offset)
             return Coupling(self.actuator, (*self.stages[:-1], merged))
-        # The identity that every actuator begins with; dropping it saves one stage.
+        # Drop the identity that every coupling begins with.
         if last == Linear() and len(self.stages) == 1:
             return Coupling(self.actuator, (stage,))
         return Coupling(self.actuator, (*self.stages, stage))
@@ -72,7 +72,7 @@ class Coupling:
         return q
 
     def dual(self, q: float) -> tuple[float, float]:
-        """Return the joint's position and its derivative by the actuator's."""
+        """Return the joint's position and its derivative by the actuator's position."""
         slope = 1.0
         for stage in self.stages:
             if isinstance(stage, Linear):
@@ -84,7 +84,7 @@ class Coupling:
 
 
 def _value(coupling: Coupling, q: float) -> float:
-    # An expression may raise for NaN instead of passing it on.
+    # An expression may raise an error for NaN instead of returning NaN.
     return coupling.value(q) if math.isfinite(q) else math.nan
 
 
@@ -95,10 +95,10 @@ def _slope(coupling: Coupling, q: float) -> float:
 class Transmission:
     """The map from actuator positions ``u`` to joint positions ``q``.
 
-    Where every coupling is linear, ``q = matrix · u + offset``.
+    If every coupling is linear, ``q = matrix · u + offset``.
 
     Attributes:
-        couplings: One per joint.
+        couplings: The coupling of each joint.
         n_actuators: Number of actuators n.
         n_joints: Number of joints m.
         matrix: Linear part ``(m, n)``; rows of non-linear joints are zero.
@@ -120,7 +120,7 @@ class Transmission:
             offset[row] = stage.offset
             if coupling.actuator is not None:
                 matrix[row, coupling.actuator] = stage.factor
-        # Shared by all callers; a change in place would move every later joint.
+        # All callers share the array, so it must not be changed in place.
         matrix.flags.writeable = False
         self.matrix: FloatArray = matrix
         self.offset = readonly(offset)
@@ -130,8 +130,8 @@ class Transmission:
             if coupling.actuator is not None and not coupling.linear
         ]
         self.linear = not self._curved
-        # A joint follows one actuator at most. Looked up instead of multiplied with the matrix, one
-        # that is not measured leaves the joints of all others alone: 0 · NaN would be NaN.
+        # A joint follows at most one actuator. Indexing instead of a matrix product keeps the NaN
+        # of an unmeasured actuator from the joints of all others, since 0 · NaN is NaN.
         follows = [coupling.actuator or 0 for coupling in self.couplings]
         self._follows = np.array(follows, dtype=np.intp)
         self._factor = matrix[np.arange(self.n_joints), self._follows]
@@ -149,7 +149,7 @@ class Transmission:
         """
         u = np.asarray(u, dtype=np.float64)
         q: FloatArray = u[..., self._follows] * self._factor + self.offset
-        # Joints at rest were looked up at actuator 0, whose NaN must not reach them.
+        # Joints at rest were computed with actuator 0, whose NaN must not reach them.
         if self._still.size:
             q[..., self._still] = self.offset[self._still]
         for row, actuator, coupling in self._curved:
@@ -181,7 +181,7 @@ class Transmission:
         return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """Return the derivative of the joint positions by the actuator positions.
+        """Return the Jacobian of the joint positions by the actuator positions.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
@@ -269,7 +269,7 @@ def _resolve(urdf: Urdf, joint: UrdfJoint, known: dict[str, Coupling]) -> None:
     coupling = known[joint.name]
     for follower, mimic in reversed(chain):
         coupling = coupling.then(_stage(urdf, follower, mimic))
-        # What follows a joint at rest is at rest, too, wherever its formula puts it.
+        # A joint that follows a joint at rest is at rest, too, at the position of its formula.
         if coupling.actuator is None:
             coupling = Coupling(None, (Linear(0.0, coupling.value(0.0)),))
         known[follower.name] = coupling

@@ -1,4 +1,4 @@
-"""The URDF as data: links, joints, geometry and limits, every one with its line."""
+"""The data of a URDF: links, joints, geometry and limits, each with its line."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class UrdfGeometry:
         size: Edge lengths of a box [m].
         radius: Radius of a sphere or cylinder [m].
         length: Length of a cylinder along its z axis [m].
-        mesh: Address of the mesh file as written; empty for the other kinds.
-        scale: Factors by which the mesh is scaled; negative ones mirror.
+        mesh: Address of the mesh file as in the URDF; empty for the other kinds.
+        scale: Scale factors of the mesh along x, y and z; negative ones mirror it.
         xyz: Position of its frame in the link's frame [m].
         rpy: Orientation of its frame in the link's frame: roll, pitch, yaw [rad].
         line: Line in the URDF.
@@ -45,13 +45,13 @@ class UrdfGeometry:
 
 @dataclass(frozen=True, slots=True)
 class UrdfInertia:
-    """How the mass of a link is distributed.
+    """The mass distribution of a link.
 
     Attributes:
         xyz: Centre of mass in the link's frame [m].
-        rpy: Orientation of the inertia's frame in the link's frame: roll, pitch, yaw [rad].
-        moments: Moments and products about the centre of mass, in that frame: xx, xy, xz, yy, yz,
-            zz [kg·m²].
+        rpy: Orientation of the inertial frame in the link's frame: roll, pitch, yaw [rad].
+        moments: Moments and products of inertia about the centre of mass, in the inertial frame:
+            xx, xy, xz, yy, yz, zz [kg·m²].
     """
 
     xyz: Triple = _ZERO
@@ -70,9 +70,9 @@ class UrdfLink:
         visuals: Its visual shapes.
         has_inertial: Whether it has an ``<inertial>`` element.
         mass: Its mass [kg]; 0 when not given.
-        inertia: How the mass is distributed; ``None`` without ``<inertia>``.
-        friction: Coefficient of friction of its surface, as Gazebo (``mu1``) and Bullet
-            (``lateral_friction``) take it; ``None`` when not given.
+        inertia: Distribution of the mass; ``None`` without ``<inertia>``.
+        friction: Coefficient of friction of its surface, from Gazebo's ``mu1`` or Bullet's
+            ``lateral_friction``; ``None`` when not given.
     """
 
     name: str
@@ -90,11 +90,11 @@ class UrdfMimic:
     """The coupling of a joint to another one.
 
     Attributes:
-        of: The joint it follows.
+        of: Name of the joint that it follows.
         multiplier: Factor of a linear coupling.
         offset: Offset of a linear coupling [rad | m].
-        expression: Expression in ``x`` of a non-linear coupling (``nlFunPos``); then the factor
-            and the offset do not count.
+        expression: Expression in ``x`` of a non-linear coupling (``nlFunPos``), which replaces the
+            factor and the offset.
         line: Line in the URDF.
     """
 

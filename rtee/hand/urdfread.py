@@ -1,4 +1,4 @@
-"""Read a URDF: every mistake in it is reported as one sentence with its line."""
+"""Read a URDF; every mistake in it is reported as a one-sentence error with its line."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ from rtee.hand.urdf import (
 from rtee.hand.xmlfile import Element, read_xml
 
 FARTHEST: Final = 1e3
-"""Lengths beyond this are refused [m]: no hand has them, and rounding errors would grow to
-micrometres."""
+"""Largest length accepted [m]: no hand is larger, and rounding errors would grow to micrometres."""
 
 MOST: Final = 1e6
-"""Limits, angles [rad | m] and factors beyond this are refused, too: a slip of the decimal point,
-or degrees, would pass unseen otherwise."""
+"""Largest limit, angle [rad | m] or factor accepted: larger ones are slips, such as a misplaced
+decimal point."""
 
 _NO_AXIS: Final = 1e-9
-"""An axis shorter than this has no direction: rounding errors would decide about it."""
+"""Length below which an axis has no direction, since rounding errors would determine it."""
 
 _ZERO: Final[Triple] = (0.0, 0.0, 0.0)
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
@@ -68,7 +67,7 @@ def _check_root(root: Element) -> None:
         what = other.get(root.tag, f"<{root.tag}>")
         remedy = "; give it by --mjcf" if root.tag == "mujoco" else ""
         raise root.error(f"is {what}, not a URDF, whose root element is <robot>{remedy}")
-    # A frequent mistake, which would otherwise show as a URDF without links.
+    # A frequent mistake, which would otherwise be reported as a URDF without links.
     macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
     if macro is not None:
         raise macro.error(
@@ -102,7 +101,7 @@ def _links(root: Element) -> dict[str, UrdfLink]:
 
 
 def _friction(link: Element, for_gazebo: Element | None) -> float | None:
-    """Return the friction of a link; ``None`` if it is not given, or makes no sense."""
+    """Return the friction of a link; ``None`` if it is not given, or invalid."""
     contact = link.first("contact")
     found = contact.first("lateral_friction") if contact is not None else None
     if for_gazebo is not None:
@@ -111,7 +110,7 @@ def _friction(link: Element, for_gazebo: Element | None) -> float | None:
         return None
     try:
         value = float(found.attributes.get("value", "") or found.text)
-    except ValueError:  # other programs read this part of the file, and may take more
+    except ValueError:  # meant for other programs, which may accept another format
         return None
     # NaN fails this comparison, too.
     return value if 0.0 <= value <= MOST else None
@@ -217,7 +216,7 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
 
 def _kind(element: Element, name: str) -> UrdfJointKind:
     kind = element.required("type")
-    # Compared one by one, so that the type checker sees the literal.
+    # A comparison with each, so that the type checker infers the literal type.
     for known in _KINDS:
         if kind == known:
             return known
@@ -244,7 +243,7 @@ def _axis(element: Element, name: str) -> Triple:
     norm = math.hypot(x, y, z)
     if norm < _NO_AXIS:
         raise axis.error(f"the axis of joint '{name}' is zero")
-    # URDFs are written with rounded axes; the kinematics need unit vectors.
+    # The axes in URDFs are rounded, but the kinematics need unit vectors.
     return x / norm, y / norm, z / norm
 
 
@@ -259,7 +258,7 @@ def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, fl
     if velocity < 0 or effort < 0:
         raise limit.error(f"joint '{name}' has a negative velocity or effort limit")
     if kind == "continuous":
-        # A continuous joint has no position limits, though some files give them.
+        # Some files give a continuous joint position limits, which have no meaning.
         return -math.inf, math.inf, velocity, effort
     if kind == "fixed":
         return 0.0, 0.0, velocity, effort
@@ -308,7 +307,7 @@ def _tree(
             path=root.path,
             line=line,
         )
-    # With one root, a joint that is not reached from it hangs on a loop.
+    # With one root, a joint that cannot be reached from it is part of a loop.
     if not roots or len(_in_tree_order(roots[0], below)) != len(joints):
         loop = next(iter(joints.values())) if not roots else _unreached(roots[0], below, joints)
         raise ModelError(
@@ -323,7 +322,7 @@ def _in_tree_order(
     base: str, below: Mapping[str, list[UrdfJoint] | tuple[UrdfJoint, ...]]
 ) -> dict[str, UrdfJoint]:
     ordered: dict[str, UrdfJoint] = {}
-    # A stack instead of recursion: files may be nested deeper than Python's.
+    # A stack instead of recursion, since the tree may be deeper than Python's stack.
     pending = list(reversed(below[base]))
     while pending:
         joint = pending.pop()

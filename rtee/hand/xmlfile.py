@@ -1,4 +1,4 @@
-"""Read XML as a plain tree that knows its lines. Document types and entities are refused."""
+"""Read XML as a tree of elements with their lines. Document types and entities are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.errors import ModelError
 from rtee.hand.files import read_bytes
 
 MAX_DEPTH: Final = 100
-"""Elements nested deeper are refused; a URDF has five levels."""
+"""Largest nesting depth of elements; a URDF has five levels."""
 
 
 @dataclass(slots=True)
@@ -28,7 +28,7 @@ class Element:
         line: The line of its start tag, counted from 1.
         path: The file it is in.
         children: The elements inside it, in order.
-        texts: The text inside it but not inside these, in pieces.
+        texts: Pieces of its text, without that of its children.
     """
 
     tag: str
@@ -44,15 +44,15 @@ class Element:
         return "".join(self.texts).strip()
 
     def all(self, tag: str) -> Iterator[Element]:
-        """Yield the children of one name."""
+        """Yield the children with a tag."""
         return (child for child in self.children if child.tag == tag)
 
     def first(self, tag: str) -> Element | None:
-        """Return the first child of one name, if any."""
+        """Return the first child with a tag, if there is one."""
         return next(self.all(tag), None)
 
     def required(self, attribute: str) -> str:
-        """Return an attribute that must be there and not empty.
+        """Return an attribute that must exist and not be empty.
 
         Raises:
             ModelError: It is missing or empty.
@@ -118,7 +118,7 @@ class Element:
 
 
 class _Builder:
-    """Collects what the parser reports into a tree."""
+    """Builds the tree from the events of the parser."""
 
     def __init__(self, path: Path, parser: expat.XMLParserType) -> None:
         self.path = path
@@ -128,7 +128,7 @@ class _Builder:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self.path)
-        # Before the tree is that deep: later steps may recurse over it.
+        # Checked here, since later steps may recurse over the tree.
         if len(self.open) >= MAX_DEPTH:
             raise element.error(f"elements are nested deeper than {MAX_DEPTH}")
         if self.open:
@@ -140,7 +140,7 @@ class _Builder:
     def end(self, _tag: str) -> None:
         self.open.pop()
 
-    def said(self, text: str) -> None:
+    def characters(self, text: str) -> None:
         if self.open:
             self.open[-1].texts.append(text)
 
@@ -157,7 +157,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
 
     Args:
         path: The file.
-        what: What it should be, for messages, such as ``"URDF"``.
+        what: Kind of file for messages, such as ``"URDF"``.
 
     Returns:
         The root element and the file's text.
@@ -172,7 +172,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     builder = _Builder(file, parser)
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.said
+    parser.CharacterDataHandler = builder.characters
     # Entities may expand to gigabytes ("billion laughs"), or read other files.
     parser.StartDoctypeDeclHandler = builder.refuse
     parser.EntityDeclHandler = builder.refuse
@@ -182,7 +182,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
         text = expat.ErrorString(error.code)
         raise ModelError(f"{what} is not XML: {text}", path=file, line=error.lineno) from None
     except (LookupError, ValueError) as error:
-        # The builder's own errors pass through the parser, and already say what is wrong.
+        # Errors of the builder pass through the parser unchanged.
         if isinstance(error, ModelError):
             raise
         raise ModelError(f"{what} is not XML: {error}", path=file) from None
@@ -192,18 +192,18 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
 
 
 _ENCODING: Final = re.compile(r"""(\A<\?xml[^>]*?)\s+encoding\s*=\s*(?:"[^"]*"|'[^']*')""")
-"""A declaration with an encoding, up to that."""
+"""The part of an XML declaration up to its encoding, and the encoding."""
 
 
 def _text(data: bytes) -> str:
-    """Return the text of a file, which is UTF-8 wherever it is written again."""
+    """Return the text of a file without its declared encoding, to write it again in UTF-8."""
     try:
-        # UTF-16 without a mark of the byte order is UTF-8, too, with zeros.
+        # UTF-16 without a byte order mark can be decoded as UTF-8, too, but contains zeros.
         if b"\0" not in data[:2]:
             return data.decode("utf-8-sig")
         encoding = "utf-16-be" if data.startswith(b"\0") else "utf-16-le"
     except UnicodeDecodeError:
         marked = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        # The parser has accepted it, so this never fails; in others it keeps ASCII.
+        # The parser has accepted the data, so this never fails; Latin-1 keeps at least ASCII.
         encoding = "utf-16" if marked else "latin-1"
     return _ENCODING.sub(r"\1", data.decode(encoding), count=1)

@@ -1,4 +1,4 @@
-"""Write YAML: the same data give the same text."""
+"""Write YAML; the same data result in the same text."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 DECIMALS: Final = 9
-"""Decimals of stored numbers: a nanometre or a nanoradian, far below the accuracy of any hand."""
+"""Decimal places of stored numbers: a nanometre or nanoradian, far below the accuracy of hands."""
 
 _PLAIN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*")
-# Readers of other versions of YAML take these words for flags, numbers or nothing.
+# In some version of YAML, these words are booleans, numbers or null.
 _RESERVED: Final = frozenset(
     {"true", "false", "null", "yes", "no", "on", "off", "y", "n", "nan", "inf"}
 )
 
 
 def emit_scalar(value: object) -> str:
-    """Return a string, number, flag or ``None`` as one token.
+    """Return a string, number, boolean or ``None`` as one token.
 
     Raises:
-        TypeError: if it is none of these, or not finite.
+        TypeError: if the value has another type, or is not finite.
     """
     match value:
         case None:
@@ -47,13 +47,13 @@ def _emit_string(value: str) -> str:
 
 
 def _emit_number(value: float) -> str:
-    # NaN and infinities differ from themselves in this way.
+    # The difference is NaN for NaN and infinities.
     if value - value != 0.0:
         raise TypeError("cannot write a number that is not finite")
     # Adding 0 turns -0.0 into 0.0.
     text = repr(round(float(value), DECIMALS) + 0.0)
     if "e" in text and "." not in text:
-        # YAML 1.1 readers take "1e-09" for a text.
+        # In YAML 1.1, "1e-09" is a string.
         text = text.replace("e", ".0e")
     return text
 
@@ -89,11 +89,12 @@ def _item_lines(items: Sequence[Mapping[str, Any]], indent: str) -> Iterator[str
 
 
 def emit(data: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
-    """Return a mapping of scalars, lists and mappings as block YAML; the same data, the same text.
+    """Return a mapping of scalars, lists and mappings as block YAML.
 
     Args:
-        data: The document; keys are strings. A list holds mappings, or scalars and lists of them.
-        comments: Lines for people at the top, without the ``#``.
+        data: The document; keys are strings. A list contains mappings, or scalars and lists of
+            scalars.
+        comments: Comment lines at the top, without the ``#``.
     """
     head = [f"# {line}".rstrip() for line in comments]
     return "\n".join([*head, *_lines(data, "")]) + "\n"

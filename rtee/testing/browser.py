@@ -1,4 +1,4 @@
-"""A headless Chromium to test and picture the GUI with; software WebGL, no network but loopback."""
+"""A headless Chromium for tests and screenshots of the GUI; software WebGL, loopback network."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext
 
 NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
-"""What the program may be called; ``RTEE_BROWSER`` names another."""
+"""Names of the program on the path; ``RTEE_BROWSER`` names another program."""
 
 _ARGUMENTS: Final = (
     # Chromium refuses to run as root with its sandbox, as in containers.
@@ -26,7 +26,7 @@ _ARGUMENTS: Final = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
-    # WebGL in software: computers that run tests seldom have a graphics card.
+    # WebGL in software, since computers that run tests seldom have a graphics card.
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
@@ -52,10 +52,10 @@ def browser(
     """Start a headless browser with a fresh profile for as long as the context lasts.
 
     Args:
-        width: Of the windows [px].
-        height: Of the windows [px].
-        scale: Pixels drawn per such pixel; fewer cost a computer without a graphics card less.
-        arguments: Further arguments of the program.
+        width: Width of the windows [CSS px].
+        height: Height of the windows [CSS px].
+        scale: Device pixels per CSS pixel; a smaller value is faster without a graphics card.
+        arguments: Further command line arguments of the program.
 
     Raises:
         ConfigError: if there is no Chromium, or Playwright is not installed.

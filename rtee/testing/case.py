@@ -10,11 +10,11 @@ from typing import Any
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind
 
 CYCLES = "RTEE_CONTRACT_CYCLES"
-"""Environment variable: cycles for which every fault of the wire lasts."""
+"""Environment variable with the number of cycles for which every fault of the wire lasts."""
 
 
 def cycles(default: int = 10_000) -> int:
-    """Return for how many cycles faults of the wire last: from the environment, or the default."""
+    """Return the number of cycles with faults of the wire: from the environment, or the default."""
     return int(os.environ.get(CYCLES, default))
 
 
@@ -28,52 +28,62 @@ def actuator(
     effort: float = 10.0,
     rest: float | None = None,
 ) -> ActuatorSpec:
-    """Return an actuator for a test, with usual limits."""
+    """Return an actuator for a test, with typical limits.
+
+    Args:
+        name: Its name.
+        lower: Lower position limit [rad | m].
+        upper: Upper position limit [rad | m].
+        kind: Whether it rotates or translates.
+        velocity: Velocity limit [rad/s | m/s].
+        effort: Effort limit [N·m | N].
+        rest: Rest position [rad | m]; by default the lower limit.
+    """
     return ActuatorSpec(
         name,
         kind,
         lower,
         upper,
         velocity,
-        20.0,
-        400.0,
-        effort,
-        lower if rest is None else rest,
+        acceleration=20.0,
+        jerk=400.0,
+        effort=effort,
+        rest=lower if rest is None else rest,
     )
 
 
 @dataclass(frozen=True)
 class DeviceCase:
-    """A device as the contract suite tries it: against its emulator, on a real transport.
+    """A device for the contract suite, which tests its driver against its emulator.
 
-    What is left ``None`` skips the tests that need it, and the skip says so.
+    An attribute that is ``None`` skips the tests that need it; the skip names the attribute.
 
     Attributes:
         driver: Registry name, entry point or ``module:Class`` of the driver.
-        actuators: The actuators it drives; none for a device that only measures, which skips what
-            is about motion.
+        actuators: The actuators of the device; empty for a device that only measures, which skips
+            the tests of motion.
         options: The driver's options; they should allow homing on connect, quickly.
-        emulator: Name of its emulator where it differs from the driver's.
-        rate: Rate of the imagined loop [Hz].
-        deadline: Longest time of one exchange [s]; ``None`` lets the driver decide.
+        emulator: Name of the emulator, if it differs from the driver's.
+        rate: Rate of the loop [Hz].
+        deadline: Longest time of one exchange [s]; ``None``: the driver's default.
         postures: Two postures to move between [rad | m]; by default a quarter and three quarters
-            of the way.
-        tolerance: Error at which a posture counts as reached [rad | m].
+            of the way from the lower to the upper limits.
+        tolerance: Error within which a posture counts as reached [rad | m].
         within: Longest time to reach a posture [s].
-        stopping: Time after which a stopped device must be still [s].
-        grip_object: Makes the emulated device active and holding something, as found at start-up.
-        commands: Counts the motion commands that the emulator has heard.
-        efforts: Effort limits in force when the last motion began, in SI units.
-        max_efforts: Effort limits to try that with, within the device's range.
+        stopping: Time after which a stopped device must be at rest [s].
+        grip_object: Makes the emulated device active and holding an object, as found at start-up.
+        commands: Returns the number of motion commands that the emulator has received.
+        efforts: Returns the effort limits that applied when the last motion began, in SI units.
+        max_efforts: Effort limits for the test of effort limits, within the device's range.
         fault: A fault of the emulator that the driver must report as `DeviceFault`.
-        homes: A power cycle costs the device what only homing brings back.
-        wire: It hangs on a wire with its emulator at the other end; without one, what needs either
-            is skipped.
-        checksums: Frames carry checksums, so corrupted ones are noticed.
+        homes: Whether the device must home again after a power cycle.
+        wire: Whether the device is connected by a wire with its emulator at the other end; without
+            one, tests that need the wire or the emulator are skipped.
+        checksums: Whether frames have checksums, so that corrupted ones are detected.
         wire_faults: Faults that its wire can have; by default all. Whole frames (CAN) or messages
             cannot be split, and no noise comes between them.
-        cycles: Cycles for which every fault of the wire lasts.
-        share: Part of the cycles that must succeed at 5 % faults.
+        cycles: Number of cycles for which every fault of the wire lasts.
+        share: Fraction of the cycles that must succeed at 5 % faults.
     """
 
     driver: str

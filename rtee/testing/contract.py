@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
@@ -25,6 +25,7 @@ from rtee.errors import (
     NotConnected,
     RteeError,
 )
+from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.testing.session import Session, open_files
 from rtee.types import Reference
@@ -33,14 +34,14 @@ WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
 """The faults that a wire can have, one run of `test_a_faulty_wire_is_survived` each."""
 
 NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
-"""Those that a driver can notice only where frames carry checksums."""
+"""The faults that a driver can detect only if frames have checksums."""
 
 _DEAF = 0.06
-"""No answer is heard for this long [s]; longer than most drivers wait for one."""
+"""Time for which all answers are lost [s]: longer than most drivers wait for an answer."""
 
 _SHARE = 0.05
-"""Share of the messages that a faulty wire damages; even a real wire in need of repair damages
-fewer."""
+"""Fraction of the messages that a faulty wire damages: more than even a real wire in need of
+repair."""
 
 
 class DriverContract:
@@ -64,7 +65,7 @@ class DriverContract:
         """Yield a new session with the device; fails if it hangs or leaves a task behind.
 
         Args:
-            within: Longest time that it may last [s].
+            within: Longest time that the session may last [s].
         """
         before = asyncio.all_tasks()
         async with asyncio.timeout(within), Session(self.case) as session:
@@ -74,20 +75,29 @@ class DriverContract:
         left = asyncio.all_tasks() - before
         assert not left, f"tasks left behind: {left}"
 
+    @asynccontextmanager
+    async def _session_at(
+        self, posture: Sequence[float], within: float = 55.0
+    ) -> AsyncIterator[tuple[Session, ActuatorState]]:
+        """Yield a session whose device is active and at a posture, and its state there."""
+        async with self.session(within) as session:
+            await session.start()
+            yield session, await session.reach(posture)
+
     def needed(self, name: str) -> Any:
-        """Return a part of the case, or skip the test where it was left out."""
+        """Return an attribute of the case, or skip the test if it is ``None``."""
         value = getattr(self.case, name)
         if value is None:
             pytest.skip(f"the case gives no '{name}'")
         return value
 
     def wired(self) -> None:
-        """Skip the test where there is no wire."""
+        """Skip the test if the device has no wire."""
         if not self.case.wire:
             pytest.skip("this driver has no wire")
 
     def moving(self) -> None:
-        """Skip the test where the device only measures."""
+        """Skip the test if the device only measures."""
         if not self.case.actuators:
             pytest.skip("this device drives no actuators")
 
@@ -106,7 +116,7 @@ class DriverContract:
                 assert self.case.commands(session.emulator) == 0
 
     async def test_a_wrong_device_is_refused(self) -> None:
-        """Another device at the address is named instead of being driven."""
+        """Another device at the address is an error, and is not driven."""
         self.wired()
         async with self.session() as session:
             await session.before(lambda emulator: emulator.inject("wrong_device"))
@@ -116,7 +126,7 @@ class DriverContract:
                 assert self.case.commands(session.emulator) == 0
 
     async def test_no_device_is_a_clear_error(self) -> None:
-        """A vanished port and a silent device are errors with a sentence, not a hang."""
+        """A missing port and a silent device raise an error with a message, and do not hang."""
         self.wired()
         async with self.session() as session:
             await session.before(lambda emulator: None)
@@ -125,13 +135,13 @@ class DriverContract:
                 await session.driver.configure()
             assert str(caught.value)
             session.wire.replug()
-            # The port is there and all frames are lost: the other way in which a device is absent.
+            # Now the port exists but nothing answers: the other way in which a device is absent.
             session.wire.faults = Faults(drop=1.0)
             with pytest.raises((BusTimeout, NotConnected)):
                 await session.driver.configure()
 
     async def test_attaching_to_a_holding_device_moves_nothing(self) -> None:
-        """A device that is active and holds something is taken over as it is."""
+        """Connecting to a device that is active and holds something sends no motion command."""
         self.moving()
         grip_object, commands = self.needed("grip_object"), self.needed("commands")
         async with self.session() as session:
@@ -139,30 +149,28 @@ class DriverContract:
             heard = commands(session.emulator)
             state = await session.start()
             here = Reference.at(state.position)
-            # Several cycles: nothing may be sent when the same reference comes again, either.
+            # Several cycles, since repeating the same reference must send nothing, either.
             for _ in range(5):
                 await session.cycle(here)
                 await asyncio.sleep(0.005)
             after = await session.sense()
             assert commands(session.emulator) == heard
-            assert session.near(after, [float(q) for q in state.position])
+            assert session.near(after, state.position.tolist())
 
     async def test_the_first_state_is_measured(self) -> None:
-        """What seeds the reference is where the device is, also after it was disturbed."""
+        """The first state after connecting again is measured, not remembered."""
         near, _ = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            there = await session.reach(near)
+        async with self._session_at(near) as (session, there):
             await session.driver.deactivate()
             await session.driver.close()
             again = await session.start()
             assert again.fresh
-            assert session.near(again, [float(q) for q in there.position])
+            assert session.near(again, there.position.tolist())
 
     # --- moving ------------------------------------------------------------------------------
 
     async def test_a_posture_is_reached_and_measured(self) -> None:
-        """What is sent comes back: units, signs and the order of the actuators."""
+        """Measured positions equal the reference: units, signs and the order of the actuators."""
         self.moving()
         near, far = self.case.between()
         async with self.session() as session:
@@ -175,9 +183,7 @@ class DriverContract:
         """A reference at or past a limit is clamped or refused, never wrapped."""
         self.moving()
         near, _ = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             beyond = [a.upper + 1e-3 for a in self.case.actuators]
             try:
                 state = await session.reach(beyond)
@@ -187,7 +193,7 @@ class DriverContract:
                 assert before - self.case.tolerance <= q <= spec.upper + self.case.tolerance
 
     def test_no_reference_holds_nan(self) -> None:
-        """NaN cannot even be asked for."""
+        """A reference with NaN cannot be made."""
         self.moving()
         n = len(self.case.actuators)
         with pytest.raises(ValueError, match="reference"):
@@ -196,24 +202,20 @@ class DriverContract:
             Reference.at([0.0] * n, max_effort=[math.nan] * n)
 
     async def test_effort_limits_are_in_force_before_the_motion(self) -> None:
-        """The effort goes with the position or before it, never after."""
+        """The effort limit is sent with the position or before it, never after it."""
         self.moving()
         efforts, wanted = self.needed("efforts"), self.needed("max_efforts")
         near, far = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             await session.reach(far, max_effort=list(wanted))
             found = list(efforts(session.emulator))
             assert found == pytest.approx(list(wanted), rel=0.05)
 
     async def test_stop_stops(self) -> None:
-        """After `stop` the position stays, although it was on its way."""
+        """After `stop` during a motion, the position does not change any more."""
         self.moving()
         near, far = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             for _ in range(5):
                 await session.cycle(Reference.at(list(far)))
             await session.driver.stop()
@@ -221,16 +223,14 @@ class DriverContract:
             there = await session.sense()
             await asyncio.sleep(0.2)
             later = await session.sense()
-            assert session.near(later, [float(q) for q in there.position])
+            assert session.near(later, there.position.tolist())
 
     async def test_stop_stops_though_answers_get_lost(self) -> None:
-        """An answer that is lost must not keep the rest of a stop from being sent."""
+        """A lost answer must not prevent `stop` from sending its other commands."""
         self.moving()
         self.wired()
         near, far = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             for _ in range(5):
                 await session.cycle(Reference.at(list(far)))
             session.wire.faults = Faults(drop=1.0, requests=False)
@@ -248,11 +248,11 @@ class DriverContract:
                 math.copysign(float(way), way * (f - n))
                 for way, n, f in zip(moved, near, far, strict=True)
             ]
-            # Only what leads on counts: a hand may give way a little when it stops.
-            assert max(onward) <= self.case.tolerance, "it went on"
+            # Only motion towards the goal is wrong: a hand may spring back a little when it stops.
+            assert max(onward) <= self.case.tolerance, "it moved on"
 
     async def test_stop_and_disable_never_raise(self) -> None:
-        """Neither before connecting, nor with the cable pulled, nor after closing."""
+        """`stop` and `disable` work before connecting, when unplugged and after closing."""
         self.wired()
         async with self.session() as session:
             await session.driver.stop()
@@ -264,43 +264,37 @@ class DriverContract:
             await session.driver.stop()
 
     async def test_a_stuck_device_is_measured_where_it_is(self) -> None:
-        """A position that does not follow is reported, not made up."""
+        """The position of a device that does not follow is measured, not assumed."""
         self.moving()
         self.wired()
         near, far = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            there = await session.reach(near)
+        async with self._session_at(near) as (session, there):
             session.emulator.inject("stuck")
             for _ in range(20):
                 await session.cycle(Reference.at(list(far)))
                 state = await session.sense()
-                assert session.near(state, [float(q) for q in there.position])
+                assert session.near(state, there.position.tolist())
                 await asyncio.sleep(0.005)
 
     # --- faults of the device ----------------------------------------------------------------
 
     async def test_a_fault_is_named_and_recovered_from(self) -> None:
-        """A fault has a name and a hint; `recover` ends it without a jump."""
+        """A fault has a name and a hint; `recover` clears it without a jump."""
         fault = self.needed("fault")
         near, _ = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             session.emulator.inject(fault)
             caught = await self._fault_of(session)
             assert caught.name
             assert caught.hint
             assert caught.recoverable
-            # The cause is still there, so recovering must not pretend success.
+            # The cause still exists, so recovering must fail.
             with pytest.raises(DeviceFault):
                 await self._recover(session)
             session.emulator.clear()
             await self._recover(session)
-            state = await session.sense()
-            here = [float(q) for q in state.position]
-            after = await session.reach(here)
-            assert session.near(after, here)
+            here = (await session.sense()).position.tolist()
+            assert session.near(await session.reach(here), here)
 
     async def _recover(self, session: Session) -> None:
         await patiently(session.driver.recover)
@@ -319,12 +313,10 @@ class DriverContract:
         pytest.fail("the fault was never reported")
 
     async def test_a_power_cycle_is_noticed_or_harmless(self) -> None:
-        """After its supply came back the device is in fault, or where it was, but never jumps."""
+        """After a power cycle the device reports a fault or keeps its position, but never jumps."""
         self.wired()
         near, _ = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            there = await session.reach(near)
+        async with self._session_at(near) as (session, there):
             session.wire.power_cycle()
             noticed = False
             for _ in range(20):
@@ -333,10 +325,9 @@ class DriverContract:
                 except (DeviceFault, NotConnected, BusTimeout, FrameError):
                     noticed = True
                     break
-                assert session.near(state, [float(q) for q in there.position])
+                assert session.near(state, there.position.tolist())
                 await asyncio.sleep(0.005)
-            # A device that homes has lost its zero: going on without a word would be wrong
-            # positions.
+            # A device that homes has lost its zero: without an error, its positions would be wrong.
             assert noticed or not self.case.homes
 
     # --- faults of the wire ------------------------------------------------------------------
@@ -344,16 +335,14 @@ class DriverContract:
     @pytest.mark.parametrize("fault", WIRE_FAULTS)
     @pytest.mark.timeout(600)
     async def test_a_faulty_wire_is_survived(self, fault: str) -> None:
-        """At 5 % faults nothing but timeouts and bad frames is raised, and no value is wrong."""
+        """At 5 % faults, only timeouts and frame errors are raised, and no value is wrong."""
         self.wired()
         if fault in NEEDS_CHECKSUMS and not self.case.checksums:
             pytest.skip("frames of this device carry no checksum")
         if self.case.wire_faults is not None and fault not in self.case.wire_faults:
             pytest.skip("the wire of this device has no such fault")
         near, far = self.case.between()
-        async with self.session(within=590.0) as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near, within=590.0) as (session, _):
             counters = dict(session.driver.counters())
             faults = Faults(delay_time=0.003, seed=11)
             setattr(faults, fault, _SHARE)
@@ -372,7 +361,7 @@ class DriverContract:
         done = 0
         for _ in range(self.case.cycles):
             state = await session.cycle(reference)
-            if not self.case.actuators:  # it sends by itself, and no exchange waits for that
+            if not self.case.actuators:  # it sends by itself, and `sense` does not wait for that
                 await asyncio.sleep(0.001)
             if state is None:
                 continue
@@ -393,14 +382,13 @@ class DriverContract:
             assert after["timeouts"] > before["timeouts"]
 
     async def test_a_cancelled_exchange_leaves_the_driver_usable(self) -> None:
-        """Cancelling at any moment is cancelling, and the next exchange works."""
+        """An exchange can be cancelled at any moment, and the next one works."""
         self.wired()
         near, _ = self.case.between()
-        async with self.session() as session:
-            await session.start()
-            await session.reach(near)
+        async with self._session_at(near) as (session, _):
             session.wire.faults = Faults(delay=1.0, delay_time=0.01)
-            # Before it is sent, on its way, and shortly before the answer, which takes 10 ms.
+            # Before the request is sent, while it is in transit, and shortly before the answer,
+            # which takes 10 ms.
             for wait in (0.0, 0.001, 0.004, 0.008):
                 task = asyncio.ensure_future(session.driver.sense())
                 await asyncio.sleep(wait)
@@ -414,11 +402,11 @@ class DriverContract:
 
     @pytest.mark.timeout(300)
     async def test_unplugging_a_hundred_times_leaks_nothing(self) -> None:
-        """Pulled and put back a hundred times: no file, no task and no thread stays behind."""
+        """Unplugging and replugging a hundred times leaves no file, task or thread behind."""
         self.wired()
         async with self.session(within=290.0) as session:
             first = await session.start()
-            here = [float(q) for q in first.position]
+            here = first.position.tolist()
             files, tasks = open_files(), len(asyncio.all_tasks())
             for _ in range(100):
                 session.wire.unplug()
@@ -428,7 +416,7 @@ class DriverContract:
                 state = await session.start()
                 assert session.near(state, here)
             assert len(asyncio.all_tasks()) == tasks
-            # One more at most: a library may open something for itself at the first use.
+            # One more at most: a library may open a file of its own when it is first used.
             assert open_files() <= files + 1
 
     async def _lost(self, session: Session) -> None:
@@ -445,7 +433,7 @@ class DriverContract:
         pytest.fail("the driver never noticed that it was unplugged")
 
     async def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
-        """While one device takes 0.1 s per exchange, another one goes on exchanging."""
+        """While one device takes 0.1 s per exchange, exchanges with another one continue."""
         self.wired()
         async with self.session() as fast, Session(self.case, name="slow") as slow:
             await fast.start()
@@ -469,7 +457,7 @@ class DriverContract:
     # --- closing -----------------------------------------------------------------------------
 
     async def test_close_is_idempotent_in_any_state(self) -> None:
-        """Before connecting, connected, active and closed."""
+        """`close` works before connecting, when connected, when active and after closing."""
         async with self.session() as session:
             await session.driver.close()
             await session.connect()

@@ -1,10 +1,10 @@
-"""The pytest plugin of rtee: hands for the tests of applications, and help for drivers' authors.
+"""The pytest plugin of rtee: fixtures for the tests of applications and of drivers.
 
-``rtee_hand`` starts a hand whose devices are emulated. The assertions of the contract suite speak,
-and ``no_leaks`` is a leak check.
+``rtee_hand`` starts a hand whose devices are emulated; ``no_leaks`` detects leaked files and
+threads. Failing assertions of the contract suite show their values.
 
-It is loaded through the entry point ``pytest11`` in every project that has rtee installed, so it
-imports nothing of rtee by itself and changes nothing that is not asked for.
+Pytest loads the plugin through the entry point ``pytest11`` in every project that has rtee
+installed, so it imports nothing of rtee before a fixture is used.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rtee.remote.blocking import BlockingHand
     from rtee.testing.running import StartHand
 
-# Before it is imported: its assertions then show their values, as those of a test file do.
+# Must precede the import: pytest then rewrites its assertions like those of a test file.
 pytest.register_assert_rewrite("rtee.testing.contract")
 
 
@@ -33,7 +33,7 @@ def no_leaks() -> Iterator[None]:
     files, threads = _files(), threading.active_count()
     yield
     end = time.monotonic() + 2.0
-    # Threads and transports may end a moment after the test: they get two seconds.
+    # Threads and transports may end a moment after the test, so they get two seconds.
     while (_files() > files or threading.active_count() > threads) and time.monotonic() < end:
         time.sleep(0.01)
     if _files() > files or threading.active_count() > threads:
@@ -47,9 +47,9 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
     """Start hands whose devices are emulated; they run until the test ends.
 
     ``rtee_hand("robotiq_2f_85", object="50mm")`` returns the hand as `rtee.connect_blocking` does,
-    ready; everything in the test that connects to a hand finds this one and no other. Recordings
-    are in the test's ``tmp_path``, under ``rtee``. See `rtee.testing.running.running_hand` for what
-    else may be given.
+    ready to move; everything in the test that connects to a hand finds only this one. Recordings
+    are in the test's ``tmp_path``, under ``rtee``. For the other arguments, see
+    `rtee.testing.running.running_hand`.
     """
     from rtee.testing.running import running_hand
 
@@ -57,7 +57,7 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
     folder.mkdir()
     monkeypatch.setenv("RTEE_RUNTIME_DIR", str(folder / "run"))
     for name in ("RTEE_CONNECT", "RTEE_HAND"):
-        # A hand that the developer runs beside the tests must not be found instead.
+        # The test must not connect to a hand that the developer runs at the same time.
         monkeypatch.delenv(name, raising=False)
     with contextlib.ExitStack() as stack:
 

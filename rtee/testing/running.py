@@ -1,6 +1,6 @@
-"""Run a hand beside the tests of an application, with emulated devices.
+"""Run a hand with emulated devices in a separate process, for the tests of an application.
 
-Its process ends with the test, and also when the process of the tests is killed.
+The process ends with the test, and also when the process of the tests is killed.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _READY_WITHIN: Final = 60.0
 """Time for starting, connecting and homing [s]; an SVH homes for half of it."""
 
 _LOOK_EVERY: Final = 0.2
-"""Time between two looks whether the process that starts is still there [s]."""
+"""Interval at which a starting process is checked to be still running [s]."""
 
 _END_WITHIN: Final = 10.0
-"""Time for coming to rest and writing the rest of the recording [s]."""
+"""Time for the hand to come to rest and to finish its recording [s]."""
 
-# `rtee` that ends with its input: when that is closed, it is interrupted as by Ctrl-C.
+# Runs `rtee` and interrupts it as by Ctrl-C when its standard input is closed.
 _PROGRAM: Final = """
 import os, runpy, signal, sys, threading
 
@@ -48,7 +48,7 @@ runpy.run_module("rtee", run_name="__main__", alter_sys=True)
 
 
 class StartHand(Protocol):
-    """What the fixture ``rtee_hand`` is: it starts a hand that runs until the test ends."""
+    """The type of the fixture ``rtee_hand``: starts a hand that runs until the test ends."""
 
     def __call__(
         self,
@@ -70,47 +70,47 @@ def running_hand(
     driver: str | None = None,
     timeout: float = _READY_WITHIN,
 ) -> Iterator[BlockingHand]:
-    """Run a hand in a process of its own for as long as the context lasts.
+    """Run a hand in a separate process for as long as the context lasts.
 
-    It can be found on this computer by all that share the environment variable
-    ``RTEE_RUNTIME_DIR`` with this process.
+    All processes of this computer with the same environment variable ``RTEE_RUNTIME_DIR`` can find
+    the hand.
 
     Args:
         hand: Its name, or its folder.
-        folder: Where its recordings go, and what the process says.
-        object: What is between the fingers, as ``rtee run --object`` takes it.
-        driver: As ``rtee run --driver`` takes it; ``None``: the hand's devices, emulated; the
+        folder: Folder for the recordings and the output of the process.
+        object: Object between the fingers, as for ``rtee run --object``.
+        driver: Driver as for ``rtee run --driver``; ``None``: the hand's emulated devices, or the
             kinematic driver for a hand without devices.
-        timeout: Time until all devices are active, homing included [s].
+        timeout: Longest time until all devices are active, including homing [s].
 
     Yields:
-        The hand, ready.
+        The hand, ready to move.
 
     Raises:
         UserError: for every mistake in the hand's files or the options.
         NotReady: if a device is not active in time.
-        RteeError: if the hand does not start, or failed; with what it said.
+        RteeError: if the hand does not start or fails; with the last line of its output.
     """
     config = load_configured(hand)[1]
-    said = folder / f"{config.name}.txt"
+    printed = folder / f"{config.name}.txt"
     words = [str(hand), "--log", str(folder / "logs"), *_driven(config, driver)]
     words += [] if object is None else ["--object", object]
     command = [sys.executable, "-c", _PROGRAM, "run", *words]
-    with said.open("wb") as output:
+    with printed.open("wb") as output:
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output)
     try:
-        with _connected(config.name, process, said, timeout) as remote:
+        with _connected(config.name, process, printed, timeout) as remote:
             yield remote
     except BaseException:
         _end(process)
         raise
-    # A loop that failed at its end must fail the test, too, even if all goals were reached.
+    # A loop that fails while it ends must fail the test, even if all goals were reached.
     if _end(process) != 0:
-        raise RteeError(f"the hand '{config.name}' failed: {_last(said)}")
+        raise RteeError(f"the hand '{config.name}' failed: {_last(printed)}")
 
 
 def _driven(config: HandConfig, driver: str | None) -> list[str]:
-    """Return the options that say what is driven: emulated devices, which may home, if any."""
+    """Return the options of `rtee run` for the driver: by default, emulated devices that home."""
     if driver is not None:
         return ["--driver", driver]
     if not config.devices:
@@ -122,7 +122,7 @@ def _driven(config: HandConfig, driver: str | None) -> list[str]:
 
 @contextlib.contextmanager
 def _connected(
-    name: str, process: subprocess.Popen[bytes], said: Path, timeout: float
+    name: str, process: subprocess.Popen[bytes], printed: Path, timeout: float
 ) -> Iterator[BlockingHand]:
     until = time.monotonic() + timeout
     while True:
@@ -131,7 +131,7 @@ def _connected(
             break
         except NoHand:
             if process.poll() is not None:
-                raise _failure(name, process.returncode, said) from None
+                raise _failure(name, process.returncode, printed) from None
             if time.monotonic() >= until:
                 raise
     with remote:
@@ -139,25 +139,25 @@ def _connected(
         yield remote
 
 
-def _failure(name: str, status: int, said: Path) -> RteeError:
-    text = _last(said)
+def _failure(name: str, status: int, printed: Path) -> RteeError:
+    text = _last(printed)
     if status == ConfigError.exit_status:
         return ConfigError(text.removeprefix("rtee: "))
     return RteeError(f"the hand '{name}' ended with status {status}: {text}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """Have the hand come to rest and end; return its exit status."""
+    """Let the hand come to rest and end; return its exit status."""
     if process.stdin is not None:
         process.stdin.close()
     try:
         return process.wait(_END_WITHIN)
     except subprocess.TimeoutExpired:
-        # It does not come to rest: a test must not wait for ever.
+        # A test must not wait for ever for a hand that does not come to rest.
         process.kill()
         return process.wait()
 
 
-def _last(said: Path) -> str:
-    lines = said.read_text("utf-8", errors="replace").strip().splitlines()
-    return lines[-1] if lines else "it said nothing"
+def _last(printed: Path) -> str:
+    lines = printed.read_text("utf-8", errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it printed nothing"

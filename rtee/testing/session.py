@@ -1,4 +1,4 @@
-"""One emulated device, its driver and its wire, for the length of a test."""
+"""An emulated device, its driver and its wire, for the duration of a test."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def open_files() -> int:
 
 
 class Session:
-    """A driver on a pool of its own; an asynchronous context manager that closes both.
+    """A driver with its own pool of buses; an asynchronous context manager that closes both.
 
     Attributes:
         case: The device.
@@ -41,7 +41,7 @@ class Session:
         self.case = case
         self.spec = case.spec(name)
         self._own = pool is None
-        # Without the wire's time: the suite is about behaviour, and runs ten thousands of cycles.
+        # Without wire time, since the suite tests behaviour in tens of thousands of cycles.
         self.pool = pool or BusPool(wire_time=False)
         self.driver: Driver = find_driver(case.driver)(self.spec, self.pool)
 
@@ -55,7 +55,7 @@ class Session:
 
     @property
     def emulator(self) -> Any:
-        """The emulator that is played."""
+        """The emulator of the device."""
         return self.pool.played(owner_of(self.spec))
 
     @property
@@ -64,13 +64,16 @@ class Session:
         return self.pool.simulation(owner_of(self.spec))
 
     async def before(self, prepare: Callable[[Emulator], None]) -> None:
-        """Change the emulated device before the driver sees it for the first time."""
+        """Change the emulated device before the driver under test connects to it.
+
+        The driver connects once and closes, since the emulator is made when it first connects.
+        """
         await self.connect()
         await self.driver.close()
         self.wire.call(lambda: prepare(self.emulator))
 
     async def connect(self) -> None:
-        """Connect, patiently: as a supervisor does, from the beginning after what was not heard."""
+        """Connect and repeat after a timeout, starting over each time as a supervisor does."""
 
         async def once() -> None:
             try:
@@ -88,11 +91,11 @@ class Session:
         return await self.sense()
 
     async def sense(self) -> ActuatorState:
-        """Sense, patiently."""
+        """Sense, and repeat after a timeout."""
         return await patiently(self.driver.sense)
 
     async def cycle(self, reference: Reference) -> ActuatorState | None:
-        """Sense and move as the loop does; ``None`` where the wire lost something."""
+        """Sense and move as the loop does; return ``None`` if an exchange failed."""
         try:
             state = await self.driver.sense()
             await self.driver.move(reference)
@@ -101,7 +104,12 @@ class Session:
         return state
 
     async def reach(self, goal: Sequence[float], **limits: Any) -> ActuatorState:
-        """Move to a posture and return the state when it is reached, or when the time is up."""
+        """Move to a posture and return the state when it is reached, or when the time is up.
+
+        Args:
+            goal: The posture ``(n,)`` [rad | m].
+            limits: Limits for `Reference.at`, such as ``max_effort``.
+        """
         reference = Reference.at(list(goal), **limits)
         end = time.monotonic() + self.case.within
         while True:
@@ -110,10 +118,10 @@ class Session:
                 return state
             if time.monotonic() > end:
                 return state or await self.sense()
-            # A pause lets emulators run that share this process, at any speed of the machine.
+            # Emulators in this process need the processor, too, even on a slow machine.
             await asyncio.sleep(0.002)
 
     def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:
-        """Return whether a state is at a posture."""
+        """Return whether the positions of a state are those of a posture, within the tolerance."""
         pairs = zip(state.position, goal, strict=True)
         return all(abs(float(q) - g) <= self.case.tolerance for q, g in pairs)

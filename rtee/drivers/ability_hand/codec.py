@@ -1,7 +1,7 @@
 """The Ability Hand's frames, byte stuffing, replies and touch words; no I/O.
 
 Source: the maker's interface document (API frames over UART or RS-485) and its published client.
-Where the two print the touch words differently, the client's order is taken. Frames are stuffed:
+Where the two differ in the order of the touch words, the client is followed. Frames are stuffed:
 ``7E``, the frame with ``7E`` and ``7D`` escaped, ``7E``. The checksum is the two's complement of
 the sum of all bytes before it.
 """
@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import Generic, Self, TypeVar
 
 MOTORS = ("index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator")
 """The six motors, in the order of every frame."""
@@ -31,13 +32,13 @@ BAUDRATES = (
 ADDRESS = 0x50
 """Address from the factory."""
 API_TIME = 0.3
-"""Silence after which the hand leaves API mode, at most [s]."""
+"""Longest silence after which the hand is still in API mode [s]."""
 
 _FLAG, _ESCAPE, _FLIP = 0x7E, 0x7D, 0x20
 _LEAST = 2
 """Bytes of the shortest command without its checksum: address and header."""
 VELOCITIES, NO_TOUCH = 2, 3
-"""Variants of a reply: 2 tells velocities in place of currents, 3 both, and no touch."""
+"""Variants of a reply: 2 has velocities instead of currents; 3 has both, and no touch words."""
 _TOUCH = 45
 """Bytes of the thirty touch words of 12 bits."""
 _WORDS = struct.Struct("<6h")
@@ -49,7 +50,7 @@ _RATE = 32767 / math.radians(3000.0)
 _ROTOR = 4.0
 """Counts of a reported velocity per rad/s of the rotor."""
 AMPERE = 620.606
-"""Counts of a current per ampere; the client's number, which depends on the hardware."""
+"""Counts of a current per ampere; the client's value, which depends on the hardware."""
 DUTY = 3546
 """Counts of a duty cycle of 100 %."""
 GEARS = (649.0,) * 5 + (162.45,)
@@ -61,11 +62,14 @@ TORQUES = tuple(gear * _TORQUE for gear in GEARS)
 
 
 class AbilityFrameError(ValueError):
-    """Bytes that are not a frame of an Ability Hand, or not a reply that it could give."""
+    """Bytes that are not a frame of an Ability Hand, or not a possible reply."""
+
+
+F = TypeVar("F")
 
 
 class Header(IntEnum):
-    """What a command asks for; the low nibble of a set-point or of `READ` selects the reply."""
+    """Headers of commands; the low nibble of a set-point or of `READ` selects the reply."""
 
     POSITION = 0x10
     VELOCITY = 0x20
@@ -85,7 +89,7 @@ def checksum(data: bytes) -> int:
 
 
 def stuffed(frame: bytes) -> bytes:
-    """Return a frame as it goes over the wire."""
+    """Return a frame as sent."""
     # The escape byte first: the escape of a flag contains it.
     out = frame.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")
     return b"\x7e" + out + b"\x7e"
@@ -111,8 +115,8 @@ def unstuffed(run: bytes) -> bytes:
     return bytes(out)
 
 
-class _Parser:
-    """Cuts a stuffed stream at its flags; each flag ends a frame and begins the next."""
+class _Parser(ABC, Generic[F]):
+    """Splits a stuffed stream at its flags; each flag ends a frame and begins the next."""
 
     LIMIT = 2 * 72 + 2
     """Most bytes of a frame on the wire: the longest reply, all of it escaped."""
@@ -130,8 +134,8 @@ class _Parser:
         """Forget what has come in."""
         self._run.clear()
 
-    def _frames(self, data: bytes) -> list[bytes]:
-        """Return the complete frames, checksums taken off."""
+    def feed(self, data: bytes) -> list[F]:
+        """Receive bytes and return the frames that they complete."""
         *ends, rest = data.split(b"\x7e")
         found = []
         for part in ends:
@@ -140,22 +144,24 @@ class _Parser:
             # Between two frames there is nothing, or stray zero bytes.
             if not run.strip(b"\0"):
                 continue
-            frame = self._checked(run) if len(run) <= self.LIMIT else None
-            if frame is None:
+            try:
+                found.append(self._decode(self._checked(run)))
+            except AbilityFrameError:
                 self.errors += 1
-            else:
-                found.append(frame)
         # One byte more than a frame can have is enough to know that this is none.
         self._run += rest[: self.LIMIT + 1 - len(self._run)]
         return found
 
-    @staticmethod
-    def _checked(run: bytes) -> bytes | None:
-        try:
-            frame = unstuffed(run)
-        except AbilityFrameError:
-            return None
-        return frame[:-1] if len(frame) > _LEAST and not sum(frame) & 0xFF else None
+    def _checked(self, run: bytes) -> bytes:
+        """Return the frame without its checksum; raises `AbilityFrameError`."""
+        frame = unstuffed(run) if len(run) <= self.LIMIT else b""
+        if len(frame) <= _LEAST or sum(frame) & 0xFF:
+            raise AbilityFrameError("wrong length or checksum")
+        return frame[:-1]
+
+    @abstractmethod
+    def _decode(self, frame: bytes) -> F:
+        """Read a frame without its checksum; raises `AbilityFrameError`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +170,8 @@ class Command:
 
     Attributes:
         address: Of the hand.
-        header: What is asked for.
-        words: The six set-points [counts], of the headers that carry them.
+        header: What it asks for.
+        words: The six set-points [counts]; empty for headers without set-points.
     """
 
     address: int
@@ -173,7 +179,7 @@ class Command:
     words: tuple[int, ...] = ()
 
     def to_bytes(self) -> bytes:
-        """Return the command as it goes over the wire."""
+        """Return the command as sent."""
         frame = bytes((self.address, self.header))
         if self.words:
             frame += _WORDS.pack(*self.words)
@@ -196,18 +202,11 @@ class Command:
         return cls(frame[0], frame[1], words)
 
 
-class CommandParser(_Parser):
+class CommandParser(_Parser[Command]):
     """Finds commands in a stream, for a hand."""
 
-    def feed(self, data: bytes) -> list[Command]:
-        """Receive bytes and return the commands that they complete."""
-        found = []
-        for frame in self._frames(data):
-            try:
-                found.append(Command.from_frame(frame))
-            except AbilityFrameError:
-                self.errors += 1
-        return found
+    def _decode(self, frame: bytes) -> Command:
+        return Command.from_frame(frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,12 +235,12 @@ class Reply:
         """Read it from a frame without its checksum.
 
         Raises:
-            AbilityFrameError: if no Ability Hand can reply that.
+            AbilityFrameError: if an Ability Hand cannot send it.
         """
         variant = (frame[0] & 0x0F) + 1 if frame else 0
         with_touch = 1 <= variant < NO_TOUCH
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)
-        # Which class a reply echoes is documented for positions alone, so all are taken.
+        # The echoed class is documented for positions only, so any is accepted.
         if not 1 <= variant <= NO_TOUCH or frame[0] & 0xF0 not in (*SET_POINTS, Header.READ):
             raise AbilityFrameError(f"no header of a reply: {frame[:1].hex()}")
         if len(frame) != size:
@@ -271,23 +270,16 @@ class Reply:
         return head + _PAIRS.pack(*pairs) + rest + bytes([status])
 
     def to_bytes(self) -> bytes:
-        """Return the reply as it goes over the wire."""
+        """Return the reply as sent."""
         frame = self.to_frame()
         return stuffed(frame + bytes([checksum(frame)]))
 
 
-class ReplyParser(_Parser):
+class ReplyParser(_Parser[Reply]):
     """Finds replies in a stream, for a host."""
 
-    def feed(self, data: bytes) -> list[Reply]:
-        """Receive bytes and return the replies that they complete."""
-        found = []
-        for frame in self._frames(data):
-            try:
-                found.append(Reply.from_frame(frame))
-            except AbilityFrameError:
-                self.errors += 1
-        return found
+    def _decode(self, frame: bytes) -> Reply:
+        return Reply.from_frame(frame)
 
 
 def _touch_words(data: bytes) -> tuple[int, ...]:
@@ -318,7 +310,7 @@ def angle(counts: int) -> float:
 
 
 def angle_counts(position: float) -> int:
-    """Return the counts of a position [rad], which stay within 150 degrees."""
+    """Return the counts of a position [rad], limited to 150 degrees."""
     return _clipped(position * COUNTS)
 
 
@@ -328,7 +320,7 @@ def velocity(counts: int, motor: int) -> float:
 
 
 def velocity_counts(rate: float, motor: int) -> int:
-    """Return the counts by which a hand reports the velocity of a motor's joint [rad/s]."""
+    """Return the counts with which a hand reports the velocity of a motor's joint [rad/s]."""
     return _clipped(rate * _ROTOR * GEARS[motor])
 
 
@@ -353,21 +345,21 @@ def effort_counts(torque: float, motor: int) -> int:
 
 
 _OFFSET = 0.878894
-"""What the client's line tells at no conductance [N]."""
+"""Force at zero conductance according to the client's formula [N]."""
 _SLOPE = 121_591.0
 """Force of a touch sensor by its conductance [N·Ω]."""
 _FULL = 4095
 """Largest touch word: twelve bits."""
 _VOLTS = 3.3 / (_FULL + 1)
-"""Volts of one count: the converter measures up to 3.3 V."""
+"""Voltage per count [V]: the converter measures up to 3.3 V."""
 _DIVIDER, _SERIES = 33_000.0, 10_000.0
-"""The client's line has a sensor's resistance as 33,000 / V + 10,000 [Ω]: a divider, and a resistor
-in series with the sensor."""
+"""The client's formula for a sensor's resistance is 33,000 / V + 10,000 [Ω]: a voltage divider, and
+a resistor in series with the sensor."""
 _SHORTED = 20_000.0
-"""Resistance at which the word is the largest there is [Ω]: 33,000 / 3.3 + 10,000."""
+"""Resistance at the largest word [Ω]: 33,000 / 3.3 + 10,000."""
 _NEAR = 319
-"""Word at which half of the line's force is its offset; below, a line through 0 takes its place,
-since a sensor that nothing touches would tell a newton else."""
+"""Word at which half of the formula's force is its offset. Smaller words are scaled linearly to 0:
+the formula would give a newton for a sensor that nothing touches."""
 
 
 def touch_force(word: int) -> float:
@@ -383,7 +375,7 @@ def touch_word(force: float) -> int:
     if force < near:
         return max(0, round(force / near * _NEAR))
     resistance = _SLOPE / (force - _OFFSET)
-    # At the sensor's end nothing is left beside the resistor in series.
+    # At its largest word, only the resistor in series and the divider remain.
     if resistance <= _SHORTED:
         return _FULL
     return min(_FULL, round(_DIVIDER / (resistance - _SERIES) / _VOLTS))

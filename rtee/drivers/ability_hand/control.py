@@ -1,4 +1,4 @@
-"""From the targets of the six motors to the words of a command, in each mode. No I/O."""
+"""The set-points of a command from the targets of the six motors, in each mode. No I/O."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ SPEEDS = (8.068,) * 5 + (40.34,)
 EFFORTS = (6.0,) * 5 + (1.2,)
 """Largest efforts of the joints, likewise [N·m]."""
 _REFERRED = tuple((gear / codec.GEARS[0]) ** 2 for gear in codec.GEARS)
-"""What gains are multiplied by: the rotors are alike, and act through gears of different ratios."""
+"""Factors of the gains: equal rotors act through gears of different ratios."""
 
 
 class MotorControl:
-    """Where the six motors go, and what to send for it; signs are those of the wire.
+    """Computes the set-points of the six motors; signs are those of the wire.
 
-    With velocities and currents the position control is here: a velocity proportional to the error,
-    or a torque from error and velocity, both limited. One command sets all six motors, so one that
-    nobody asked keeps where it was when the first command went out.
+    In the modes velocity and current, positions are controlled here: by a velocity proportional to
+    the error, or by a torque from error and velocity, both limited. One command sets all six
+    motors, so a motor without a reference stays where it was at the first command.
 
     Attributes:
-        header: Of the set-points that it makes.
-        approach: Velocity by position error [1/s].
-        stiffness: Effort of a digit by position error [N·m/rad]; that of the thumb's rotation is as
-            much less as the square of its gear's ratio.
-        damping: Effort against velocity, likewise [N·m·s/rad].
-        targets: Where each motor goes [rad].
+        header: Header of the set-points.
+        approach: Velocity per position error [1/s].
+        stiffness: Effort of a digit per position error [N·m/rad]; that of the thumb's rotation is
+            smaller by the square of its gear ratio.
+        damping: Effort per velocity, scaled alike [N·m·s/rad].
+        targets: Target of each motor [rad].
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class MotorControl:
         self._efforts = list(EFFORTS)
 
     def hold(self, reply: Reply) -> None:
-        """Let every motor stay where it is."""
+        """Make the measured positions the targets of all motors."""
         self.targets = [codec.angle(counts) for counts in reply.positions]
         self._feed = [0.0] * COUNT
         self._speeds, self._efforts = list(SPEEDS), list(EFFORTS)
@@ -53,14 +53,14 @@ class MotorControl:
     def aim(
         self, motor: int, target: float, feed: float, max_velocity: float, max_effort: float
     ) -> None:
-        """Send one motor somewhere.
+        """Set the target of one motor.
 
         Args:
-            motor: Its place in the frames.
-            target: Where to [rad].
+            motor: Its index in the frames.
+            target: Its target [rad].
             feed: Velocity of the target [rad/s].
-            max_velocity: Velocity not to be exceeded, which may be infinite [rad/s].
-            max_effort: Effort not to be exceeded, likewise [N·m].
+            max_velocity: Velocity limit, which may be infinite [rad/s].
+            max_effort: Effort limit, which may be infinite [N·m].
         """
         self.targets[motor] = target
         self._feed[motor] = feed
@@ -68,7 +68,7 @@ class MotorControl:
         self._efforts[motor] = min(abs(max_effort), EFFORTS[motor])
 
     def words(self, reply: Reply) -> tuple[int, ...]:
-        """Return the six words of the next command, given what was measured last."""
+        """Return the six words of the next command, given the newest measurement."""
         if self.header is Header.POSITION:
             return tuple(codec.angle_counts(target) for target in self.targets)
         here = [codec.angle(counts) for counts in reply.positions]

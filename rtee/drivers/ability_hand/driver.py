@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
@@ -33,6 +33,7 @@ from rtee.drivers.ability_hand.control import SPEEDS, MotorControl
 from rtee.drivers.ability_hand.options import AbilityHandOptions, motors_of
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
+from rtee.drivers.deadlines import Unhurried, cycle_deadline
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
@@ -41,22 +42,20 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
 
-PATIENCE = 0.5
-"""Longest time for an exchange that belongs to no cycle [s]."""
 _LEFT = 1
-"""Code of the fault that the hand has left API mode; the hand itself knows no codes."""
+"""Code of the fault that the hand has left API mode; the hand itself has no codes."""
 _JUMP = codec.angle_counts(0.1)
-"""What a position may differ by from the one before, beyond what speed explains [counts]."""
+"""Change of a position that is plausible at any speed [counts]: backlash, and a push."""
 _FASTEST = tuple(2.0 * codec.COUNTS * speed for speed in SPEEDS)
-"""Speed at which a change of position counts as damage: twice the joint's largest [counts/s]."""
+"""Largest plausible speed, twice that of the joint [counts/s]: a reply above it is damaged."""
 _MOVED = codec.angle_counts(0.05)
-"""A finger that changed its place by more has moved: 0.05 rad are 3 mm at its tip [counts]."""
+"""Smallest change that counts as a motion of a finger [counts]: 0.05 rad are 3 mm at its tip."""
 _SENT = 17 + 1
-"""Bytes of set-points on the wire, and one for a byte that is escaped."""
+"""Bytes of set-points on the wire, with one escaped byte on average."""
 _RECEIVED = {1: 74 + 2, 2: 74 + 2, 3: 41 + 1}
-"""The same for replies, by their variant."""
+"""Bytes of a reply on the wire by its variant, with escaped bytes."""
 _FORCES: FloatArray = np.array([codec.touch_force(word) for word in range(4096)])
-"""Force of each word of a touch sensor [N]."""
+"""Force by the word of a touch sensor [N]; a table, since thirty are converted in every cycle."""
 _SENSORS = tuple(
     TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095)) for finger in TOUCHING
 )
@@ -66,13 +65,13 @@ _GAINS = {"velocity": ("approach",), "current": ("stiffness", "damping")}
 class AbilityHandDriver(Driver):
     """An Ability Hand.
 
-    Every command is answered by what the hand measures, so a cycle is one exchange: `move` sends
-    the set-points of all six motors, and `sense` returns what came back, or asks without a command
-    where there was none. Until a reference asks for motion the hand is only read, which leaves it
-    to its own control.
+    The hand answers every command with its measurements, so a cycle is one exchange: `move` sends
+    the set-points of all six motors, and `sense` returns the reply, or reads the hand if there was
+    no command. Until a reference asks for motion the hand is only read, which leaves its own
+    control in charge.
 
-    A hand that hears nothing for 0.3 s leaves API mode and may move by itself. Where it did, that
-    is a fault, and recovering from it begins where the fingers are.
+    A hand that receives nothing for 0.3 s leaves API mode and may move by itself. If it has moved,
+    that is a fault; recovery starts from the measured positions.
     """
 
     Options: ClassVar[type[BaseModel] | None] = AbilityHandOptions
@@ -91,7 +90,8 @@ class AbilityHandDriver(Driver):
         self.connection: Connection[SerialBus] = Connection(spec)
         self._attached = Attached(spec.actuators)
         self._parser = ReplyParser()
-        self._deadline = PATIENCE
+        self._pace = Unhurried()
+        self._pace.deadline = Unhurried.PATIENCE
         self._reply: Reply | None = None
         self._doubted: Reply | None = None
         self._waiting = False
@@ -107,7 +107,7 @@ class AbilityHandDriver(Driver):
         else:
             refuses["max_effort"] = "'mode: current' in its options takes one"
         self.capabilities = Capabilities(
-            measures=frozenset({"position", *self._told()}),
+            measures=frozenset({"position", *self._reported()}),
             accepts=frozenset(accepts),
             refuses=refuses,
             recoverable=True,
@@ -115,18 +115,18 @@ class AbilityHandDriver(Driver):
             touch=_SENSORS if options.touch and options.variant != codec.NO_TOUCH else (),
         )
 
-    def _told(self) -> tuple[str, ...]:
+    def _reported(self) -> tuple[str, ...]:
         currents, velocities = ("effort", "current"), ("velocity",)
         return {1: currents, 2: velocities, 3: currents + velocities}[self.options.variant]
 
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the line and see whether an Ability Hand answers; moves nothing."""
+        """Open the line and check that an Ability Hand answers; moves nothing."""
         options = self.options
         self._in_api = self._moved = self._waiting = False
         self._reply = self._doubted = None
-        self._deadline = PATIENCE
+        self._pace.deadline = Unhurried.PATIENCE
         bus = await self.connection.open(
             self.buses.serial(
                 options.port,
@@ -137,7 +137,7 @@ class AbilityHandDriver(Driver):
             lambda bus: bus,
         )
         try:
-            # Twice: in fast mode, the form of a reply is that of the request before.
+            # Twice: in fast mode, a reply has the variant that the previous request selected.
             await self._read()
             reply = await self._read()
         except (BusTimeout, FrameError) as error:
@@ -148,10 +148,7 @@ class AbilityHandDriver(Driver):
                 "UART or RS-485 with byte stuffing: from the factory it is set to I2C",
             ) from error
         best = self._best_rate(bus)
-        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        usual = max(1.5 * every / self.spec.rate, 5.0 / best)
-        self._deadline = self.spec.deadline or usual
+        self._pace.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
             self.capabilities,
             best_rate=best,
@@ -159,47 +156,39 @@ class AbilityHandDriver(Driver):
                 "model": "PSYONIC Ability Hand",
                 "address": f"{options.address:#04x}",
                 "reply": f"variant {reply.variant}",
-                "touch": "told" if any(reply.touch) else "silent, or without sensors",
+                "touch": "reported" if any(reply.touch) else "silent, or without sensors",
             },
         )
 
     def _best_rate(self, bus: SerialBus) -> float:
         count = _SENT + _RECEIVED[self.options.variant]
         once = wire_time(count, bus.line.baudrate) + self.options.turnaround
-        # 1000 Hz is what the maker's client does at best.
+        # 1000 Hz is the best that the maker's client does.
         return 1.0 / max(once, 1e-3)
 
     async def activate(self) -> None:
-        """Take the hand over as it is: only a reference that asks for motion enters API mode."""
+        """Attach to the hand as it is: only a reference that asks for motion enters API mode."""
         await self._check()
-        with self._unhurried():
+        with self._pace.unhurried():
             self._control.hold(await self._read())
         self._attached.begin(range(len(self._motors)))
-
-    @contextlib.contextmanager
-    def _unhurried(self) -> Iterator[None]:
-        usual, self._deadline = self._deadline, PATIENCE
-        try:
-            yield
-        finally:
-            self._deadline = usual
 
     # --- every cycle -------------------------------------------------------------------------
 
     async def _read(self) -> Reply:
-        """Return what the hand measures, without a command."""
+        """Read the hand without a command; raises `BusError`."""
         return await self._exchange(Header.READ)
 
     async def _exchange(self, header: Header, words: tuple[int, ...] = ()) -> Reply:
-        """Send a command and return what the hand measures; raises `BusError`."""
+        """Send a command and return the reply; raises `BusError`."""
         command = Command(self.options.address, header + self.options.variant - 1, words)
         if words:
-            # Before the exchange: the hand may take a command whose reply is lost.
+            # Before the exchange: the hand may accept a command whose reply is lost.
             self._in_api = True
         reply = await self.connection.link.transact(
             command.to_bytes(),
             self._parser,
-            self._deadline,
+            self._pace.deadline,
             self.options.retries,
             whom=f"address {self.options.address}",
         )
@@ -213,9 +202,9 @@ class AbilityHandDriver(Driver):
         return reply
 
     def _plausible(self, reply: Reply, now: float) -> bool:
-        """Return whether no joint moved faster than it can, or the reply before said so, too.
+        """Return whether no joint moved faster than it can, or the previous reply showed it, too.
 
-        A checksum of one byte lets some damage pass, and positions steer the hand.
+        A checksum of one byte does not detect all damage, and the control depends on positions.
         """
         before = self._doubted or self._reply
         if before is None:
@@ -225,17 +214,17 @@ class AbilityHandDriver(Driver):
         return all(way <= _JUMP + fast * elapsed for way, fast in zip(ways, _FASTEST, strict=True))
 
     async def _check(self) -> None:
-        """See whether the hand left API mode, for it heard nothing, and moved by itself since.
+        """Check whether the hand left API mode after a silence, and moved by itself since.
 
         Raises:
-            DeviceFault: if it did; what was commanded before would make it jump back.
+            DeviceFault: if it did; the previous set-points would make it jump back.
             BusError: if it does not answer.
         """
         if self._in_api and time.monotonic() - self._stamp > API_TIME:
             before, self._waiting = self._reply, False
             reply = await self._read()
             self._in_api = False
-            # Its own control may hold something: nothing is commanded until a reference asks.
+            # Its own control may hold an object: nothing is sent until a reference asks for motion.
             self._attached.begin(range(len(self._motors)))
             if before is not None:
                 pairs = zip(before.positions, reply.positions, strict=True)
@@ -244,12 +233,12 @@ class AbilityHandDriver(Driver):
             raise DeviceFault(
                 self.spec.name,
                 _LEFT,
-                f"it heard nothing for {API_TIME:g} s, went back to its own control, and moved",
-                hint="see that nothing was dropped, then `rtee recover`",
+                f"it received nothing for {API_TIME:g} s, left API mode, and moved by itself",
+                hint="check that nothing was dropped, then `rtee recover`",
             )
 
     async def sense(self) -> ActuatorState:
-        """Return what the hand measures: the answer to the last command, if there was one."""
+        """Return the reply to the last command, if there was one, or read the hand."""
         await self._check()
         waiting, self._waiting = self._waiting, False
         reply = self._reply if waiting and self._reply is not None else await self._read()
@@ -278,16 +267,16 @@ class AbilityHandDriver(Driver):
         )
 
     async def move(self, reference: Reference) -> None:
-        """Send the set-points of all motors, which brings back what the hand measures."""
+        """Send the set-points of all motors and keep the reply for `sense`."""
         await self._check()
         if self._attached:
-            # One command sets all motors, and what they are set to cannot be read.
+            # One command sets all motors, and their present set-points cannot be read.
             if len(self._attached.left(reference, self._here)) == len(self._motors):
                 return
             self._attached.begin()
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, sign) in enumerate(zip(self._motors, self._signs, strict=True)):
-            if asked[i]:
+            if mask[i]:
                 limits = self.spec.actuators[i]
                 position = min(max(float(reference.position[i]), limits.lower), limits.upper)
                 self._control.aim(
@@ -297,7 +286,7 @@ class AbilityHandDriver(Driver):
                     float(reference.max_velocity[i]),
                     float(reference.max_effort[i]),
                 )
-        # Velocities and currents depend on where the fingers are.
+        # Set-points of velocity and current depend on the positions.
         known = self._reply or await self._read()
         await self._exchange(self._control.header, self._control.words(known))
         self._waiting = True
@@ -306,7 +295,7 @@ class AbilityHandDriver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            with self._unhurried():
+            with self._pace.unhurried():
                 await patiently(self._hold)
 
     async def _hold(self) -> None:
@@ -317,22 +306,22 @@ class AbilityHandDriver(Driver):
         self._waiting = False
 
     async def disable(self) -> None:
-        """Give the motors no voltage."""
+        """Set the voltage of all motors to 0."""
         with contextlib.suppress(RteeError, OSError):
-            # The next command powers all motors again, so it waits until a reference asks for it.
+            # The next command powers all motors again, so it waits for a reference with a motion.
             self._attached.begin(range(len(self._motors)))
-            with self._unhurried():
+            with self._pace.unhurried():
                 await patiently(lambda: self._exchange(Header.DUTY, (0,) * COUNT))
 
     async def recover(self) -> None:
-        """Begin anew where the fingers are; nothing is commanded until a reference asks."""
-        with self._unhurried():
+        """Start again from the measured positions; nothing is sent until a reference asks to."""
+        with self._pace.unhurried():
             self._control.hold(await self._read())
         self._in_api = self._moved = self._waiting = False
         self._attached.begin(range(len(self._motors)))
 
     async def deactivate(self) -> None:
-        """Give the hand back to its own control."""
+        """Return the hand to its own control."""
         command = Command(self.options.address, Header.LEAVE)
         await self.connection.link.send(command.to_bytes())
         self._in_api = self._waiting = False
@@ -344,6 +333,6 @@ class AbilityHandDriver(Driver):
         return {name: getattr(self._control, name) for name in self.capabilities.gains}
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Change them."""
+        """Change gains of the position control in this computer."""
         for name, gain in gains.items():
             setattr(self._control, name, gain)

@@ -1,8 +1,8 @@
 """Emulates an Ability Hand on the wire: stuffed frames, API mode with its timeout, touch words.
 
 What differs between hands, or is not known, is a property here: fast mode, whether it has touch
-sensors, and what it does by itself when it leaves API mode. A frame with a wrong checksum or for
-another address is met with silence.
+sensors, and what it does by itself when it leaves API mode. It ignores frames with a wrong checksum
+or for another address.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _RANGES = ((0.0, 1.74),) * 5 + ((-1.74, 0.0),)
 _FRICTION = 0.3
 """Effort of a joint that moves freely [N·m]; no source gives it."""
 _CONTACT = 0.05
-"""Time that a motor must be blocked until that is a collision [s]; likewise."""
+"""Time for which a motor must be blocked to count as a collision [s]; no source gives it."""
 _ARM = 0.06
 """Distance from a digit's joint to its fingertip [m], about that of the maker's model."""
 _SPREAD = (0.05, 0.35, 0.35, 0.15, 0.05, 0.05)
-"""Parts of a fingertip's force that its six sensors feel: most on its inner side."""
+"""Shares of a fingertip's force on its six sensors: most on its inner side."""
 _INDEX, _ROTATOR = 0, 5
-"""Places of two motors in `codec.MOTORS`; the thumb's rotator does not react to collisions."""
+"""Indices of two motors in `codec.MOTORS`; the thumb's rotator does not react to collisions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,12 @@ class AbilityProperties:
 
     Attributes:
         address: Its address.
-        start: How far it is closed at power-up, 0 to 1.
+        start: Closure at power-up, 0 to 1.
         touch: Whether it has touch sensors.
-        fast: Fast mode: a reply has the form that the request before asked for.
+        fast: Fast mode: a reply has the variant that the previous request selected.
         alone: What it does by itself when it leaves API mode.
-        after_contact: Part of a digit's effort that is left after a collision.
-        haste: How much faster it moves than a real one.
+        after_contact: Share of a digit's effort limit that is left after a collision.
+        haste: Factor by which it moves faster than a real one.
         turnaround: Time between a request and its reply [s].
     """
 
@@ -84,7 +84,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     Attributes:
         properties: Its properties.
         axes: Its motors: angles of the joints on the wire [rad], efforts [N·m].
-        moves: Set-points taken.
+        moves: Number of set-points received.
         api: Whether it is in API mode.
         limited: Whether it limits a motor.
     """
@@ -93,7 +93,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction
     period = 0.05
-    """It leaves API mode by itself, also when nothing comes [s]."""
+    """Time between two steps [s]: it leaves API mode by itself, without any traffic."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class AbilityHandEmulator(Emulator, Grasps):
                 friction=_FRICTION,
                 resolution=1e-4,
             )
-            # Gears of several hundred to one: what was squeezed does not push a finger back.
+            # Gears of several hundred to one are self-locking.
             axis.self_locking = axis.enabled = True
             self.axes.append(axis)
         self.moves = 0
@@ -129,15 +129,14 @@ class AbilityHandEmulator(Emulator, Grasps):
         self._most = list(EFFORTS)
         self._variant = 1
         self._heard = -math.inf
-        self._now: float | None = None
         self._parser = CommandParser()
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        fitting = {name: options[name] for name in ("address", "turnaround") if name in options}
+        given = cls._given(options, "address", "turnaround")
         rate = int(options.get("baudrate", codec.BAUDRATES[0]))
-        return cls(read_properties(AbilityProperties, options, **fitting), baudrate=rate)
+        return cls(read_properties(AbilityProperties, options, **given), baudrate=rate)
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors of the five digits close."""
@@ -167,7 +166,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     # --- time --------------------------------------------------------------------------------
 
     def step(self, now: float) -> list[bytes]:
-        """Let time pass; the hand never sends unasked."""
+        """Let time pass; the hand never sends by itself."""
         self.advance(now)
         return []
 
@@ -179,11 +178,9 @@ class AbilityHandEmulator(Emulator, Grasps):
             if self.properties.alone == "open":
                 for axis, (low, high) in zip(self.axes, _RANGES, strict=True):
                     axis.target = min(low, high, key=abs)
-        if self._now is not None:
-            dt = max(0.0, now - self._now)
-            for motor in range(COUNT):
-                self._turn(motor, dt)
-        self._now = now
+        dt = self._elapsed(now)
+        for motor in range(COUNT):
+            self._turn(motor, dt)
 
     def _stay(self) -> None:
         for axis, speed in zip(self.axes, SPEEDS, strict=True):
@@ -226,16 +223,16 @@ class AbilityHandEmulator(Emulator, Grasps):
         for command in self._parser.feed(data):
             if command.address == self.properties.address and self._obey(command, now):
                 if "wrong_device" in self.faults:
-                    # Well framed, and of a length that no reply of an Ability Hand has.
+                    # A valid frame with a length that no reply of an Ability Hand has.
                     replies.append(Command(0x10, Header.READ).to_bytes())
                 else:
-                    replies.append(self.reply(self._form(command.header)).to_bytes())
+                    replies.append(self.reply(self._reply_variant(command.header)).to_bytes())
         return replies
 
-    def _form(self, header: int) -> int:
+    def _reply_variant(self, header: int) -> int:
         """Return the variant of the reply to a command."""
         asked = header & 0x0F
-        # A header without a form of its own is answered in the form used last.
+        # A header that selects no variant is answered in the last one.
         known = header & 0xF0 in (*SET_POINTS, Header.READ) and asked < codec.NO_TOUCH
         before, self._variant = self._variant, asked + 1 if known else self._variant
         return before if self.properties.fast else self._variant
@@ -264,7 +261,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         if kind == Header.POSITION:
             axis.target = min(max(codec.angle(word), low), high)
             return
-        # An axis knows only positions: a velocity or torque aims at the end it leads to.
+        # An axis has only position targets: a velocity or torque aims at the end of the range.
         axis.target = axis.position if word == 0 else (high if word > 0 else low)
         if kind == Header.VELOCITY:
             axis.max_velocity = min(abs(codec.rate(word)) * self.properties.haste, fastest)
@@ -273,11 +270,11 @@ class AbilityHandEmulator(Emulator, Grasps):
         if kind == Header.CURRENT:
             torque = abs(codec.effort(word, motor))
         self._most[motor] = min(torque, strongest)
-        # As fast as the largest effort moves it at the largest speed, in proportion.
+        # In proportion: the largest effort moves it at the largest speed.
         axis.max_velocity = fastest * self._most[motor] / strongest
 
     def reply(self, variant: int) -> Reply:
-        """Return what it measures, in a variant of the reply."""
+        """Return its measurements, in a variant of the reply."""
         currents = tuple(
             round(axis.effort / codec.TORQUES[motor] * codec.AMPERE)
             for motor, axis in enumerate(self.axes)

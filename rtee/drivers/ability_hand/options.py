@@ -14,7 +14,7 @@ from rtee.types import DeviceSpec
 Motor = Literal["index", "middle", "ring", "pinky", "thumb_flexor", "thumb_rotator"]
 
 _ROTATES = ("rot", "yaw", "oppos", "abduct")
-"""Parts of names by which the motor that turns the thumb is recognised."""
+"""Parts of names that identify the motor that rotates the thumb."""
 
 
 class AbilityHandOptions(DeviceOptions):
@@ -38,7 +38,7 @@ class AbilityHandOptions(DeviceOptions):
         "velocities, touch (default with `mode: current`); 3 positions, currents, velocities",
     )
     touch: bool = Field(
-        True, description="whether it has touch sensors; one without tells that nothing touches"
+        True, description="whether it has touch sensors; a hand without them reports no touch"
     )
     motors: dict[str, Motor] = Field(
         default_factory=dict,
@@ -65,7 +65,7 @@ class AbilityHandOptions(DeviceOptions):
     @model_validator(mode="after")
     def _replies_fit(self) -> Self:
         if self.mode == "current" and self.reply == 1:
-            raise ValueError("reply 1 tells no velocities, which `mode: current` needs: 2 or 3")
+            raise ValueError("reply 1 has no velocities, which `mode: current` needs: 2 or 3")
         return self
 
     @property
@@ -80,7 +80,7 @@ class AbilityHandOptions(DeviceOptions):
 
 
 def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its place in `MOTORS`.
+    """Return the motor of each actuator, by its index in `MOTORS`.
 
     Raises:
         ConfigError: if an actuator has none, or two have the same.
@@ -89,7 +89,7 @@ def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
 
 
 def _motor_of(name: str) -> str:
-    """Return the motor that an actuator's name speaks of; empty if it speaks of none."""
+    """Return the motor that an actuator's name suggests; empty if it suggests none."""
     lowered = name.lower()
     if "thumb" in lowered:
         turns = any(word in lowered for word in _ROTATES)

@@ -25,7 +25,7 @@ class AllegroFrameError(ValueError):
 
 
 class Command(IntEnum):
-    """The subject of a frame: its identifier without the two bits of the hand's number."""
+    """Commands: the identifier of a frame without the two bits of the hand's number."""
 
     FINGER_POSE = 0x20
     IMU = 0x30
@@ -49,12 +49,12 @@ def split(can_id: int) -> tuple[int, int]:
 
 
 def request(command: Command, hand: int = 0) -> CanFrame:
-    """Return the frame that asks a hand for something."""
+    """Return the frame that requests data from a hand."""
     return CanFrame(identifier(command, hand), remote=True)
 
 
 def order(command: Command, hand: int = 0) -> CanFrame:
-    """Return a frame that carries nothing but its command."""
+    """Return a command frame without data."""
     return CanFrame(identifier(command, hand))
 
 
@@ -89,13 +89,13 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class HandInfo:
-    """Information that a hand reports about itself.
+    """The identity and status that a hand reports.
 
     Attributes:
         hardware: Hardware version; its high byte is the hand's version.
         firmware: Firmware version.
-        handedness: 0 right, else left; only version 4 means it.
-        temperature: [°C]
+        handedness: 0: right, else left; valid only in version 4.
+        temperature: Temperature [°C].
         status: Servo, over-temperature, internal communication.
     """
 
@@ -129,9 +129,9 @@ class HandInfo:
 
 
 def side_of(info: HandInfo, serial: str) -> str:
-    """Return ``left`` or ``right``, or nothing where the hand says neither.
+    """Return ``left`` or ``right``; empty if the hand does not report it.
 
-    Version 4 says it in its information, version 5 in its serial number.
+    Version 4 reports it in its information, version 5 in its serial number.
     """
     if info.version == 4:
         return "left" if info.handedness else "right"
@@ -141,7 +141,7 @@ def side_of(info: HandInfo, serial: str) -> str:
 
 def pack_counts(values: Sequence[float]) -> bytes:
     """Return four joints' values as the hand's 16-bit counts, clamped into their range."""
-    # int() rounds towards zero: never more torque than asked for.
+    # int() rounds towards zero, so that the torque is never greater than commanded.
     return _INT16.pack(*(min(max(int(v), -32768), 32767) for v in values))
 
 

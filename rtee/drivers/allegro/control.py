@@ -1,4 +1,4 @@
-"""The joint controller of a torque-driven hand: PD about a reference, and I at rest. No I/O."""
+"""The joint controller of a torque-controlled hand: PD, with an integral term at rest. No I/O."""
 
 from __future__ import annotations
 
@@ -8,33 +8,34 @@ from collections.abc import Sequence
 from rtee.drivers.allegro.codec import FINGERS, JOINTS, LIMITS_PWM, PER_FINGER, Scale
 
 _AT_REST = 0.05
-"""A reference that moves no faster is at rest [rad/s]."""
+"""Largest speed of a reference that counts as at rest [rad/s]."""
 _STILL = 0.2
-"""A joint that moves no faster is held by friction, or will soon be [rad/s]."""
+"""Largest speed of a joint that is held by friction, or will soon be [rad/s]."""
 _GAP = 0.1
-"""After a longer gap frames were lost [s]: neither a velocity nor an integral follows from it."""
+"""Longest time between two sets of frames [s]; after a longer one, frames were lost, and neither
+velocity nor integral can be computed."""
 _CLOSE = 0.002
-"""A smaller error is left alone [rad]: the integral would only make the joint hunt for it."""
+"""Error below which the integral does not grow [rad], as it would only make the joint oscillate."""
 
 
 class JointControl:
-    """Positions in, torques out, once per complete set of the hand's position frames.
+    """Computes torques from positions, once per complete set of the hand's position frames.
 
-    The integral is there for friction and weight, which keep a joint from its reference for good.
-    It grows only where they do: at a reference at rest, while the joint hardly moves. Grown on the
-    way, it would carry the joint past the end, where friction holds it.
+    The integral compensates friction and weight, which leave a permanent error. It grows only while
+    the reference is at rest and the joint hardly moves: if it grew during a motion, the joint would
+    overshoot, and friction would hold it there.
 
     Lists are in the order of the wire. Joints without a reference get no torque.
 
     Attributes:
         kp: Stiffness [N·m/rad].
         kd: Damping [N·m·s/rad].
-        ki: Integral gain [N·m/(rad·s)], against friction and weight.
+        ki: Integral gain [N·m/(rad·s)].
         position: Measured angles [rad].
         velocity: Filtered velocities [rad/s].
         torque: Torques sent last [N·m].
         stamp: When the last set was complete [s].
-        sets: Complete sets so far.
+        sets: Number of complete sets so far.
     """
 
     def __init__(
@@ -59,9 +60,9 @@ class JointControl:
         self.stamp = -math.inf
         self.sets = 0
         self._smoothing = smoothing
-        # Nine tenths: a set that is only a little early keeps its own time.
+        # Nine tenths, so that a set that is only a little early keeps its time stamp.
         self._least = 0.9 * period
-        # The frames of a set follow one another: half a period without one parts two sets.
+        # The frames of a set arrive together: half a period without a frame separates two sets.
         self._pause = 0.5 * period if period else math.inf
         self._heard = -math.inf
         self._parted = False
@@ -75,35 +76,35 @@ class JointControl:
         self._fresh: dict[int, tuple[float, ...]] = {}
 
     def refer(self, joint: int, angle: float | None, rate: float = 0.0) -> None:
-        """Set where a joint goes [rad] and how fast its reference moves [rad/s]; ``None``: limp."""
+        """Set the reference of a joint [rad] and its velocity [rad/s]; ``None``: no torque."""
         self._reference[joint] = angle
         self._rate[joint] = rate
 
     def limit(self, joint: int, torque: float) -> None:
-        """Limit a joint's torque [N·m]; never above what the hand bears."""
+        """Limit a joint's torque [N·m], within the hand's own limit."""
         self._limit[joint] = min(abs(torque), self._most[joint])
 
     def limp(self) -> None:
-        """Let every joint go."""
+        """Remove the references of all joints, so that they get no torque."""
         self._reference = [None] * JOINTS
         self._integral = [0.0] * JOINTS
 
     def receive(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
-        """Take one finger's positions; with the set complete, return the counts of all torques.
+        """Receive one finger's positions; if the set is complete, return the counts of all torques.
 
         Args:
-            finger: 0 to 3.
-            counts: Its four joints.
-            stamp: When they came [s].
+            finger: The finger, 0 to 3.
+            counts: Positions of its four joints [counts].
+            stamp: When they arrived [s].
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
         if pause and self._fresh and not self._parted:
-            # It began amid the frames of a set, since one was lost: the next one would, too.
+            # After a lost frame a set began amid another one, and so would all that follow.
             self._fresh.clear()
         if not self._fresh:
             self._parted = pause
         self._fresh[finger] = tuple(self.scale.to_rad(count) for count in counts)
-        # All four, so that the torques of one moment belong to positions of one moment.
+        # All four, so that all torques follow from positions of the same time.
         if len(self._fresh) < FINGERS:
             return None
         measured = [angle for f in range(FINGERS) for angle in self._fresh[f]]
@@ -114,11 +115,11 @@ class JointControl:
     def _measure(self, measured: list[float], stamp: float) -> None:
         dt = stamp - self.stamp
         if dt < self._least:
-            # The hand sends no faster: these have waited in this computer, and then came at once.
+            # The hand does not send faster, so these frames were delayed in this computer.
             dt = self._least
         self._period = dt if 0.0 < dt < _GAP else 0.0
         if self._period and self.sets:
-            # By the time that has passed, since sets come unevenly and some are lost.
+            # With the time that has passed, since sets arrive unevenly and some are lost.
             share = dt / (dt + self._smoothing)
             for i, angle in enumerate(measured):
                 rate = (angle - self.position[i]) / dt
@@ -142,7 +143,7 @@ class JointControl:
                     self._integral[i] = min(max(grown, -bound), bound)
                 torque = self.kp * error + self.kd * (rate - velocity)
                 torque += self._integral[i]
-                # Last: the sum of all terms must keep the limit, not each of them.
+                # At the end, since the limit applies to the sum of all terms.
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
             counts.append(int(torque * self.scale.pwm_per_torque))

@@ -1,4 +1,4 @@
-"""Drives a Wonik Allegro Hand over CAN: the hand takes torques, so the joint control is here."""
+"""Drives a Wonik Allegro Hand over CAN; the hand accepts torques, so the joint control is here."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _STALE = 0.25
-"""Positions older than this count as lost [s]: more than eighty of the hand's periods."""
+"""Age of the positions at which they count as lost [s]: more than eighty of the hand's periods."""
 
 _SERVO_OFF = 0x100
-"""Code of the fault that the motors are off, the driver's own: the hand's status has eight bits."""
+"""Code of the fault "motors off": the driver's own, above the eight status bits of the hand."""
 
 _PAUSE = 0.0005
 """Pause after switching the motors [s]; the vendor's driver waits 0.1 ms."""
@@ -56,11 +56,11 @@ _PAUSE = 0.0005
 class AllegroDriver(Driver):
     """An Allegro Hand, version 4 or 5.
 
-    The hand sends its positions by itself every 2 or 3 ms and drives its joints with the torques it
-    was sent last. So the joint control (PD about the reference) runs here, once per set of position
-    frames, in the event loop and apart from the cycle of sense and move: `move` changes its
-    reference, `sense` returns what it measured last. The hand cannot hold anything by itself;
-    without the control it is switched off.
+    The hand sends its positions by itself every 2 or 3 ms and applies the torques that it received
+    last. So the joint control (PD with an integral) runs here, once per set of position frames, in
+    the event loop and independent of the cycle of `sense` and `move`: `move` changes its reference,
+    `sense` returns its newest measurement. The hand cannot hold anything by itself; without the
+    control it is switched off.
 
     Attributes:
         control: The joint control.
@@ -76,7 +76,7 @@ class AllegroDriver(Driver):
         self._info: HandInfo | None = None
         self._count = 0
         self._driving = False
-        self._told = -1
+        self._returned = -1
         self.control = self._controller(self.options.version or 4)
         self.capabilities = Capabilities(
             measures=frozenset({"position", "velocity", "effort", "temperature"}),
@@ -105,8 +105,8 @@ class AllegroDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the bus, identify the hand and have it send its positions; no torque is sent."""
-        # Opening closes the bus as well, but only this makes a hand that still hears go limp.
+        """Open the bus, identify the hand and start its position frames; no torque is sent."""
+        # Opening closes the bus, too, but only this makes a hand that still receives go limp.
         await self.close()
         options = self.options
         link = await self.connection.open(
@@ -121,9 +121,9 @@ class AllegroDriver(Driver):
         )
         info, serial = await self._identify(link)
         version = info.version if options.version is None else options.version
-        # Made anew, so that no position of an earlier connection counts as measured.
+        # A new one, so that no position of an earlier connection counts as measured.
         self.control = self._controller(version)
-        link.listen(self._take)
+        link.listen(self._receive)
         await link.set_periods(Periods(self._period(version)))
         await self._first_set()
         self.capabilities = replace(
@@ -168,20 +168,20 @@ class AllegroDriver(Driver):
             await asyncio.sleep(0.002)
 
     async def activate(self) -> None:
-        """Switch the motors on and hold the measured pose."""
+        """Switch the motors on and hold the measured posture."""
         self._hold()
         try:
             await self.connection.link.order(Command.SYSTEM_ON)
             await asyncio.sleep(_PAUSE)
-            # Before the check: only then does it notice motors that have stayed off.
+            # Before the check, which reports motors that have stayed off only while driving.
             self._driving = True
             self._refuse(await self.connection.link.info(patient=True))
         except BaseException:
-            # Cut short, too: a hand that does not count as active must not be driven.
+            # Also on cancellation: a hand that is not active must not be driven.
             with contextlib.suppress(BusError):
-                self._let_go()
+                self._go_limp()
             raise
-        # Again: a limp hand may have sunk while its motors were switched on.
+        # Again, since a limp hand may have sunk while its motors were switched on.
         self._hold()
 
     async def examine(self) -> str:
@@ -195,23 +195,23 @@ class AllegroDriver(Driver):
 
     async def deactivate(self) -> None:
         """Send no torque, then switch the motors off."""
-        self._let_go()
+        self._go_limp()
         if self.connection.is_open:
             await self.connection.link.order(Command.SYSTEM_OFF)
 
-    def _let_go(self) -> None:
-        """End the control and send no torque; raises `BusError`."""
+    def _go_limp(self) -> None:
+        """End the control and send zero torques; raises `BusError`."""
         self._driving = False
         self.control.limp()
         if self.connection.is_open:
-            # The hand may keep its last torques and apply them when it is switched on again.
+            # The hand may store its last torques and apply them when it is switched on again.
             self.connection.link.torques([[0] * (JOINTS // FINGERS)] * FINGERS)
 
     async def close(self) -> None:
-        """Switch the hand off, silence it and give the bus back."""
+        """Switch the hand off, stop its position frames and detach from the bus."""
         if self.connection.is_open:
             link = self.connection.link
-            # First, so that no more torques are computed from positions that still come in.
+            # First, so that no more torques are computed from positions that still arrive.
             link.deafen()
             with contextlib.suppress(BusError):
                 if self._driving:
@@ -222,10 +222,10 @@ class AllegroDriver(Driver):
 
     # --- the joint control -------------------------------------------------------------------
 
-    def _take(self, finger: int, counts: Sequence[int], stamp: float) -> None:
+    def _receive(self, finger: int, counts: Sequence[int], stamp: float) -> None:
         torques = self.control.receive(finger, counts, stamp)
         if torques is not None and self._driving and self.connection.is_open:
-            # The bus calls this and could do nothing about it; `sense` reports a broken bus.
+            # The caller is the bus, which cannot handle the error; `sense` reports a broken bus.
             with contextlib.suppress(BusError):
                 self.connection.link.torques(torques)
 
@@ -241,7 +241,7 @@ class AllegroDriver(Driver):
         control = self.control
         if time.monotonic() - control.stamp > _STALE:
             raise BusTimeout(bus.name, f"no positions for more than {_STALE:g} s")
-        fresh, self._told = control.sets != self._told, control.sets
+        fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info
         temperature = math.nan if info is None else float(info.temperature)
         state = ActuatorState.measured(
@@ -265,7 +265,7 @@ class AllegroDriver(Driver):
                 )
 
     def _refuse(self, info: HandInfo) -> None:
-        """Take what the hand says about itself; raises `DeviceFault` if it is at fault."""
+        """Store the hand's information; raises `DeviceFault` if it reports a fault."""
         self._info = info
         faults = [
             (Status.OVER_TEMPERATURE, "over-temperature", "let it cool down, then `rtee recover`"),
@@ -275,7 +275,7 @@ class AllegroDriver(Driver):
             if info.status & bit:
                 self._driving = False
                 raise DeviceFault(self.spec.name, int(bit), name, hint=hint)
-        # Its supply was cut: it answers again, but its motors stay off until they are switched on.
+        # After a power cycle it answers again, but its motors stay off until they are switched on.
         if self._driving and not info.status & Status.SERVO_ON:
             self._driving = False
             raise DeviceFault(
@@ -296,20 +296,20 @@ class AllegroDriver(Driver):
         self.control.kd = max(0.0, gains.get("kd", self.control.kd))
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         self._hold()
 
     async def disable(self) -> None:
-        """Send no torque and switch the motors off."""
+        """Send zero torques and switch the motors off."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Switch the hand off and on, which clears what can be cleared; it stays limp."""
+        """Switch the hand off and on, which clears faults whose cause is gone; it stays limp."""
         link = self.connection.link
         await self.deactivate()
         await asyncio.sleep(_PAUSE)
-        # A hand whose supply was cut has forgotten them and sends nothing.
+        # A hand after a power cycle has lost its periods and sends nothing.
         await link.set_periods(Periods(self._period(self.control.scale.version)))
         await link.order(Command.SYSTEM_ON)
         await asyncio.sleep(_PAUSE)

@@ -1,6 +1,6 @@
-"""Emulates an Allegro Hand on a CAN bus: sixteen joints under torques that send their positions.
+"""Emulates an Allegro Hand on a CAN bus: sixteen torque-controlled joints that send positions.
 
-What the hand does when torques stop coming is not known; here it is an option.
+What the hand does when it receives no more torques is not known; here it is a property.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 
 _STEP = 0.0005
-"""Longest step of the integration [s]: a joint against an object swings with some 30 ms."""
+"""Longest integration step [s]: a joint against an object oscillates with a period of 30 ms."""
 
 _MOST_STEPS = 400
-"""Most steps at once; a longer pause is integrated coarsely instead of holding up the bus."""
+"""Largest number of steps at once; a longer pause is integrated in longer steps, so that it does
+not delay the bus."""
 
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
@@ -53,14 +54,14 @@ class AllegroProperties:
         hand: Its number on the bus, 0 to 3.
         version: 4 or 5.
         left: Whether it is a left hand.
-        serial: Its serial number, eight characters; by default one that names its side, and of a
-            version 5 its type, where the vendor's program looks for them.
-        torque_timeout: Torques count for this long [s]; 0: until the next.
-        inertia: Of a joint [kg·m²].
-        damping: Of a joint [N·m·s/rad].
-        friction: Of a joint [N·m].
+        serial: Its serial number, eight characters; by default one with its side and, in version 5,
+            its type, where the vendor's program looks for them.
+        torque_timeout: Time for which a torque is applied [s]; 0: until the next one.
+        inertia: Inertia of a joint [kg·m²].
+        damping: Damping of a joint [N·m·s/rad].
+        friction: Friction of a joint [N·m].
         start: Angle of all joints at power-up [rad].
-        closed: Angle of a finger's flexing joints when it is closed, as an object meets it [rad].
+        closed: Angle of the flexing joints of a closed finger, for objects [rad].
         hot: Temperature at which it switches off [°C].
     """
 
@@ -105,7 +106,7 @@ class _Joint:
         direction = self.velocity if self.velocity else push
         push -= math.copysign(drag, direction)
         velocity = self.velocity + dt * push / made.inertia
-        # Friction stops a joint; it never drives it the other way.
+        # Friction stops a joint but never drives it in the opposite direction.
         if self.velocity and velocity * self.velocity < 0.0 and abs(push) <= 2.0 * drag:
             velocity = 0.0
         self.velocity = velocity
@@ -120,12 +121,12 @@ class AllegroEmulator(Emulator, Grasps):
     """The hand.
 
     Attributes:
-        properties: What it is like.
+        properties: Its properties.
         joints: Its joints, in the order of the wire.
-        periods: What it sends by itself, and how often.
+        periods: Periods at which it sends data by itself.
         servo: Whether its motors are on.
-        temperature: [°C]
-        frames: Frames taken, by command.
+        temperature: Temperature [°C].
+        frames: Number of frames received, by command.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
@@ -140,7 +141,6 @@ class AllegroEmulator(Emulator, Grasps):
         self.joints = [_Joint(made.start, -0.8, 2.2) for _ in range(JOINTS)]
         self.frames: dict[int, int] = {}
         self.temperature = 30.0
-        self._now: float | None = None
         self.power_cycle(0.0)
 
     @classmethod
@@ -151,7 +151,7 @@ class AllegroEmulator(Emulator, Grasps):
         return cls(read_properties(AllegroProperties, options, hand=hand, version=version))
 
     def power_cycle(self, now: float) -> None:
-        """Restart: motors off, silent until asked."""
+        """Restart with the motors off, silent until a request."""
         self.servo = False
         self.periods = Periods()
         self._fault = Status(0)
@@ -180,7 +180,7 @@ class AllegroEmulator(Emulator, Grasps):
             joint.torque = 0.0
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close: all joints but the first of each, which turns it aside."""
+        """Return how the fingers close: with all joints but the first of each, which spreads it."""
         closed = self.properties.closed
         return [
             Closing(joint, 0.0, closed, _STRONG)
@@ -200,13 +200,12 @@ class AllegroEmulator(Emulator, Grasps):
         if not self.periods.joints or now < self._next or "silent" in self.faults:
             return []
         period = self.periods.joints / 1000.0
-        # From the last one, so that the rate holds; after a pause, no burst of old ones.
+        # From the last due time, to keep the rate; after a pause, without a burst of old frames.
         self._next = max(self._next + period, now)
         return [self._pose(finger) for finger in range(FINGERS)]
 
     def _advance(self, now: float) -> None:
-        dt = 0.0 if self._now is None else max(0.0, now - self._now)
-        self._now = now if self._now is None else max(now, self._now)
+        dt = self._elapsed(now)
         timeout = self.properties.torque_timeout
         if timeout and now - self._torque_at > timeout:
             for joint in self.joints:
@@ -232,21 +231,21 @@ class AllegroEmulator(Emulator, Grasps):
     # --- frames ------------------------------------------------------------------------------
 
     def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Take a frame from the bus and return the answer, if any."""
+        """Receive a frame from the bus and return the answer, if any."""
         self._advance(now)
         command, hand = codec.split(frame.id)
         if frame.extended or hand != self.properties.hand or "silent" in self.faults:
             return []
         self.frames[command] = self.frames.get(command, 0) + 1
         if frame.remote:
-            return self._tell(command)
+            return self._report(command)
         try:
             self._obey(command, frame.data, now)
         except AllegroFrameError:
             return []
         return []
 
-    def _tell(self, command: int) -> list[CanFrame]:
+    def _report(self, command: int) -> list[CanFrame]:
         made = self.properties
         if command == Command.HAND_INFO:
             status = self._fault | (Status.SERVO_ON if self.servo else Status(0))

@@ -1,4 +1,4 @@
-"""One Allegro Hand on a CAN bus: requests, commands, and the positions that it sends by itself."""
+"""An Allegro Hand on a CAN bus: requests, commands, and the positions that it sends by itself."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rtee.drivers.allegro.codec import (
 )
 
 PATIENCE = 6.0
-"""What does not belong to a cycle may take this many deadlines."""
+"""Longest time for an exchange outside the cycle [deadlines]."""
 
-Take = Callable[[int, Sequence[int], float], object]
-"""Takes a finger's number, its four joints' counts and when they came [s]."""
+OnPositions = Callable[[int, Sequence[int], float], object]
+"""Called with a finger's number, the counts of its four joints and their time of arrival [s]."""
 
 
 class AllegroLink:
@@ -47,12 +47,12 @@ class AllegroLink:
         return await self.bus.request(codec.request(command, self.hand), answers, within, retries=2)
 
     async def info(self, *, patient: bool = False) -> HandInfo:
-        """Return what the hand says about itself; raises `BusError`."""
+        """Return the hand's information; raises `BusError`."""
         within = PATIENCE * self.deadline if patient else self.deadline
         return HandInfo.from_bytes((await self._ask(Command.HAND_INFO, 7, within)).data)
 
     async def serial(self) -> str:
-        """Return the hand's serial number, patiently; raises `BusError`."""
+        """Return the hand's serial number; raises `BusError`."""
         frame = await self._ask(Command.SERIAL, 1, PATIENCE * self.deadline)
         return frame.data.decode("ascii", "replace").strip("\x00 ")
 
@@ -61,37 +61,37 @@ class AllegroLink:
         await self.bus.send(codec.order(command, self.hand))
 
     async def set_periods(self, periods: Periods) -> None:
-        """Set how often the hand sends what by itself; raises `BusError`."""
+        """Set the periods at which the hand sends data by itself; raises `BusError`."""
         await self.bus.send(periods.to_frame(self.hand))
 
     def torques(self, counts: Sequence[Sequence[int]]) -> None:
         """Send the torques of all fingers; raises `BusError`."""
         for finger, four in enumerate(counts):
             number = identifier(Command.SET_TORQUE + finger, self.hand)
-            # At once, since this runs in a callback, where nothing can be awaited.
+            # Without waiting, since this runs in a callback, which cannot await.
             self.bus.send_now(CanFrame(number, codec.pack_counts(four)))
 
-    def listen(self, take: Take) -> None:
-        """Pass the positions that the hand sends to a function, until `deafen`."""
+    def listen(self, on_positions: OnPositions) -> None:
+        """Call a function with the positions that the hand sends, until `deafen`."""
         for finger in range(FINGERS):
             number = identifier(Command.FINGER_POSE + finger, self.hand)
-            self._undo.append(self.bus.subscribe(_taking(finger, take), number))
+            self._undo.append(self.bus.subscribe(_reader(finger, on_positions), number))
 
     def deafen(self) -> None:
-        """Pass no more positions on; idempotent."""
+        """Stop calling the function; idempotent."""
         for undo in self._undo:
             undo()
         self._undo.clear()
 
 
-def _taking(finger: int, take: Take) -> Callable[[CanFrame], None]:
-    def hear(frame: CanFrame) -> None:
+def _reader(finger: int, on_positions: OnPositions) -> Callable[[CanFrame], None]:
+    def read(frame: CanFrame) -> None:
         if frame.remote:
             return
         try:
             counts = codec.read_counts(frame.data)
         except AllegroFrameError:
             return
-        take(finger, counts, frame.stamp)
+        on_positions(finger, counts, frame.stamp)
 
-    return hear
+    return read

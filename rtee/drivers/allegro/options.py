@@ -22,17 +22,17 @@ class AllegroOptions(DeviceOptions):
         channel: CAN channel, for example ``can0``.
         interface: python-can interface.
         hand: The hand's number on the bus.
-        version: 4 or 5; by default as the hand says.
+        version: 4 or 5; by default as the hand reports.
         side: ``left`` or ``right``; a hand of the other side is refused.
         joints: Joint on the wire, 0 to 15, of each actuator; by default in their order.
         period: Period of the hand's position frames [ms]; by default 3 (version 4) or 2 (5).
         kp: Stiffness of the joints [N·m/rad].
         kd: Damping of the joints [N·m·s/rad].
         ki: Integral gain of the joints [N·m/(rad·s)], against friction and weight; 0: none.
-        max_integral: Torque that the integral may add [N·m].
-        max_torque: Torque not to be exceeded [N·m], besides the hand's own limits.
+        max_integral: Largest torque of the integral [N·m].
+        max_torque: Largest torque [N·m], besides the hand's own limits.
         smoothing: Time constant of the velocity filter [s].
-        info_every: Temperature and faults are asked for once in this many exchanges.
+        info_every: Number of exchanges after which temperature and faults are read.
         deadline: Longest time to wait for an answer [s].
     """
 

@@ -9,9 +9,9 @@ from typing import Self
 
 from rtee.buses.emulator import CanFrame
 
-# The predefined connection set: identifiers, to which the node id is added.
+# Identifiers of the predefined connection set, to which the node id is added (CiA 301, 7.3.3).
 SYNC = 0x080
-EMERGENCY = 0x080  # function codes of the pre-defined connection set (CiA 301, section 7.3.3)
+EMERGENCY = 0x080
 NMT = 0x000
 HEARTBEAT = 0x700
 SDO_ANSWER = 0x580
@@ -19,17 +19,17 @@ SDO_REQUEST = 0x600
 TPDO = (0x180, 0x280, 0x380, 0x480)
 RPDO = (0x200, 0x300, 0x400, 0x500)
 NODES = 127
-"""Largest node id; ids count from 1."""
+"""Largest node id; the smallest is 1."""
 FULL = 8
-"""Bytes of a classic CAN frame that is full, as those of SDO and of emergency messages are."""
+"""Data bytes of a full classic CAN frame, such as all SDO and emergency frames."""
 SPECIFIER = 5
-"""Bits below the command specifier in the first byte of an SDO frame."""
+"""Number of bits below the command specifier in the first byte of an SDO frame."""
 DISABLED = 0x8000_0000
-"""Bit of a PDO's COB-ID: it does not exist."""
+"""Bit of a PDO's COB-ID that disables the PDO."""
 
 
 class CanopenFrameError(ValueError):
-    """A frame whose data does not fit its purpose."""
+    """A frame with invalid data."""
 
 
 class NmtCommand(IntEnum):
@@ -61,12 +61,12 @@ class NmtState(IntEnum):
 
 
 def nmt(command: NmtCommand, node: int = 0) -> CanFrame:
-    """Return the frame that commands a node, or all (0)."""
+    """Return the frame that commands a node, or all nodes (0)."""
     return CanFrame(NMT, bytes([command, node]))
 
 
 def heartbeat(node: int, state: NmtState) -> CanFrame:
-    """Return a node's heartbeat; `NmtState.BOOT` announces that it has started."""
+    """Return a node's heartbeat; with `NmtState.BOOT`, its boot-up message."""
     return CanFrame(HEARTBEAT + node, bytes([state]))
 
 
@@ -83,9 +83,9 @@ class Emergency:
     """An emergency message.
 
     Attributes:
-        code: The error, 0 when it is over.
+        code: The error code; 0: the error is over.
         register: The error register.
-        vendor: Five bytes of the manufacturer's.
+        vendor: Five manufacturer-specific bytes.
     """
 
     code: int
@@ -93,7 +93,7 @@ class Emergency:
     vendor: bytes = bytes(5)
 
     def to_frame(self, node: int) -> CanFrame:
-        """Return the frame a node sends."""
+        """Return the frame that a node sends."""
         data = struct.pack("<HB", self.code, self.register) + self.vendor
         return CanFrame(EMERGENCY + node, data)
 
@@ -126,12 +126,12 @@ class Abort(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sdo:
-    """One SDO frame's data: command, object, and four bytes.
+    """The data of an SDO frame: command, object, and four bytes.
 
     Attributes:
         command: Its first byte.
-        index: The object.
-        subindex: Its part.
+        index: Index of the object.
+        subindex: Subindex of the object.
         data: Four bytes: the value, the length or the abort code.
     """
 
@@ -142,9 +142,8 @@ class Sdo:
 
     def to_bytes(self) -> bytes:
         """Return the eight bytes."""
-        return struct.pack("<BHB", self.command, self.index, self.subindex) + self.data[:4].ljust(
-            4, b"\x00"
-        )
+        head = struct.pack("<BHB", self.command, self.index, self.subindex)
+        return head + self.data[:4].ljust(4, b"\x00")
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -156,8 +155,8 @@ class Sdo:
 
     @property
     def size(self) -> int:
-        """Bytes of an expedited transfer's value."""
-        # Bit 0 says whether the size is given, bits 2 and 3 how many bytes are not used.
+        """Number of bytes of an expedited transfer's value."""
+        # If bit 0 is set, bits 2 and 3 are the number of unused bytes.
         return 4 - (self.command >> 2 & 0x3) if self.command & 0x1 else 4
 
     @classmethod
@@ -203,7 +202,7 @@ EMERGENCIES: dict[int, str] = {
     0x8210: "PDO of a wrong length",
     0x8611: "following error",
 }
-# What the first digit of an error code means where the code itself is not known.
+# Meanings of the first digit of an error code, for unknown codes.
 _CLASSES: dict[int, str] = {
     0x1: "generic", 0x2: "current", 0x3: "voltage", 0x4: "temperature", 0x5: "hardware",
     0x6: "software", 0x7: "additional modules", 0x8: "monitoring", 0x9: "external",
@@ -212,7 +211,7 @@ _CLASSES: dict[int, str] = {
 
 
 _VENDOR = 0xFF00
-"""Error codes from here on are the device manufacturer's (CiA 301, table of emergency codes)."""
+"""First of the manufacturer-specific error codes (CiA 301, table of emergency error codes)."""
 
 
 def emergency_name(code: int) -> str:
@@ -241,11 +240,11 @@ _REGISTERS: dict[int, ErrorRegister] = {
 
 
 def error_register(code: int) -> int:
-    """Return the error register that goes with an error code; 0 for none."""
+    """Return the error register for an error code; 0 for none."""
     if not code:
         return 0
     register = ErrorRegister.GENERIC | _REGISTERS.get(code >> 12, ErrorRegister(0))
-    # The second digit distinguishes errors of communication, too.
+    # The second digit distinguishes communication errors.
     if code >> 8 in (0x81, 0x82):
         register |= ErrorRegister.COMMUNICATION
     elif code >> 8 in (0x84, 0x85, 0x86):  # velocity, torque and position control

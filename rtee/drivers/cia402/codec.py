@@ -1,4 +1,4 @@
-"""CiA 402's words: states, controlwords, modes, objects, process data and units. No I/O."""
+"""CiA 402: states, controlwords, modes, objects, process data and units. No I/O."""
 
 from __future__ import annotations
 
@@ -77,17 +77,17 @@ class State(Enum):
 
     @classmethod
     def of(cls, statusword: int) -> State:
-        """Return the state in a statusword; one that fits none counts as not ready."""
+        """Return the state in a statusword; an invalid one counts as not ready."""
         for state in cls:
             mask, value = state.value
-            # Each state has a mask of its own: some bits do not matter in some states.
+            # Each state has its own mask, as some bits do not matter in some states.
             if statusword & mask == value:
                 return state
         return cls.NOT_READY
 
 
 class StatusBit(IntFlag):
-    """Bits of the statusword beside the state."""
+    """Bits of the statusword besides the state."""
 
     VOLTAGE = 1 << 4
     WARNING = 1 << 7
@@ -110,24 +110,24 @@ class Control(IntEnum):
     FAULT_RESET = 0x80
 
 
-# Bits of the controlword beside those that change the state; 4 to 6 depend on the mode.
+# Further bits of the controlword; 4 to 6 depend on the mode of operation (CiA 402-2).
 NEW_SET_POINT = 0x10
-CHANGE_NOW = 0x20  # bits of the controlword in the modes of operation (CiA 402-2)
+CHANGE_NOW = 0x20
 RELATIVE = 0x40
 HALT = 0x100
 HOMING_START = 0x10
 
 
 def next_control(state: State) -> Control | None:
-    """Return the controlword that brings a drive one state nearer to being enabled.
+    """Return the controlword for the next transition towards the enabled state.
 
-    ``None`` when it is enabled, in fault (which takes a decision), or busy by itself.
+    ``None``: the drive is enabled, in fault (whose reset is a separate decision), or in transition.
     """
     return {
         State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
         State.READY: Control.SWITCH_ON,
         State.SWITCHED_ON: Control.ENABLE,
-        # Back to the beginning: not every drive can go on from a quick stop.
+        # Back to the beginning, since not every drive can continue from a quick stop.
         State.QUICK_STOP: Control.DISABLE_VOLTAGE,
     }.get(state)
 
@@ -137,7 +137,7 @@ class Pdo:
 
     Attributes:
         FORM: Layout of the data.
-        MAP: The mapped objects: index, subindex and bits, as in objects 1600h and 1A00h.
+        MAP: The mapped objects as index, subindex and bits, as in objects 1600h and 1A00h.
     """
 
     __slots__ = ()
@@ -231,7 +231,7 @@ class Scale:
 
     Attributes:
         counts: Signed counts per rad or m of the actuator.
-        zero: Position where the actuator is at 0 [counts].
+        zero: The drive's position at 0 of the actuator [counts].
         rated_torque: The motor's rated torque at the actuator [N·m | N]; ``NaN``: not known.
         rated_current: The motor's rated current [A]; ``NaN``: not known.
         velocity_unit: The drive's unit of velocity [counts/s].
@@ -252,7 +252,7 @@ class Scale:
         return round(position * self.counts) + self.zero
 
     def to_velocity(self, raw: int) -> float:
-        """Return the actuator's velocity [rad/s | m/s] of the drive's."""
+        """Return the actuator's velocity [rad/s | m/s]."""
         return raw * self.velocity_unit / self.counts
 
     def to_velocity_limit(self, velocity: float) -> int:

@@ -26,20 +26,19 @@ SET_UP_WITHIN = 10.0
 
 _NOT_ENABLED = 0x10002
 _HOMING_FAILED = 0x10003
-"""Codes of faults of the driver's own; above 16 bits, so that no drive's error code is the same."""
+"""Codes of the driver's own faults, above the 16 bits of the drives' error codes."""
 
 _HOMING_PERIOD = 0.005
 """Pause between two SYNCs while a drive homes [s]; homing takes seconds."""
 
 _OLD_STATUS = 0.05
-"""A drive may report an earlier homing for this long after it was started again [s]."""
+"""Time after the start of homing in which a drive may still report an earlier one [s]."""
 
 
 class DriveCycle:
     """Exchanges process data with the drives of a device, one SYNC per cycle.
 
-    A set-point takes effect with the SYNC that follows it, and every drive answers that SYNC with
-    its state.
+    A set-point takes effect with the next SYNC, and every drive answers a SYNC with its state.
 
     Args:
         spec: The device.
@@ -81,7 +80,7 @@ class DriveCycle:
         """
         bus, now = self.bus, time.monotonic()
         self._send_heartbeat(now)
-        # Before sending: an answer counts only if it is newer than this SYNC.
+        # Before sending, since an answer counts only if it is newer than this SYNC.
         before = [drive.stamp for drive in self.drives]
         bus.send_now(CanFrame(cia301.SYNC))
         bus.counters.transactions += 1
@@ -96,7 +95,7 @@ class DriveCycle:
                 )
             if not late:
                 return
-            # Only then wait: a report that came since the list was made would be missed otherwise.
+            # Cleared after the list was made, so that no report in between is missed.
             self._news.clear()
             try:
                 async with asyncio.timeout(end - time.monotonic()):
@@ -107,20 +106,20 @@ class DriveCycle:
                 raise BusTimeout(bus.name, f"no process data from node {nodes}") from None
 
     def _send_heartbeat(self, now: float) -> None:
-        """Send this program's heartbeat when it is due: four times within the drives' patience."""
+        """Send this program's heartbeat when it is due, four times within the drives' watchdog."""
         watchdog = self._options.watchdog
         if watchdog > 0.0 and now - self._beat > watchdog / 4.0:
             self._beat = now
             self.bus.send_now(cia301.heartbeat(self._options.host, NmtState.OPERATIONAL))
 
     async def exchange(self) -> None:
-        """Send all set-points again, then as `synchronise`."""
+        """Send all set-points, then `synchronise`."""
         for drive in self.drives:
             drive.send_command(self.mode)
         await self.synchronise()
 
     async def settle(self) -> None:
-        """Synchronise until all drives have answered; raises `BusTimeout` if they never do."""
+        """Synchronise until all drives answer; raises `BusTimeout` if they do not in time."""
         end = time.monotonic() + self._options.enable_timeout
         while True:
             try:
@@ -179,7 +178,7 @@ class DriveCycle:
             if time.monotonic() > end:
                 raise self._fault(broken[0])
             for drive in broken:
-                # The rising edge of its bit resets.
+                # A fault is reset by the rising edge of its bit.
                 edge = drive.controlword == Control.DISABLE_VOLTAGE
                 drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
                 drive.forget()
@@ -193,7 +192,7 @@ class DriveCycle:
     # --- power and homing --------------------------------------------------------------------
 
     async def enable(self) -> None:
-        """Enable all drives where they are, one transition of their state machine at a time.
+        """Enable all drives at their positions, one transition of their state machine at a time.
 
         Raises:
             DeviceFault: if one is in fault, or is not enabled in time.
@@ -207,7 +206,7 @@ class DriveCycle:
                 control = codec.next_control(drive.state)
                 if control is not None:
                     drive.controlword = control
-                # Once enabled it goes to its target, which must be where it is.
+                # Once enabled, it moves to its target, which must be its position.
                 drive.assume(drive.position)
             if not disabled:
                 return
@@ -223,7 +222,7 @@ class DriveCycle:
                 await self.exchange()
 
     async def home(self, drive: DriveLink) -> None:
-        """Let one drive, which is enabled, look for its zero; cancelling disables it.
+        """Home one enabled drive; cancelling disables it.
 
         Raises:
             DeviceFault: if it reports a fault, a homing error, or takes too long.
@@ -233,11 +232,11 @@ class DriveCycle:
         await self.bus.run(
             partial(drive.download, Object.HOMING_METHOD, 0, "b", method), SET_UP_WITHIN
         )
-        # Of all drives, as the mode goes out with every set-point; the others stay where they are.
+        # For all drives, as every set-point carries the mode; the others stay where they are.
         self.mode = Mode.HOMING
         try:
             await self._search(drive)
-        # A drive that goes on homing unsupervised might run into something.
+        # A drive must not continue homing without supervision.
         except BaseException:
             drive.controlword = Control.DISABLE_VOLTAGE
             with contextlib.suppress(BusError):
@@ -249,7 +248,7 @@ class DriveCycle:
         drive.controlword = Control.ENABLE
 
     async def _search(self, drive: DriveLink) -> None:
-        """Start homing once the drive is in that mode, and wait until it has found its zero."""
+        """Start homing once the drive is in homing mode, and wait until it is done."""
         end = time.monotonic() + self._options.homing_timeout
         begun = math.inf
         while True:

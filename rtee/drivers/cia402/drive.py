@@ -20,10 +20,10 @@ _SYNCHRONOUS = 1
 """Transmission type of a PDO that is sent or applied with every SYNC (CiA 301)."""
 
 _TRIES = 3
-"""How often an SDO transfer is tried: a frame may be lost, or this computer busy for a moment."""
+"""Attempts of an SDO transfer: a frame may be lost, or this computer busy for a moment."""
 
 _LATE = 0.01
-"""Pause before the next try, in which an answer that is late still arrives and is dropped [s]."""
+"""Pause before the next attempt [s], in which a late answer still arrives and is dropped."""
 
 
 @dataclass
@@ -33,18 +33,18 @@ class DriveLink:
     Attributes:
         bus: The network.
         options: Its options.
-        name: The actuator it drives.
+        name: The actuator that it drives.
         scale: Its units.
         status: Its newest status, ``None`` before the first.
         motion: Its newest velocity, torque and error.
-        stamp: When the status came [s].
+        stamp: When the status arrived [s].
         nmt: Its newest NMT state.
-        booted: It has restarted since this was last set to ``False``.
+        booted: Whether it has restarted since this was last set to ``False``.
         emergency: Its newest emergency that is not over.
-        controlword: The controlword that is sent next.
-        target: The target position that is sent next [counts].
-        pending: A set-point has been sent that the drive has not acknowledged yet.
-        found_target: Target that it had when it was set up [counts]; ``None``: it cannot be read.
+        controlword: The controlword to send next.
+        target: The target position to send next [counts].
+        pending: Whether the drive has not acknowledged the last set-point yet.
+        found_target: Target found at set-up [counts]; ``None``: it cannot be read.
         limits: The limits that were sent last.
     """
 
@@ -90,7 +90,7 @@ class DriveLink:
 
         Args:
             timeout: Longest time for an SDO transfer [s].
-            notify: Called when it has reported its status or a restart.
+            notify: Called when it reports its status or a restart.
         """
         import canopen
 
@@ -121,14 +121,17 @@ class DriveLink:
 
         Raises:
             DriverError: if the drive refuses.
-            BusTimeout: if it does not answer, however often it is asked.
+            BusTimeout: if it does not answer any attempt.
         """
         return bytes(self._transfer(lambda: self._remote.sdo.upload(index, subindex), index))
 
     def download(
         self, index: int, subindex: int, form: str, value: int, *, tries: int = _TRIES
     ) -> None:
-        """Write an object, trying at most so often; in the worker thread. Raises as `upload`."""
+        """Write an object, with at most ``tries`` attempts; in the worker thread.
+
+        Raises as `upload`.
+        """
         data = struct.pack(f"<{form}", value)
         self._transfer(lambda: self._remote.sdo.download(index, subindex, data), index, tries)
 
@@ -144,7 +147,7 @@ class DriveLink:
                 except canopen.SdoCommunicationError:
                     if tries <= 0:
                         raise
-                    # This is the worker thread: the event loop and its cycles go on meanwhile.
+                    # This is the worker thread, so sleeping does not block the event loop.
                     self.bus.counters.retries += 1
                     time.sleep(_LATE)
         except canopen.SdoAbortedError as error:
@@ -157,7 +160,7 @@ class DriveLink:
             raise BusBroken(self.bus.name, f"cannot send: {error}") from error
 
     def number(self, index: int, subindex: int = 0, *, default: int | None = None) -> int:
-        """Read an object as an unsigned integer; one it does not have is the default, if given."""
+        """Read an object as an unsigned integer; for a missing one return the default, if given."""
         try:
             return int.from_bytes(self.upload(index, subindex), "little")
         except DriverError:
@@ -166,7 +169,7 @@ class DriveLink:
             return default
 
     def text(self, index: int) -> str:
-        """Read an object as text; empty where it has none."""
+        """Read an object as text; empty if the object is missing."""
         try:
             return self.upload(index).decode("utf-8", "replace").strip("\x00 ")
         except DriverError:
@@ -185,7 +188,7 @@ class DriveLink:
         """
         host, silence, reaction = watch
         try:
-            # Before anything is written: a drive that holds something keeps its target.
+            # Before anything is written, since a drive that holds an object keeps its target.
             raw = self.upload(Object.TARGET_POSITION)
             self.found_target = int.from_bytes(raw, "little", signed=True)
         except DriverError:
@@ -200,7 +203,7 @@ class DriveLink:
         self._map(0x1800, TPDO[0], Status.MAP)
         self._map(0x1801, TPDO[1], Motion.MAP)
         if mode is Mode.CYCLIC_POSITION:
-            # The exponent first: the period below counts in milliseconds then.
+            # The exponent first, so that the period is in milliseconds.
             self.download(Object.INTERPOLATION_TIME, 2, "b", -3)
             self.download(Object.INTERPOLATION_TIME, 1, "B", min(max(round(period * 1e3), 1), 255))
 
@@ -227,8 +230,8 @@ class DriveLink:
     def send_command(self, mode: Mode) -> None:
         """Send controlword, target and mode; in profile mode with the handshake of a set-point.
 
-        The drive takes a set-point on the rising edge of its bit and acknowledges it; the bit
-        falls, the acknowledgement falls, and the next set-point may follow.
+        The drive accepts a set-point on the rising edge of its bit and acknowledges it; after the
+        bit and the acknowledgement are cleared, the next set-point may follow.
         """
         word = self.controlword
         if mode is Mode.PROFILE_POSITION and self.state is State.ENABLED:
@@ -243,34 +246,34 @@ class DriveLink:
                 word |= codec.NEW_SET_POINT | codec.CHANGE_NOW
                 self.pending = True
                 self._sent_target = self.target
-        # A set-point that is not acknowledged yet must not change on its way.
+        # A set-point must not change before it is acknowledged.
         target = self.target if not self.pending else self._sent_target or 0
         self.bus.send_now(CanFrame(RPDO[0] + self.id, Command(word, target, mode).to_bytes()))
 
     def acknowledged(self, mode: Mode) -> bool:
-        """Return whether the drive has the target, as far as that can be known."""
+        """Return whether the drive has acknowledged the target, where it acknowledges targets."""
         if mode is not Mode.PROFILE_POSITION or self.state is not State.ENABLED:
             return True
         return not self.pending and self._sent_target == self.target
 
     def forget(self) -> None:
-        """Forget what was sent: the drive has been disabled or restarted."""
+        """Forget what was sent, after the drive was disabled or restarted."""
         self.pending = False
         self._sent_target = None
         self.limits = None
 
     def assume(self, counts: int) -> None:
-        """Take a position for the target that the drive already has; nothing is sent for it."""
+        """Set the target to a position that the drive already has, so that it is not sent."""
         self.target = counts
         self._sent_target = counts
         self.pending = False
 
     def attach_as_found(self, mode: Mode) -> None:
-        """Adopt the drive as it reports itself: one that is enabled keeps its power and target."""
+        """Attach to the drive in its reported state: an enabled one keeps its power and target."""
         enabled = self.state is State.ENABLED
         self.controlword = codec.Control.ENABLE if enabled else codec.Control.DISABLE_VOLTAGE
         target = self.position
-        # A target means something only in the mode in which it was given.
+        # A target is valid only in the mode in which it was set.
         if enabled and self.status is not None and self.status.mode == mode:
             target = target if self.found_target is None else self.found_target
         self.assume(target)
@@ -305,5 +308,5 @@ class DriveLink:
             emergency = Emergency.from_bytes(frame.data)
         except CanopenFrameError:
             return
-        # Code 0 says that the error is over.
+        # Code 0 means that the error is over.
         self.emergency = emergency if emergency.code else None

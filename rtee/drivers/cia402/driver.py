@@ -1,4 +1,4 @@
-"""Drives grippers whose motors are CiA 402 drives: process data on SYNC, one cycle for all."""
+"""Drives grippers with CiA 402 drives: process data on SYNC, one cycle for all drives."""
 
 from __future__ import annotations
 
@@ -41,26 +41,25 @@ _DISARM_WITHIN = 0.5
 """Longest time to disarm the drives' watch over this program when closing [s]."""
 
 _NOT_HOMED = 0x10001
-"""Code of the fault that a drive is not homed, the driver's own."""
+"""Code of the fault that a drive is not homed; a code of the driver's own."""
 
 _HANDSHAKES = 10
-"""Cycles in which a drive acknowledges two set-points, with room for lost frames."""
+"""Number of cycles in which a drive acknowledges two set-points, even if frames are lost."""
 
 _FRAME_BITS = 135.0
 _SYNC_BITS = 52.0
-"""Bits on the wire of a frame of eight bytes and of a SYNC, with the most stuffing (CAN 2.0A)."""
+"""Bits on the wire of a frame of eight bytes and of a SYNC, with maximal stuffing (CAN 2.0A)."""
 
 _SPACING = 1.2
-"""Factor on the time of the bits alone: drives answer a SYNC one after the other."""
+"""Factor for the pauses between frames: drives answer a SYNC one after the other."""
 
 
 class Cia402Driver(Driver):
     """CiA 402 drives on one CANopen network.
 
     A cycle is one SYNC: it makes all drives apply the set-points sent before and answer with their
-    state. Drives are watched by heartbeat in both directions; theirs shows a restart, ours arms
-    their reaction to a silent host. A drive that is enabled already is not disabled and gets its
-    own position for the first target.
+    state. Heartbeats go in both directions: those of the drives show a restart, ours arms their
+    reaction to a silent host. A drive that is already enabled stays enabled and keeps its target.
     """
 
     Options: ClassVar[type[Cia402Options]] = Cia402Options
@@ -117,12 +116,12 @@ class Cia402Driver(Driver):
             },
         )
         for drive in cycle.drives:
-            # PDOs can be mapped only there; a drive that is enabled keeps its power.
+            # PDOs can be mapped only in this state; an enabled drive keeps its power.
             await bus.send(cia301.nmt(NmtCommand.PRE_OPERATIONAL, drive.id))
         for drive in cycle.drives:
             await bus.run(partial(self._set_up, drive), SET_UP_WITHIN)
         for drive in cycle.drives:
-            # Set-up may have met the boot message of a drive that was just switched on.
+            # A drive that was just switched on may have sent its boot-up message meanwhile.
             drive.booted = False
             await bus.send(cia301.nmt(NmtCommand.START, drive.id))
         cycle.operational = True
@@ -140,11 +139,11 @@ class Cia402Driver(Driver):
         drive.forget()
 
     async def _attach(self, cycle: DriveCycle) -> None:
-        """Wait for the drives' first state and take them as they are; commands nothing."""
+        """Wait for the drives' first state and attach to them as they are; commands nothing."""
         try:
             await cycle.settle()
         except BusTimeout as error:
-            # They have answered SDO: supply, wiring and bit rate are right.
+            # They have answered SDO, so supply, wiring and bit rate are right.
             raise HandshakeError(
                 self.spec.name,
                 "process data after each SYNC",
@@ -154,11 +153,11 @@ class Cia402Driver(Driver):
         for drive in cycle.drives:
             drive.attach_as_found(cycle.mode)
             if drive.state is not State.ENABLED:
-                # It may have lost its supply, and with it what homing had found.
+                # It may have had a power cycle, which loses the result of homing.
                 self._homed.discard(drive.id)
 
     async def close(self) -> None:
-        """Give the network back; drives that are enabled stay so, without watching for us."""
+        """Detach from the network; enabled drives stay enabled and stop watching the host."""
         self._active = False
         if self.connection.is_open:
             cycle = self.connection.link
@@ -171,7 +170,7 @@ class Cia402Driver(Driver):
     # --- enabling ----------------------------------------------------------------------------
 
     async def activate(self) -> None:
-        """Enable the drives where they are; homes first where that is needed and allowed."""
+        """Enable the drives at their positions; homes them if that is needed and allowed."""
         cycle = self.connection.link
         await cycle.settle()
         unhomed = self._unhomed(cycle)
@@ -182,7 +181,7 @@ class Cia402Driver(Driver):
                 f"not homed: {', '.join(d.name for d in unhomed)}",
                 hint="`rtee recover`, or `rtee run --home`, homes it, which moves it",
             )
-        # Before enabling: those that held before keep the target they have.
+        # Before enabling, since drives that are enabled already keep their target.
         holding = [d.state is State.ENABLED for d in cycle.drives]
         await cycle.enable()
         for drive in unhomed:
@@ -200,7 +199,7 @@ class Cia402Driver(Driver):
         self._active = True
 
     def _unhomed(self, cycle: DriveCycle) -> list[DriveLink]:
-        """Return the drives that do not know where they are."""
+        """Return the drives that are not homed."""
         return [
             d
             for d in cycle.drives
@@ -218,7 +217,7 @@ class Cia402Driver(Driver):
         return f"not homed: {unhomed}" if unhomed else ""
 
     async def deactivate(self) -> None:
-        """Take the motors' power away."""
+        """Disable the motors."""
         self._active = False
         if self.connection.is_open and self.connection.link.operational:
             cycle = self.connection.link
@@ -230,7 +229,7 @@ class Cia402Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Make the drives apply their set-points and report their state, with one SYNC."""
+        """Send a SYNC, with which the drives apply their set-points and report their states."""
         cycle = self.connection.link
         await cycle.synchronise()
         if self._active:
@@ -249,7 +248,7 @@ class Cia402Driver(Driver):
         )
 
     async def move(self, reference: Reference) -> None:
-        """Send limits that have changed, then set-points; they count from the next SYNC."""
+        """Send limits that have changed, then set-points; they apply from the next SYNC on."""
         cycle = self.connection.link
         left: Collection[int] = ()
         if self._attached:
@@ -260,11 +259,11 @@ class Cia402Driver(Driver):
                 drive.send_limits(self._limits(i, drive, reference))
                 if i not in left:
                     drive.target = drive.scale.to_counts(float(reference.position[i]))
-            # To every drive, moved or not: they expect a set-point in each cycle.
+            # To every drive, since drives expect a set-point in each cycle.
             drive.send_command(cycle.mode)
 
     def _limits(self, i: int, drive: DriveLink, reference: Reference) -> Limits:
-        """Return the limits of a drive, in its units, that a reference asks for."""
+        """Return the limits of a reference for a drive, in its units."""
         effort, velocity = float(reference.max_effort[i]), float(reference.max_velocity[i])
         torque = self.options.max_torque
         if math.isfinite(effort) and math.isfinite(drive.scale.rated_torque):
@@ -277,21 +276,21 @@ class Cia402Driver(Driver):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
             await patiently(cycle.synchronise)
             self._attached.begin()
             for drive in cycle.drives:
                 drive.target = drive.position
-            # In profile mode a set-point that is under way has to be acknowledged first.
+            # In profile mode, a previous set-point has to be acknowledged first.
             for _ in range(_HANDSHAKES):
                 await patiently(cycle.exchange)
                 if all(drive.acknowledged(cycle.mode) for drive in cycle.drives):
                     break
 
     async def disable(self) -> None:
-        """Take the motors' voltage away; they go limp as far as their gears let them."""
+        """Disable the motors' voltage; they go limp as far as their gears allow."""
         self._active = False
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
@@ -303,7 +302,7 @@ class Cia402Driver(Driver):
         """Reset faults; the drives stay disabled until `activate`."""
         self._active = False
         await self.connection.link.reset_faults()
-        # Recovering is what a person asks for: homing, which moves, is allowed by it.
+        # By asking for recovery the user agrees to the motion of homing.
         self._home_asked = True
 
 

@@ -1,7 +1,7 @@
 """One emulated CiA 402 drive: its objects, its states, its motor.
 
-How a real drive reacts to lost heartbeats, halts and faults depends on its make; here the
-reactions are those that its own objects (6007, 605E) ask for, as far as they are modelled.
+How a real drive reacts to lost heartbeats, halts and faults depends on its make; here the reactions
+are those selected by its objects (6007, 605E), as far as they are modelled.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from rtee.drivers.properties import Positive
 
 Method = Literal[1, 2, 17, 18, 33, 34, 35, 37]
 METHODS: tuple[Method, ...] = (1, 2, 17, 18, 33, 34, 35, 37)
-"""Homing methods that are known (object 6098h)."""
+"""Emulated homing methods (object 6098h)."""
 
 
-# State and the low four bits of a controlword, to the state that they lead to.
+# The next state by the present one and the low four bits of the controlword.
 _TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, 0x06): State.READY,
     (State.READY, 0x07): State.SWITCHED_ON,
@@ -44,14 +44,14 @@ _TRANSITIONS = {
 }
 
 _LOST_HOST = 0x8130
-"""Error code: the host's heartbeat was lost."""
+"""Error code of a missing host heartbeat."""
 RATED = 1000.0
-"""The rated torque, in the unit of the drives' torques."""
+"""The rated torque in the drives' unit of torque [0.1 %]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A part of the way: where it ends [counts of the axis], and its speed [counts/s]."""
+    """A part of a homing motion: its end [counts of the axis] and its speed [counts/s]."""
 
     end: float
     speed: float
@@ -67,23 +67,23 @@ class DriveProperties:
         vendor: Vendor id.
         product: Product code.
         name: Device name.
-        modes: Modes of operation they know, by number.
+        modes: Supported modes of operation, by number.
         increments: Encoder increments per motor turn.
         gear: Motor turns per turn of the shaft.
         rated_torque: Rated torque [mN·m].
         rated_current: Rated current [mA].
         start: Position at power-up [counts].
-        lower: Mechanical stop [counts].
-        upper: Mechanical stop [counts].
-        switches: Where homing meets the negative and the positive limit switch [counts], inside
-            the stops; only homing minds them.
-        speed: Fastest speed [counts/s].
-        closed: Where it is when its fingers are closed, and open at 0, for objects [counts].
-        following_error: Error at which it faults in cyclic mode [counts]; 0: never.
+        lower: Lower mechanical stop [counts].
+        upper: Upper mechanical stop [counts].
+        switches: Positions of the negative and the positive limit switch [counts], inside the
+            stops; they have an effect only on homing.
+        speed: Largest speed [counts/s].
+        closed: Position with closed fingers, which are open at 0, for objects [counts].
+        following_error: Following error that is a fault in cyclic mode [counts]; 0: never.
         homed: Whether it knows its position at power-up.
-        homing_methods: Those it knows (object 6098h); any other ends in a homing error.
-        sampled: Whether a SYNC's answer reports how the drive was ``before`` it took that SYNC's
-            set-points, or ``after``.
+        homing_methods: Supported homing methods (object 6098h); any other is a homing error.
+        sampled: Whether the answer to a SYNC reports the state ``before`` the drive applies the
+            set-points of that SYNC, or ``after``.
     """
 
     nodes: tuple[int, ...] = (1,)
@@ -115,8 +115,8 @@ class Drive:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
         state: Its state.
-        zero: Where its counter is at 0 [counts of the axis]; homing sets it.
-        cause: Error code whose cause lasts: a reset brings it back; 0: none.
+        zero: Position at which its counter is 0 [counts of the axis]; set by homing.
+        cause: Error code whose cause persists, so that it comes back after a reset; 0: none.
     """
 
     def __init__(self, number: int, properties: DriveProperties) -> None:
@@ -197,7 +197,7 @@ class Drive:
         node.add(Object.SUPPORTED_MODES, 0, "I", modes, writable=False)
 
     def reset(self) -> None:
-        """Restart: not enabled, heartbeats off, PDOs disabled."""
+        """Restart with the drive, heartbeats and PDOs disabled."""
         self.state = State.SWITCH_ON_DISABLED
         self.emergencies = []
         self._control = 0
@@ -228,11 +228,11 @@ class Drive:
     def _controlled(self, word: int) -> Abort | None:
         before, self._control = self._control, word
         if self.state is State.FAULT:
-            # Only the rising edge resets (CiA 402-2).
+            # Only the rising edge resets a fault (CiA 402-2).
             if word & 0x80 and not before & 0x80:
                 self._recover()
             return None
-        # "Disable voltage" goes before everything else, whatever the other bits say.
+        # "Disable voltage" takes precedence over all other bits.
         if not word & 0x02:
             self._become(State.SWITCH_ON_DISABLED)
         elif not word & 0x04:
@@ -256,19 +256,19 @@ class Drive:
         self.axis.enabled = state in (State.ENABLED, State.QUICK_STOP)
 
     def _stay(self) -> None:
-        """Make the present position the goal; a homing under way ends."""
+        """Make the present position the goal, and end homing."""
         self._legs = []
         self._homing_error = False
         self._aim(self.axis.position)
 
     def _aim(self, goal: float) -> None:
-        """Go somewhere [counts of the axis], once no halt forbids it."""
+        """Set the goal [counts of the axis], which is followed unless halted."""
         self._goal = goal
         if not self._halted:
             self.axis.target = goal
 
     def _halt(self, halted: bool) -> None:
-        """Stand still until the halt is over, then go on."""
+        """Halt the axis, or continue to the goal after a halt."""
         if halted is not self._halted:
             self._halted = halted
             self.axis.target = self.axis.position if halted else self._goal
@@ -279,7 +279,7 @@ class Drive:
         if mode == Mode.PROFILE_POSITION:
             if rising:
                 target = float(self.node.get(Object.TARGET_POSITION, signed=True))
-                # A relative target counts from the one before, not from where the axis is.
+                # A relative target is relative to the previous target, not to the position.
                 self._aim(target + (self._goal if word & RELATIVE else self.zero))
                 self._acknowledged = True
             elif not word & NEW_SET_POINT:
@@ -310,7 +310,7 @@ class Drive:
             )
 
     def _search(self) -> None:
-        """End a leg of homing, or begin the next."""
+        """End a leg of homing, and begin the next."""
         axis, leg = self.axis, self._legs[0]
         if axis.position == leg.end:
             self._legs.pop(0)
@@ -320,14 +320,14 @@ class Drive:
             self._aim(self._legs[0].end if self._legs else axis.position)
         elif not self._halted and axis.target == leg.end and axis.velocity == 0.0:
             blocked = axis.position in (axis.lower, axis.upper)
-            if blocked:  # it is at a stop, and what it looks for would be beyond
+            if blocked:  # at a stop, before the switch or index pulse
                 self._stay()
                 self._homing_error = True
         else:
             self._aim(leg.end)
 
     def fail(self, code: int) -> None:
-        """Go into fault, saying why."""
+        """Go into fault, with an emergency message."""
         register = cia301.error_register(code)
         self.node.set(Object.ERROR_CODE, code)
         self.node.set(Object.ERROR_REGISTER, register)
@@ -350,7 +350,7 @@ class Drive:
         self.node.state = NmtState.PRE_OPERATIONAL
         reaction = self.node.get(Object.ABORT_CONNECTION, signed=True)
         if reaction == 1:
-            # The fault says the same, and with its own emergency.
+            # The fault sends the same emergency message.
             self.emergencies.pop()
             self.fail(_LOST_HOST)
         elif reaction in (2, 3):
@@ -359,7 +359,7 @@ class Drive:
     # --- motion ------------------------------------------------------------------------------
 
     def cycle(self) -> None:
-        """Apply a SYNC: in cyclic mode the target counts."""
+        """Apply a SYNC: in cyclic mode, follow the target."""
         if self.state is not State.ENABLED:
             return
         if self.node.get(Object.MODE_DISPLAY) == Mode.CYCLIC_POSITION:
@@ -371,7 +371,7 @@ class Drive:
             self._aim(target)
 
     def step(self, now: float) -> list[CanFrame]:
-        """Let time pass; return what the drive says unasked."""
+        """Let time pass; return the frames that the drive sends by itself."""
         axis, node = self.axis, self.node
         limit = node.get(Object.MAX_TORQUE)
         axis.max_effort = float(limit)
@@ -383,14 +383,15 @@ class Drive:
         axis.step(now)
         if self._legs:
             self._search()
-        self._tell()
+        self._report()
         frames = node.step(now)
         if not node.inhibited:
             frames = [e.to_frame(node.number) for e in self.emergencies] + frames
         self.emergencies = []
         return frames
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
+        """Update the objects with the state of the drive."""
         axis, node = self.axis, self.node
         word = self.state.value[1] | StatusBit.VOLTAGE | StatusBit.REMOTE
         mode = node.get(Object.MODE_DISPLAY)
@@ -415,16 +416,16 @@ class Drive:
 def way_home(
     method: int, here: float, *, negative: Leg, positive: Leg, turn: int, slow: float
 ) -> list[Leg]:
-    """Return where a homing method leads, leg by leg; the last one ends at home.
+    """Return the legs of a homing method; the last one ends at home.
 
     Args:
         method: 1, 2 (limit switch and index pulse), 17, 18 (limit switch), 33, 34 (index pulse),
-            35 or 37 (where it is).
-        here: Where the axis is [counts].
-        negative: To the negative limit switch.
-        positive: To the positive one.
+            35 or 37 (present position).
+        here: Position of the axis [counts].
+        negative: The leg to the negative limit switch.
+        positive: The leg to the positive limit switch.
         turn: Counts between two index pulses.
-        slow: Speed at which index pulses are looked for [counts/s].
+        slow: Speed of the search for an index pulse [counts/s].
     """
 
     def pulse(start: float, direction: int) -> Leg:
@@ -445,4 +446,4 @@ def way_home(
             return [pulse(here, 1)]
         case 35 | 37:
             return [Leg(here, slow)]
-    raise ValueError(f"there is no way for homing method {method}")
+    raise ValueError(f"homing method {method} is not emulated")

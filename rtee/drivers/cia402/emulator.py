@@ -19,7 +19,7 @@ class Cia402Emulator(Emulator, Grasps):
     """One or several drives on a CAN bus.
 
     Attributes:
-        properties: What they are like.
+        properties: Their properties.
         drives: The drives by node id.
     """
 
@@ -45,7 +45,7 @@ class Cia402Emulator(Emulator, Grasps):
         return cls(read_properties(DriveProperties, options, **({"nodes": ids} if ids else {})))
 
     def power_cycle(self, now: float) -> None:
-        """Restart; positions of drives without absolute encoder are lost."""
+        """Restart; drives without an absolute encoder lose their positions."""
         self._booted = False
         for drive in self.drives.values():
             drive.homed = self.properties.homed
@@ -62,17 +62,17 @@ class Cia402Emulator(Emulator, Grasps):
             first.fail(code)
 
     def clear(self, fault: str | None = None) -> None:
-        """Take a fault away; a drive stays in fault until it is reset."""
+        """Remove a fault; a drive stays in fault until it is reset."""
         super().clear(fault)
         for drive in self.drives.values():
             drive.cause = 0
 
     def on_faults(self) -> None:
-        """Block the drives while they are stuck or silent, and give their type."""
+        """Block drives that are stuck, silence them if injected, and set their type."""
         for drive in self.drives.values():
             drive.axis.stuck = "stuck" in self.faults
             drive.node.inhibited = "silent" in self.faults
-            # The profile is the low half of the device type; 2 in the high one means a servo drive.
+            # The low half of the device type is the profile; 2 in the high half is a servo drive.
             kind = 401 if "wrong_device" in self.faults else self.properties.device_type
             drive.node.objects[Object.DEVICE_TYPE, 0].value = struct.pack("<I", 0x20000 | kind)
 
@@ -99,11 +99,11 @@ class Cia402Emulator(Emulator, Grasps):
         return frames
 
     def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Take a frame from the bus and return the answers."""
+        """Receive a frame from the bus and return the answers."""
         frames = self.step(now)
         if frame.id == cia301.SYNC and not frame.data and not frame.remote:
             for drive in self.drives.values():
-                # Makers differ in whether an answer shows the state before or after the set-point.
+                # Makers differ: an answer shows the state before or after the set-point.
                 before = drive.node.transmit()
                 drive.node.sync()
                 drive.cycle()

@@ -17,14 +17,14 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
         drive: The node.
         device: The device's name, for messages.
         channel: The CAN channel, for messages.
-        mode: Mode of operation that it must know.
+        mode: Mode of operation that it must support.
 
     Returns:
         Its name and its serial number.
 
     Raises:
         NotConnected: if it does not answer.
-        HandshakeError: if it is something else.
+        HandshakeError: if it is another device than expected.
         BusError: if the bus fails.
     """
     try:
@@ -48,7 +48,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
         raise HandshakeError(
             device, f"product {wanted:#x} as node {drive.id}", f"product {product:#x}"
         )
-    # The object is optional: a drive that does not say counts as knowing all modes.
+    # The object is optional; a drive without it is assumed to support all modes.
     modes = drive.number(Object.SUPPORTED_MODES, default=0xFFFF_FFFF)
     if not modes & mode.bit:
         known = ", ".join(str(bit + 1) for bit in range(16) if modes >> bit & 1)
@@ -64,7 +64,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
 
 
 def read_scale(drive: DriveLink, device: str) -> Scale:
-    """Return a drive's units from its options, else from its objects; in the worker thread.
+    """Return a drive's units from its options or its objects; in the worker thread.
 
     Raises:
         HandshakeError: if its objects are inconsistent.
@@ -89,7 +89,7 @@ def read_scale(drive: DriveLink, device: str) -> Scale:
             ) from error
     torque = given.rated_torque
     if torque is None:
-        # Objects 6075 and 6076 count in mA and mN·m.
+        # Objects 6075 and 6076 are in mA and mN·m.
         rated = drive.number(Object.RATED_TORQUE, default=0) / 1000.0
         torque = rated * motor / shaft if rated > 0.0 and shaft > 0 else math.nan
     current = drive.number(Object.RATED_CURRENT, default=0) / 1000.0

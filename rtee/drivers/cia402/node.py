@@ -23,10 +23,10 @@ from rtee.drivers.cia402.cia301 import (
 )
 
 _RECEIVE, _TRANSMIT = 0x1400, 0x1800  # communication parameters of the first PDO
-_MAP = 0x200  # from those to the mapping of the same PDO
-_COUNT = 4  # PDOs in each direction
+_MAP = 0x200  # distance from these to the mapping parameters of the same PDO
+_COUNT = 4  # number of PDOs in each direction
 _SYNCHRONOUS = 240
-"""Largest transmission type of a synchronous PDO, which counts from the next SYNC."""
+"""Largest transmission type of a synchronous PDO, which is applied with the next SYNC."""
 
 
 @dataclass(slots=True)
@@ -37,8 +37,8 @@ class Entry:
         value: Its bytes.
         writable: Whether a host may write it.
         readable: Whether a host may read it.
-        text: Whether its length may be anything.
-        changed: Called with its value after a host has written it; may refuse by an abort code.
+        text: Whether it may have any length.
+        changed: Called with its value after a host has written it; may return an abort code.
     """
 
     value: bytes
@@ -56,15 +56,15 @@ class _Upload:
 
 @dataclass(slots=True)
 class Node:
-    """A node; what moves behind it reads and writes `objects`.
+    """A node; the emulated drive reads and writes its `objects`.
 
     Attributes:
         number: Its node id.
         objects: Its dictionary by index and subindex.
         state: Its NMT state.
         on_reset: Called when it restarts.
-        on_silence: Called when the host's heartbeat was lost.
-        inhibited: It answers nothing.
+        on_silence: Called when the host's heartbeat is missing.
+        inhibited: Whether it sends nothing.
     """
 
     number: int
@@ -83,18 +83,18 @@ class Node:
         self.objects[index, subindex] = Entry(struct.pack(f"<{form}", value), **access)  # type: ignore[arg-type]
 
     def get(self, index: int, subindex: int = 0, *, signed: bool = False) -> int:
-        """Return a value as an integer; 0 for one that is not there."""
+        """Return a value as an integer; 0 if it does not exist."""
         entry = self.objects.get((index, subindex))
         return int.from_bytes(entry.value, "little", signed=signed) if entry else 0
 
     def set(self, index: int, value: int, subindex: int = 0) -> None:
-        """Set a value, whatever a host may do with it."""
+        """Set a value, even if a host may not write it."""
         entry = self.objects[index, subindex]
         size = len(entry.value)
         entry.value = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
 
     def add_pdos(self) -> None:
-        """Add four receive and four transmit PDOs, all without content and disabled."""
+        """Add four receive and four transmit PDOs, all empty and disabled."""
         for n in range(_COUNT):
             for base, cob in ((_RECEIVE, RPDO[n]), (_TRANSMIT, TPDO[n])):
                 self.add(base + n, 0, "B", 2, writable=False)
@@ -120,20 +120,20 @@ class Node:
 
     def _while_empty(self, index: int) -> Callable[[int], Abort | None]:
         def check(mapped: int) -> Abort | None:
-            # What is in force was checked when it was counted (CiA 301, 7.5.2.36).
+            # An active mapping was checked when its count was set (CiA 301, 7.5.2.36).
             return Abort.UNSUPPORTED if self.get(index, 0) else None
 
         return check
 
     def watch_anew(self, value: int) -> Abort | None:
-        """Begin to watch the host with its next heartbeat; called when the watch is set."""
+        """Watch the host from its next heartbeat on; called when the watch is configured."""
         self._host_at = None
         return None
 
     # --- time and frames -----------------------------------------------------------------------
 
     def start(self, now: float) -> list[CanFrame]:
-        """Boot: announce it, be pre-operational."""
+        """Boot into pre-operational; return the boot-up message."""
         self._upload = None
         self._received.clear()
         self._host_at = None
@@ -148,7 +148,7 @@ class Node:
             return []
         watched = self.get(0x1016, 1)
         limit = (watched & 0xFFFF) / 1000.0
-        # The watch begins with the first heartbeat, as CiA 301 wants it.
+        # The watch begins with the first heartbeat, as CiA 301 requires.
         if self._host_at is not None and limit and now - self._host_at > limit:
             self._host_at = None
             self.on_silence()
@@ -159,7 +159,7 @@ class Node:
         return [cia301.heartbeat(self.number, self.state)]
 
     def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Take a frame and return what the node sends at once."""
+        """Receive a frame and return the frames that the node sends at once."""
         if frame.extended or frame.remote or self.inhibited:
             return []
         if frame.id == cia301.NMT and len(frame.data) == 2:
@@ -261,7 +261,7 @@ class Node:
                     self._unpack(n, frame.data)
 
     def sync(self) -> None:
-        """Take over what the synchronous receive PDOs have brought."""
+        """Apply the synchronous receive PDOs."""
         if self.state is NmtState.OPERATIONAL:
             for n, data in sorted(self._received.items()):
                 self._unpack(n, data)
@@ -277,13 +277,13 @@ class Node:
                 entry.value = data[at : at + size]
                 taken.append(entry)
             at += size
-        # After all values are there: a controlword acts on the target of the same PDO.
+        # After all values are set, since a controlword acts on the target of the same PDO.
         for entry in taken:
             if entry.changed is not None:
                 entry.changed(int.from_bytes(entry.value, "little"))
 
     def transmit(self) -> list[CanFrame]:
-        """Return the synchronous transmit PDOs, as they follow a SYNC."""
+        """Return the synchronous transmit PDOs that follow a SYNC."""
         if self.state is not NmtState.OPERATIONAL or self.inhibited:
             return []
         frames = []

@@ -15,14 +15,14 @@ class NodeOptions(BaseModel):
     Attributes:
         id: Its node id.
         counts: Signed counts per rad or m of the actuator; by default from objects 608F and 6091.
-        zero: Its position where the actuator is at 0 [counts].
-        direction: +1 or -1: sense of its counts with the actuator, where ``counts`` is not given.
+        zero: Its position at 0 of the actuator [counts].
+        direction: +1 or -1: sign of its counts relative to the actuator, without ``counts``.
         rated_torque: Its rated torque at the actuator [N·m | N]; by default from object 6076 and
             the gear.
-        velocity_unit: Its unit of velocity (objects 606C, 6081) [counts/s]; drives that count
-            their velocity in rpm need their increments per motor turn divided by 60.
-        product: Product code expected (object 1018, 2); else any.
-        homing_method: Homing method (object 6098) of a drive without absolute encoder.
+        velocity_unit: Its unit of velocity (objects 606C, 6081) [counts/s]; for drives with a
+            velocity in rpm, the increments per motor turn divided by 60.
+        product: Expected product code (object 1018, 2); by default any.
+        homing_method: Homing method (object 6098) of a drive without an absolute encoder.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -45,15 +45,15 @@ class Cia402Options(DeviceOptions):
         interface: python-can interface.
         bitrate: Bits per second.
         nodes: The drive of each actuator, by the actuator's name.
-        mode: ``profile_position``: the drive makes the profile to each new set-point;
+        mode: ``profile_position``: the drive generates the profile to each new set-point;
             ``cyclic_position``: it follows the set-points of this program.
-        home: Whether drives with a homing method look for their zero at the first activation.
-        max_torque: Torque limit where a reference gives none [0.1 % of the rated torque].
-        host: Node id under which this program sends its heartbeat.
-        watchdog: Drives react after this long without this program's heartbeat [s]; 0: never.
-        on_silence: Their reaction: object 6007; see the drive's manual, as makers differ.
+        home: Whether drives with a homing method are homed at the first activation.
+        max_torque: Torque limit for references without one [0.1 % of the rated torque].
+        host: Node id of this program's heartbeat.
+        watchdog: Time without this program's heartbeat after which drives react [s]; 0: never.
+        on_silence: Their reaction (object 6007); see the drive's manual, as makers differ.
         heartbeat: Period of the drives' heartbeat [s].
-        enable_timeout: Longest time to get from one state to the next [s].
+        enable_timeout: Longest time for a transition to the next state [s].
         homing_timeout: Longest time for homing [s].
         sdo_timeout: Longest time for one SDO transfer [s].
         deadline: Longest time from SYNC to the last process data [s].

@@ -1,4 +1,4 @@
-"""The question for the nodes of a CAN bus; nothing moves by it."""
+"""The probe for the nodes of a CAN bus; it moves nothing."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rtee.drivers.diagnosis.probes import OWNER, Probe, ended
 from rtee.drivers.diagnosis.slaves import Found
 
 _HAND_INFO = 7
-"""Length of the information that an Allegro Hand reports about itself [byte]."""
+"""Length of an Allegro Hand's information [byte]."""
 
 _DEVICE_TYPE = 0x1000, 0
 """Object and subindex of the device type, which every CANopen node has (CiA 301)."""
 _DRIVES = 402
-"""Number of the profile of drives."""
+"""Number of the device profile of drives (CiA 402)."""
 
 
 def can(interface: str, bitrate: int) -> Probe:
@@ -39,9 +39,9 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     device_type = cia301.Sdo.upload(*_DEVICE_TYPE).to_bytes()
 
     def hear(frame: CanFrame) -> None:
-        if not frame.remote:  # some interfaces hand back what was sent
+        if not frame.remote:  # some interfaces echo what was sent
             heard.setdefault(frame.id, frame.data)
-            # All answers of a LinkerHand have one id, so only their forms tell them apart.
+            # All answers of a LinkerHand have the same id, so only code and length differ.
             forms.add((frame.id, frame.data[:1], len(frame.data)))
 
     undo = bus.subscribe(hear)
@@ -53,9 +53,9 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
                 await bus.send(linker.query(unit, code))
         for node in range(1, cia301.NODES + 1):
             await bus.send(CanFrame(cia301.SDO_REQUEST + node, device_type))
-            # One request a millisecond: nodes on a slow bus must not overflow their buffers.
+            # One request per millisecond, so that buffers do not overflow on a slow bus.
             await asyncio.sleep(0.001)
-        # Long enough for a heartbeat of nodes that answer nothing else.
+        # Long enough for a heartbeat of nodes that send nothing else.
         await asyncio.sleep(0.6)
     finally:
         undo()
@@ -74,7 +74,7 @@ async def _nodes(bus: CanBus, channel: str, interface: str) -> list[Found]:
     for node in range(1, cia301.NODES + 1):
         answer = heard.get(cia301.SDO_ANSWER + node)
         if answer is not None and len(answer) == cia301.FULL:
-            # The low half of the device type is the number of the device's profile.
+            # The low half of the device type is the number of the device profile.
             uploaded = answer[0] >> cia301.SPECIFIER == cia301.Specifier.UPLOAD
             drive = uploaded and int.from_bytes(answer[4:6], "little") == _DRIVES
             name, driver = ("CiA 402 drive", "cia402") if drive else ("CANopen node", "")

@@ -19,10 +19,10 @@ class Check:
     """One check: its subject, its result, and the remedy.
 
     Attributes:
-        subject: What was looked at.
-        verdict: How it ended.
+        subject: The subject of the check.
+        verdict: Its result.
         text: What was found, in words.
-        remedy: What to type or do; empty when it is ok.
+        remedy: What to type or do; empty if the verdict is ok.
     """
 
     subject: str
@@ -37,10 +37,10 @@ def ok(subject: str, text: str) -> Check:
 
 
 def warning(subject: str, text: str, remedy: str) -> Check:
-    """Return a check that found something that is not as good as it could be."""
+    """Return a check that found something to improve."""
     return Check(subject, Verdict.WARNING, text, remedy)
 
 
 def wrong(subject: str, text: str, remedy: str) -> Check:
-    """Return a check that found what keeps the device from working."""
+    """Return a check that found why the device cannot work."""
     return Check(subject, Verdict.WRONG, text, remedy)

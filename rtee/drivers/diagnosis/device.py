@@ -1,4 +1,4 @@
-"""Diagnose one device: check after check, up to the first obstacle."""
+"""Diagnose one device, check by check, up to the first obstacle."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from rtee.types import DeviceSpec
 _HOT = 60.0
 """Temperature from which a hand should rest [°C]: most devices switch off at 70 to 80."""
 _CAN_RATE = 1_000_000
-"""Bit rate of the CAN bus of devices that have no option for it [bit/s]."""
+"""Bit rate of the CAN bus of devices without an option for it [bit/s]."""
 
 
 def address_of(options: Mapping[str, Any]) -> str | None:
-    """Return the tty or network address in a driver's options, if it has one."""
+    """Return the tty or network address in a driver's options, ``None`` if it has none."""
     if options.get("port"):
         return str(options["port"])
     host = options.get("host")
@@ -46,7 +46,7 @@ def address_of(options: Mapping[str, Any]) -> str | None:
 
 
 def _search(options: Mapping[str, Any]) -> Plan | None:
-    """Return how to look for another device there, if there is a way."""
+    """Return how to search for another device there, ``None`` if that is impossible."""
     address = address_of(options)
     if address is not None:
         network = address.startswith("tcp://")
@@ -59,15 +59,15 @@ def _search(options: Mapping[str, Any]) -> Plan | None:
 
 
 async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) -> list[Check]:
-    """Return what was found about a device, up to the first obstacle; nothing moves by it.
+    """Check a device, up to the first obstacle; moves nothing.
 
-    A network address is not tried before the driver connects: many devices serve one connection
-    and need a moment until they take the next.
+    A network address is not tried before the driver connects: many devices serve only one
+    connection and need a moment before they accept the next.
 
     Args:
         spec: The device.
         pool: The buses.
-        search: Look for it at other rates and numbers where it does not answer.
+        search: Whether to search at other rates and numbers if it does not answer.
 
     Raises:
         ConfigError: if its options cannot be used.
@@ -90,14 +90,14 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         reasons = await check_address(address)
         if any(check.verdict is Verdict.WRONG for check in reasons):
             return reasons
-        # The address accepts connections, yet not the driver's: another program may hold the one.
+        # The address accepts connections, but not the driver's: another program may be connected.
         busy = "end the other program that is connected; many devices serve one connection"
         return [*reasons, *(replace(check, remedy=busy) for check in found)]
     return found
 
 
 def _unreached(found: list[Check]) -> bool:
-    """Return whether the driver could not even open its bus."""
+    """Return whether the driver could not open its bus."""
     return any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
 
 
@@ -133,7 +133,7 @@ async def _connected(driver: Driver, pool: BusPool, plan: Plan | None) -> list[C
 
 
 async def _fit(driver: Driver) -> Check:
-    """Say what keeps the device from being activated."""
+    """Check whether the device can be activated."""
     try:
         needs = await patiently(driver.examine)
     except DeviceFault as fault:
@@ -148,7 +148,7 @@ async def _fit(driver: Driver) -> Check:
 
 
 async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
-    """Look for what answers where a device does not, and say how to reach it."""
+    """Search for other devices at the address, and return how to reach them, in words."""
     # The scan has to open the same port.
     await driver.close()
     [result] = await scan([plan], pool)
@@ -203,7 +203,7 @@ def _rate(driver: Driver) -> Check:
     if math.isinf(best):
         return ok("rate", "as fast as the loop")
     asked = driver.spec.rate / every if every else 0.0
-    # A thousandth more: rounding is not a reason for a warning.
+    # A thousandth more, as rounding is not a reason for a warning.
     if asked > best * 1.001:
         return warning(
             "rate",

@@ -1,4 +1,4 @@
-"""Twitch a hand, so that a person sees which one it is."""
+"""Twitch a hand to show which one it is."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from rtee.sample import ActuatorState
 from rtee.types import Reference
 
 _MISSES = 5
-"""Exchanges that may fail one after the other: a lost frame is no reason to stop halfway."""
+"""Number of exchanges that may fail in a row, so that a lost frame does not stop the motion."""
 _STEP = 0.02
-"""Time between two references while it twitches [s], slow enough for every bus."""
+"""Time between two references while it twitches [s], long enough for every bus."""
 
 
 async def twitch(
     driver: Driver, *, share: float = 0.06, times: int = 3, period: float = 0.6
 ) -> ActuatorState:
-    """Move every actuator a little and back, slowly, and leave it where it was.
+    """Move every actuator slowly by a little, and back to its position.
 
-    The device is activated for it; one that would have to be homed first is refused by its driver.
+    This activates the device; the driver refuses one that has to be homed first.
 
     Args:
         driver: The device's driver, not yet connected; it is closed afterwards.
-        share: Part of each actuator's range.
-        times: How often.
+        share: Amplitude as a share of each actuator's range.
+        times: Number of twitches.
         period: Time of one twitch [s].
 
     Returns:
@@ -54,7 +54,7 @@ async def twitch(
 
 
 def _away(driver: Driver, index: int, position: float, share: float) -> float:
-    """Return where an actuator twitches to: towards the middle of its range."""
+    """Return the position to which an actuator twitches, towards the middle of its range."""
     spec = driver.spec.actuators[index]
     if not (math.isfinite(spec.lower) and math.isfinite(spec.upper)):
         return position + share
@@ -66,7 +66,7 @@ async def _glide(driver: Driver, start: list[float], end: list[float], time: flo
     steps = max(2, round(time / _STEP))
     missed = 0
     for n in range(1, steps + 1):
-        # Half a cosine: it begins and ends at rest, without a jolt.
+        # Half a cosine, which begins and ends at rest.
         part = (1.0 - math.cos(math.pi * n / steps)) / 2.0
         goal = [a + part * (b - a) for a, b in zip(start, end, strict=True)]
         try:

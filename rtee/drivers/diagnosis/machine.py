@@ -1,4 +1,4 @@
-"""Check what helps or hinders a fast loop on this computer."""
+"""Check the settings of this computer that matter to a fast loop."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from rtee.drivers.diagnosis.checks import Check, ok, warning
 from rtee.hand.config_schema import RealtimeSettings
 
 _PRIORITY = RealtimeSettings().priority
-"""Priority that a hand asks for unless its configuration gives another."""
+"""Default priority of a hand's loop."""
 
 _LIMITS = "/etc/security/limits.d/rtee.conf"
-"""Where the limits of the user are raised (pam_limits)."""
+"""File that raises the limits of the user (pam_limits)."""
 
 
 def check_machine(root: Path = Path("/")) -> list[Check]:
-    """Return what was found about the computer.
+    """Check the computer.
 
     Args:
-        root: Where ``sys`` and ``proc`` are found, for tests.
+        root: Folder with ``sys`` and ``proc``, for tests.
     """
     return [
         _python(),
@@ -41,7 +41,7 @@ def _python() -> Check:
 
 def _kernel(root: Path) -> Check:
     release, version = platform.release(), platform.version()
-    # Older real-time kernels say so only there.
+    # Older real-time kernels are recognised only by this file.
     realtime = root / "sys/kernel/realtime"
     if "PREEMPT_RT" in version or _read(realtime) == "1":
         return ok("kernel", f"{release}, real-time")

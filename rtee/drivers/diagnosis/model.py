@@ -16,9 +16,9 @@ _REST = "rest"
 
 
 def check_model(name: str) -> list[Check]:
-    """Return what was found about a hand's rest posture, and that it has no devices if so.
+    """Check a hand's rest posture, and whether it has devices.
 
-    The geometry is looked at where Pinocchio and Coal are installed, else the stored primitives.
+    The check uses the geometry if Pinocchio and Coal are installed, else the stored primitives.
 
     Args:
         name: The hand's name, or its folder.

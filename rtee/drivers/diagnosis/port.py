@@ -1,4 +1,4 @@
-"""Check an address before anything is sent there."""
+"""Check a tty or network address before anything is sent there."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from rtee.buses.link import split_address
 from rtee.drivers.diagnosis.checks import Check, Verdict, ok, warning, wrong
 
 _MASTERS = frozenset({"/dev/ptmx", "/dev/pts/ptmx"})
-"""Files that a program has open if it makes pseudo-terminals."""
+"""Files that a program has open if it creates pseudo-terminals."""
 
 
 async def check_address(address: str, root: Path = Path("/")) -> list[Check]:
-    """Return what was found about a tty or a network address, up to the first obstacle.
+    """Check a tty or a network address, up to the first obstacle.
 
     Args:
-        address: As in the options of a driver.
-        root: Where ``sys`` and ``proc`` are found, for tests.
+        address: The address, as in the options of a driver.
+        root: Folder with ``sys`` and ``proc``, for tests.
     """
     if "://" in address:
         return [await _network(address)]
@@ -35,8 +35,7 @@ async def _network(address: str) -> Check:
     default = 502 if address.startswith("tcp://") else 2217 if address.startswith("rfc") else None
     host, port = split_address(address, default)
     try:
-        # A host in the same network answers within milliseconds; a dropped packet is sent again in
-        # 1 s.
+        # A host in the same network answers within milliseconds; TCP repeats a packet after 1 s.
         async with asyncio.timeout(2.0):
             _, writer = await asyncio.open_connection(host, port)
     except TimeoutError:
@@ -113,7 +112,7 @@ def _owner(path: Path, root: Path) -> Check:
 
 
 def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
-    """Return process numbers and names of those that have a port open, as far as one may see.
+    """Return the ids and names of the processes that have a port open, as far as visible.
 
     The program at the other end of a pseudo-terminal, such as `rtee emulate`, does not count.
     """
@@ -127,7 +126,7 @@ def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
             continue
         held = {_target(link) for link in links}
         plays = pty and not held.isdisjoint(_MASTERS)
-        # The far end of a pty has it open to play the device, not to use it.
+        # The other end of a pty has it open to emulate the device, not to use it.
         if target in held and not plays:
             found.append((int(folder.name), _name(folder)))
     return sorted(found)
@@ -149,7 +148,7 @@ def _name(process: Path) -> str:
 
 
 def _latency(path: Path, root: Path) -> Check | None:
-    """Return how the latency timer of an FTDI adapter is set; ``None`` for other adapters."""
+    """Check the latency timer of an FTDI adapter; ``None`` for other adapters."""
     name = path.resolve().name
     file = root / "sys/bus/usb-serial/devices" / name / "latency_timer"
     try:

@@ -1,4 +1,4 @@
-"""Questions that only the right device answers; nothing moves by them."""
+"""Probes that only the right device answers; they move nothing."""
 
 from __future__ import annotations
 
@@ -16,31 +16,47 @@ from rtee.errors import BusError, BusTimeout, FrameError
 _NOBODYS_UNIT = 213
 """A Modbus number that no known device has: a device that answers to it answers to all."""
 OWNER = "scan"
-"""Who asks, for the buses."""
+"""The owner of the buses during a scan."""
 _SERVO = 0.02
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
-_LINKER_ANSWER = 0.15  # what the LinkerHands' maker waits for an answer [s]
+_LINKER_ANSWER = 0.15  # longest time for an answer in the LinkerHands' SDK [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """One question, on a line that is set in one way.
+    """A request for one kind of device, with one setting of the line.
 
     Attributes:
-        name: Whom it looks for.
-        ask: Asks; gets the pool and the address.
+        name: The kind of device.
+        ask: Makes the request, given the pool and the address; returns the devices found.
     """
 
     name: str
     ask: Callable[[BusPool, str], Awaitable[list[Found]]]
 
 
-async def ended(bus: Bus, asked: Awaitable[list[Found]]) -> list[Found]:
-    """Return what was found, once the bus is given back."""
+async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
+    """Return the devices found, after detaching from the bus."""
     try:
-        return await asked
+        return await answers
     finally:
         await bus.detach(OWNER)
+
+
+def _on_line(
+    name: str,
+    baudrate: int,
+    listen: Callable[[SerialBus, str], Awaitable[list[Found]]],
+    *,
+    fresh: bool = False,
+) -> Probe:
+    """Return a probe on a serial line; ``listen`` gets the line and its address."""
+
+    async def ask(pool: BusPool, address: str) -> list[Found]:
+        bus = await pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=fresh)
+        return await ended(bus, listen(bus, address))
+
+    return Probe(name, ask)
 
 
 # --- Modbus ----------------------------------------------------------------------------------
@@ -68,14 +84,14 @@ async def _slaves(
             found.append(Found(one.driver, f"{one.what}, {line}", options))
         elif one is not None:
             found.append(one)
-    # Over TCP many devices answer to every unit, and would be listed once for each.
+    # Over TCP many devices answer to every unit and would be listed once for each.
     if bus.rtu or len(found) < 2 or await slave(bus, address, _NOBODYS_UNIT) is None:
         return found
     return [_any_unit(found)]
 
 
 def _any_unit(found: Sequence[Found]) -> Found:
-    """Return the one device that answers to every unit, with the unit that its driver asks."""
+    """Return the one device that answers to every unit, with its driver's default unit."""
     from rtee.drivers.plain_options import default_options
     from rtee.drivers.registry import find_driver
 
@@ -129,11 +145,7 @@ def svh() -> Probe:
         what = f"SCHUNK SVH, firmware {info.major}.{info.minor}"
         return [Found("schunk_svh", what, {"port": address})]
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATE)
-        return await ended(bus, listen(bus, address))
-
-    return Probe("SCHUNK SVH", ask)
+    return _on_line("SCHUNK SVH", BAUDRATE, listen)
 
 
 def softhand(devices: Sequence[int]) -> Probe:
@@ -142,7 +154,7 @@ def softhand(devices: Sequence[int]) -> Probe:
     from rtee.drivers.qb_softhand.link import QbLink
 
     async def listen(bus: SerialBus, address: str) -> list[Found]:
-        # One question for all first: most lines have no SoftHand, and each number costs a wait.
+        # First one request to all, since most lines have no SoftHand and each number takes time.
         if not await QbLink(bus, 0, 0.1, 1).hears_any():
             return []
         there = [n for n in devices if await QbLink(bus, n, 0.03, 0).ping()]
@@ -151,11 +163,7 @@ def softhand(devices: Sequence[int]) -> Probe:
             for n in there
         ]
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATE)
-        return await ended(bus, listen(bus, address))
-
-    return Probe("qb SoftHand", ask)
+    return _on_line("qb SoftHand", BAUDRATE, listen)
 
 
 def ability_hand() -> Probe:
@@ -171,11 +179,7 @@ def ability_hand() -> Probe:
             Found("ability_hand", f"PSYONIC Ability Hand, address {ADDRESS}", {"port": address})
         ]
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATES[0])
-        return await ended(bus, listen(bus, address))
-
-    return Probe("PSYONIC Ability Hand", ask)
+    return _on_line("PSYONIC Ability Hand", BAUDRATES[0], listen)
 
 
 def rh56(units: Sequence[int]) -> Probe:
@@ -195,11 +199,7 @@ def rh56(units: Sequence[int]) -> Probe:
                 found.append(Found("inspire_rh56", f"Inspire RH56, unit {unit}", options))
         return found
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=BAUDRATES[0])
-        return await ended(bus, listen(bus, address))
-
-    return Probe("Inspire RH56", ask)
+    return _on_line("Inspire RH56", BAUDRATES[0], listen)
 
 
 def wsg50() -> Probe:
@@ -237,7 +237,7 @@ def orca_touch() -> Probe:
     asked = codec.Request(codec.Function.READ, codec.Register.CONNECTED, codec.CONNECTED_SIZE)
 
     def answers(answer: codec.Answer) -> bool:
-        # A board that was started before may send its frames all the time.
+        # A board with a running stream also sends other frames.
         return isinstance(answer, codec.Reply) and answer.address == asked.address
 
     async def listen(bus: SerialBus, address: str, baudrate: int) -> list[Found]:
@@ -265,8 +265,8 @@ def orca_touch() -> Probe:
 def dynamixel(baudrate: int) -> Probe:
     """Return a probe for Dynamixel servos at one rate.
 
-    A line that carries every rate alike, such as a played one, has servos answer at all of them;
-    they are then found at the rate that they report.
+    On a line that carries every rate, such as an emulated one, servos answer at all of them; they
+    are then listed with the rate that they report.
     """
     from rtee.drivers.dynamixel.codec import ALERT
     from rtee.drivers.dynamixel.table import BAUD_RATE, BAUD_RATES, model_of
@@ -300,9 +300,9 @@ def dynamixel(baudrate: int) -> Probe:
 def feetech(baudrate: int) -> Probe:
     """Return a probe for Feetech servos at one rate.
 
-    All answer to a broadcast ping at once, which tells only whether there is somebody; then every
-    id is asked. A line that carries every rate alike has servos answer at all of them; they are
-    then found at the rate that they report.
+    All servos answer a broadcast ping at once, which shows only whether there are any; then every
+    id is read. On a line that carries every rate, servos answer at all of them; they are then
+    listed with the rate that they report.
     """
     from rtee.drivers.feetech.codec import (
         BROADCAST,
@@ -320,7 +320,7 @@ def feetech(baudrate: int) -> Probe:
         try:
             await bus.transact(ping, ReplyParser(), ANSWER, 0)
         except FrameError:
-            return True  # several at once make no valid frame of it
+            return True  # the answers of several collide
         except BusTimeout:
             return False
         return True
@@ -338,24 +338,12 @@ def feetech(baudrate: int) -> Probe:
             family = "" if model is None else model.family
             what = f"servo with model bytes {about[3:5].hex(' ').upper()}"
             name = what if model is None else model.name
-            told = about[BAUD_RATE.address]
-            rate = BAUD_RATES[told] if told < len(BAUD_RATES) else baudrate
-            found.append(
-                Found(
-                    "feetech" if family else "",
-                    f"{name}, id {number}, firmware {about[0]}.{about[1]}, {rate} baud",
-                    {
-                        "port": address,
-                        "baudrate": rate,
-                        **({"family": family} if family else {}),
-                        "id": number,
-                    },
-                )
-            )
+            code = about[BAUD_RATE.address]
+            rate = BAUD_RATES[code] if code < len(BAUD_RATES) else baudrate
+            options = {"port": address, "baudrate": rate}
+            options |= {"family": family} if family else {}
+            text = f"{name}, id {number}, firmware {about[0]}.{about[1]}, {rate} baud"
+            found.append(Found("feetech" if family else "", text, {**options, "id": number}))
         return found
 
-    async def ask(pool: BusPool, address: str) -> list[Found]:
-        bus = await pool.serial(address, owner=OWNER, baudrate=baudrate, fresh=True)
-        return await ended(bus, listen(bus, address))
-
-    return Probe("Feetech", ask)
+    return _on_line("Feetech", baudrate, listen, fresh=True)

@@ -12,21 +12,21 @@ from rtee.drivers.diagnosis.slaves import Found
 from rtee.errors import BusBusy, BusError
 
 DYNAMIXEL_RATES = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
-"""Rates at which Dynamixels are looked for [baud]: as from the factory, then the usual ones."""
+"""Rates at which to search for Dynamixels [baud]: that from the factory, then the usual ones."""
 
 FEETECH_RATES = (1_000_000, 115_200, 500_000)
-"""Rates at which Feetech servos are looked for [baud]: as from the factory, by TTL and RS-485."""
+"""Rates at which to search for Feetech servos [baud]: those from the factory (TTL and RS-485)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address and what was found there.
+    """An address and the devices found there.
 
     Attributes:
         address: A tty, a network address or a CAN channel.
-        about: What the system knows of it.
+        about: The system's description of it.
         found: The devices that answered.
-        problem: Why it could not be asked; empty when it could.
+        problem: Why it could not be probed; empty if it could.
     """
 
     address: str
@@ -37,12 +37,12 @@ class Address:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to ask at one address.
+    """The probes for one address.
 
     Attributes:
         address: The address.
-        about: What the system knows of it.
-        probes: The questions, in order.
+        about: The system's description of it.
+        probes: The probes, in order.
     """
 
     address: str
@@ -51,11 +51,11 @@ class Plan:
 
 
 def serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this computer and what they say they are."""
+    """Return the serial ports of this computer and their descriptions."""
     from serial.tools.list_ports import comports
 
     return [
-        # USB adapters only: a computer's own serial ports seldom lead to a hand.
+        # USB adapters only, since a hand is seldom on a computer's own serial port.
         (port.device, port.description or "")
         for port in sorted(comports())
         if port.vid is not None
@@ -63,10 +63,10 @@ def serial_ports() -> list[tuple[str, str]]:
 
 
 def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
-    """Return the questions for a serial port, fastest first.
+    """Return the probes for a serial port, fastest first.
 
     Args:
-        units: Modbus numbers to ask; by default the usual ones.
+        units: Modbus numbers to probe; by default the usual ones.
     """
     return (
         probes.wsg50(),
@@ -85,32 +85,32 @@ def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
 
 
 def network_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
-    """Return the questions for a network address."""
+    """Return the probes for a network address."""
     return (probes.wsg50(), probes.modbus(115200, "N", units or (65, 66, 67, 2, 9, 1)))
 
 
 async def scan(
     plans: Sequence[Plan], pool: BusPool, tell: Callable[[str], None] = lambda line: None
 ) -> list[Address]:
-    """Ask at all addresses, one after the other; nothing moves by it.
+    """Probe all addresses, one after the other; moves nothing.
 
-    A port that another program holds is left alone. On a line where somebody answered in one
-    language, the other languages are not tried, only other rates of the same one. A device that
-    answers to several questions is listed once.
+    A port that another program has open is left alone. On a line with an answer to one protocol,
+    only other rates of that protocol are probed. A device that answers several probes is listed
+    once.
 
     Args:
-        plans: Where to ask what.
+        plans: The addresses and their probes.
         pool: The buses.
-        tell: Called with what is being asked.
+        tell: Called with the address and the name of each probe.
     """
     return [await _ask(plan, pool, tell) for plan in plans]
 
 
 async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Address:
     found: list[Found] = []
-    language = ""
+    protocol = ""
     for probe in plan.probes:
-        if language and probe.name != language:
+        if protocol and probe.name != protocol:
             continue
         tell(f"{plan.address}: {probe.name}")
         try:
@@ -118,11 +118,11 @@ async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Addres
         except BusBusy as error:
             return Address(plan.address, plan.about, problem=error.message)
         except BusError as error:
-            # What has been found is worth more than the error of a later question.
+            # Devices that were found are worth more than the error of a later probe.
             if not found:
                 return Address(plan.address, plan.about, problem=error.message)
             continue
         if answers:
-            language = probe.name
+            protocol = probe.name
             found += [one for one in answers if one not in found]
     return Address(plan.address, plan.about, tuple(found))

@@ -1,4 +1,4 @@
-"""Modbus slaves, told from each other by registers that only they have; nothing is written."""
+"""Recognise Modbus slaves by registers that only they have; nothing is written."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtee.errors import BusTimeout, FrameError
 
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
-ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves take some 10 ms
+ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves need about 10 ms
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +19,9 @@ class Found:
     """A device that answered.
 
     Attributes:
-        driver: Name of the driver for it; empty when there is none.
-        what: What it said about itself.
-        options: Options for hand.yaml with which it is reached.
+        driver: Name of its driver; empty if there is none.
+        what: Its name and identity, in words.
+        options: Options for hand.yaml with which to connect to it.
     """
 
     driver: str
@@ -30,10 +30,11 @@ class Found:
 
 
 async def slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
-    """Return the Modbus slave with a number, by its driver's name if it is known."""
+    """Return the Modbus slave with a number, with its driver if it is known."""
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
-    # A hand may tell zeros where it has no registers, as an inactive gripper does, or be silent.
+    # For registers that it does not have, a hand may return zeros, like an inactive gripper, or
+    # not answer.
     doubtful = robotiq is None and unit in _HANDS
     if doubtful or isinstance(robotiq, ModbusRefusal) or (robotiq and not any(robotiq)):
         rh56 = await _rh56(bus, unit, options)
@@ -41,7 +42,7 @@ async def slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
             return rh56
     if isinstance(robotiq, tuple):
         return _robotiq(robotiq, unit, options)
-    # Robotiq's grippers are silent about what they do not know; OnRobot's refuse it.
+    # Robotiq's grippers do not answer requests for unknown registers; OnRobot's refuse them.
     if robotiq is not None:
         known = await _onrobot(bus, unit, options) or await _egu(bus, unit, options)
         return known or Found("", f"a Modbus slave, unit {unit}", options)
@@ -49,7 +50,7 @@ async def slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
 
 
 async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return a SCHUNK EGU or EGK if one tells its module type."""
+    """Return a SCHUNK EGU or EGK if the slave has its module type."""
     from rtee.drivers.schunk_egu.codec import MODULES, Parameter
 
     module = await _registers(bus, unit, Parameter.MODULE.register, 1)
@@ -59,7 +60,7 @@ async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found |
 
 
 async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return an OnRobot gripper if one tells its diameters or its product code."""
+    """Return an OnRobot gripper if the slave has its diameters or its product code."""
     from rtee.drivers.onrobot_3fg.codec import LIMITS
     from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS
     from rtee.drivers.onrobot_rg.codec import MODELS
@@ -77,7 +78,7 @@ async def _onrobot(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Fou
 
 
 async def _rh56(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
-    """Return an RH56 if one tells its angles, states and temperatures."""
+    """Return an RH56 if the slave has its angles, states and temperatures."""
     from rtee.drivers.inspire_rh56.codec import REPORT, WORDS, Register, Report, Rh56FrameError
     from rtee.drivers.inspire_rh56.link import ModbusLink
 
@@ -100,7 +101,7 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
 
     try:
         Status3.from_registers(registers)
-        # Behind its three registers, a two-finger gripper tells zeros.
+        # The registers after its first three are 0 in a two-finger gripper.
         three = bool(registers[6] >> 8 or registers[4] or registers[5])
         if three:
             return Found("robotiq_3f", f"Robotiq 3-Finger, unit {unit}", options)

@@ -17,15 +17,14 @@ HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE  # the id that all servos listen to
 STATUS = 0x55  # in an answer, where a request has its instruction
 LONGEST = 1024
-"""Largest length field that is accepted [byte]: no servo has a larger table, garbage often
-would."""
+"""Largest accepted length field [byte]: more than any table has, less than most garbage."""
 _STUFFED = b"\xff\xff\xfd"
 _AHEAD = 7
-"""Bytes ahead of what the length field counts: header, id and the field itself."""
+"""Bytes that the length field does not count: header, id and the field itself."""
 _SHORTEST = 3
 """Smallest length field: instruction and CRC."""
 _POLYNOMIAL = 0x8005
-"""Of the CRC: CRC-16 as Robotis prints it (Protocol 2.0, CRC)."""
+"""Polynomial of the CRC-16 (Robotis e-manual, protocol 2.0, CRC)."""
 
 
 class DynamixelFrameError(ValueError):
@@ -65,7 +64,7 @@ class Error(IntEnum):
 
 
 ALERT = 0x80
-"""Bit of a status packet's error: the hardware error status says more."""
+"""Bit of a status packet's error: the register of the hardware error status is not 0."""
 
 
 class Hardware(IntFlag):
@@ -101,7 +100,7 @@ def crc16(data: Iterable[int], start: int = 0) -> int:
 
 
 def stuff(data: bytes) -> bytes:
-    """Return what follows the length field with ``FF FF FD`` made unlike a header."""
+    """Return the body of a packet with every ``FF FF FD`` made distinct from a header."""
     return data.replace(_STUFFED, _STUFFED + b"\xfd")
 
 
@@ -118,7 +117,7 @@ def _sealed(device: int, body: bytes) -> bytes:
 
 
 def _opened(raw: bytes) -> tuple[int, bytes]:
-    """Return the id and what follows the length field, still stuffed."""
+    """Return the id and the body, still stuffed; raises `DynamixelFrameError`."""
     if len(raw) < _SHORTEST + _AHEAD or raw[:4] != HEADER:
         raise DynamixelFrameError("a packet begins with FF FF FD 00 and has at least ten bytes")
     device, length = struct.unpack_from("<BH", raw, 4)
@@ -131,11 +130,11 @@ def _opened(raw: bytes) -> tuple[int, bytes]:
 
 @dataclass(frozen=True, slots=True)
 class InstructionPacket:
-    """What a host sends.
+    """A packet from the host.
 
     Attributes:
         device: Id of the servo, or `BROADCAST`.
-        instruction: What it asks; an integer, as servos answer unknown ones with an error.
+        instruction: Its instruction; any integer, as servos answer unknown ones with an error.
         params: Its parameters.
     """
 
@@ -159,12 +158,12 @@ class InstructionPacket:
 
 @dataclass(frozen=True, slots=True)
 class StatusPacket:
-    """What a servo answers.
+    """A packet from a servo.
 
     Attributes:
         device: Its id.
-        error: Error number, and the alert bit.
-        params: What it reports.
+        error: Error number and alert bit.
+        params: The data that it returns.
     """
 
     device: int
@@ -177,10 +176,10 @@ class StatusPacket:
 
 
 def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = None) -> bytes:
-    """Return the one packet in which several servos answer a fast sync or bulk read.
+    """Return the single packet in which several servos answer a fast sync or bulk read.
 
-    Each servo's part is its error, its id, its data and the CRC of everything up to there. With
-    ``sizes`` of more servos than answer, it is the packet as it stops at the first missing one.
+    Each servo's part is its error, its id, its data and the CRC of all bytes before. With ``sizes``
+    of more servos than answer, the packet ends at the first missing servo.
     """
     if sizes is None:
         sizes = [len(a.params) for a in answers]
@@ -197,8 +196,8 @@ class InstructionParser(FramedParser[InstructionPacket]):
     """Finds instructions in a stream, as a servo does.
 
     Attributes:
-        damaged: Id and instruction, as received, of packets whose CRC did not match; the reader
-            takes them away.
+        damaged: Id and instruction, as received, of packets with a wrong CRC; the user of the
+            parser empties the list.
     """
 
     HEADER = HEADER
@@ -215,7 +214,7 @@ class InstructionParser(FramedParser[InstructionPacket]):
         return length + _AHEAD if _SHORTEST <= length <= LONGEST else 0
 
     def _inside(self) -> int:
-        # Stuffing keeps headers out of packets: another one means that this one is cut off.
+        # Stuffing keeps headers out of packets: another header means that this packet is cut off.
         return max(0, self._buffer.find(HEADER, 1))
 
     def _decode(self, raw: bytes) -> InstructionPacket:

@@ -29,10 +29,10 @@ _HEALTH = struct.Struct("<HB")
 """Present input voltage [0.1 V] and temperature [°C], side by side in the control table."""
 
 _TRIPPED = 0xFF
-"""Bus watchdog (address 98) that has tripped: -1 as a byte."""
+"""Value of a tripped bus watchdog (address 98): -1 as a byte."""
 
 _TIME_BASED = 0x04
-"""Bit of the drive mode (address 10): the profile velocity is a time, which limits no speed."""
+"""Bit of the drive mode (address 10): the profile velocity is a time, not a speed limit."""
 
 
 class ServoCycle:
@@ -47,7 +47,7 @@ class ServoCycle:
         link: Group reads and writes on the line.
         names: The actuator of each servo, by id, in the order of the actuators.
         scales: Units of the joints, in the order of the actuators.
-        found: The servos as they were found, by id.
+        found: The registers of the servos as found, by id.
         active: Whether the servos must have torque.
     """
 
@@ -85,11 +85,11 @@ class ServoCycle:
             scale.torque_per_ampere = servo.torque_per_ampere or model.torque_per_ampere
 
     def unwrap(self) -> None:
-        """Find the turn that each joint is in.
+        """Determine the turn of each joint; see `Scale.unwrap`.
 
         Raises:
-            CalibrationError: if one is where it cannot be.
-            ConfigError: if the range of one crosses a turn, which the operating mode excludes.
+            CalibrationError: if a joint is far outside its limits.
+            ConfigError: if its range crosses a turn, which the operating mode excludes.
             BusError: if the line fails.
         """
         positions = self.positions()
@@ -114,10 +114,10 @@ class ServoCycle:
         self._units = Scales(self.link.ids, self.scales)
 
     def set_zeros(self, angles: FloatArray) -> None:
-        """Take the present positions for these angles of the joints [rad]; raises `BusError`."""
+        """Set the zeros so that the joints are at these angles [rad]; raises `BusError`."""
         positions = self.positions()
         for number, scale, angle in zip(self.link.ids, self.scales, angles, strict=True):
-            # With neutral units, so that `to_pulses` gives the joint's angle alone.
+            # Without zero and turn, `to_pulses` converts the joint's angle alone.
             scale.zero, scale.turn = 0.0, 0
             pulses = positions[number]
             scale.zero = float((pulses - scale.to_pulses(float(angle))) % table.PULSES)
@@ -129,7 +129,7 @@ class ServoCycle:
         return {number: _STATE.unpack(data[number])[2] for number in self.link.ids}
 
     def power(self) -> None:
-        """Set up and power the servos that are without torque, where they are.
+        """Set up the servos without torque and power them at their positions.
 
         Raises:
             DeviceFault: if one has a hardware error.
@@ -141,14 +141,14 @@ class ServoCycle:
         torque, _ = link.read_group(table.TORQUE.address, 1)
         off = {n: replace(self.found[n], torque=False) for n in link.ids if not torque[n][0]}
         at_rest = {n: positions[n] for n in off}
-        setup.prepare(link, self._options, off, self._taken(at_rest), self._current_limits())
+        setup.prepare(link, self._options, off, self._as_goals(at_rest), self._current_limits())
         guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
         setup.arm(link, self._options.watchdog)
-        # What a servo does when a tripped watchdog is cleared must not depend on its old goal.
+        # After clearing a tripped watchdog, a servo must not move to its old goal.
         tripped = {n: positions[n] for n in link.ids if guard[n][0] == _TRIPPED}
-        link.write_confirmed(table.GOAL_POSITION, self._taken(tripped), within=setup.NEAR)
+        link.write_confirmed(table.GOAL_POSITION, self._as_goals(tripped), within=setup.NEAR)
         self._attached.begin(i for i, n in enumerate(link.ids) if n not in off and n not in tripped)
-        # What was written before the power was cut is gone.
+        # Limits written before a power cycle are lost.
         self._sent, self._limits = {}, None
         if off:
             self.find()
@@ -156,14 +156,14 @@ class ServoCycle:
     # --- every cycle -------------------------------------------------------------------------
 
     def sense(self) -> ActuatorState:
-        """Return current, velocity and position of all servos, read at once.
+        """Read current, velocity and position of all servos in one exchange.
 
         Raises:
             DeviceFault: if a servo that must have torque has none, or a hardware error.
             BusError: if the line fails.
         """
         count, self._count = self._count, self._count + 1
-        # Seldom: temperatures change slowly, and each read costs a good part of a cycle.
+        # Seldom, since temperatures change slowly and each read takes a good part of a cycle.
         if count % self._options.health_every == 0:
             self._read_health()
         data, errors = self.link.read_group(table.STATE, table.STATE_SIZE)
@@ -191,9 +191,9 @@ class ServoCycle:
         self._temperature = read[:, 1]
         if not self.active:
             return
-        # Nothing answers to a group write: limits that were lost are written again now and then.
+        # Servos do not answer a group write, so limits are written again now and then.
         self._sent, self._limits = {}, None
-        # The watchdog first: a tripped one explains a servo that does not follow.
+        # The watchdog first, as it explains why a servo does not follow.
         if self._options.watchdog > 0.0:
             guard, _ = link.read_group(table.BUS_WATCHDOG.address, 1)
             tripped = [n for n in link.ids if guard[n][0] == _TRIPPED]
@@ -220,30 +220,30 @@ class ServoCycle:
     def move(self, reference: Reference) -> None:
         """Write changed limits, then the goal positions; raises `BusError`."""
         mask = reference.mask.tolist()
-        # Before the limits: those of an actuator that holds something are its grip.
+        # Before the limits, since the limits of an actuator that holds an object are its grip.
         if self._attached:
             left = self._attached.left(reference, self._measured)
             mask = [commanded and i not in left for i, commanded in enumerate(mask)]
-        asked = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
-        if asked != self._limits:
+        limits = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
+        if limits != self._limits:
             self._limits = None
-            self._write_limits(*asked)
-            self._limits = asked
+            self._write_limits(*limits)
+            self._limits = limits
         pulses = self._units.pulses(reference.position)
         columns = zip(self.link.ids, pulses, mask, strict=True)
         self.link.write_group(table.GOAL_POSITION, {n: p for n, p, given in columns if given})
 
     def release(self) -> None:
-        """Take the torque away, and see that it is gone; raises `BusError`."""
+        """Disable the torque, and check that it is off; raises `BusError`."""
         self.link.write_confirmed(table.TORQUE, dict.fromkeys(self.link.ids, 0))
 
     def hold(self) -> None:
         """Make the present positions the goals; raises `BusError`."""
         self._attached.begin()
-        self.link.write_confirmed(table.GOAL_POSITION, self._taken(self.positions()))
+        self.link.write_confirmed(table.GOAL_POSITION, self._as_goals(self.positions()))
 
-    def _taken(self, positions: Mapping[int, int]) -> dict[int, int]:
-        """Return positions [pulse] as goals that the servos take: they refuse those beyond."""
+    def _as_goals(self, positions: Mapping[int, int]) -> dict[int, int]:
+        """Return positions [pulse] limited to the goals that the servos accept."""
         if self._options.mode != "position":
             return dict(positions)
         return {
@@ -253,14 +253,14 @@ class ServoCycle:
 
     @property
     def limits_effort(self) -> bool:
-        """Whether a limit of effort can be turned into one of current, in this operating mode."""
+        """Whether effort limits can be sent as current limits, in this operating mode."""
         known = all(math.isfinite(scale.to_effort(1.0)) for scale in self.scales)
         return known and self._options.mode == "current_based_position"
 
     def _write_limits(
         self, efforts: list[float], velocities: list[float], mask: list[bool]
     ) -> None:
-        """Write limits of current and speed that have changed."""
+        """Write the current and speed limits that have changed."""
         currents: dict[int, int] = {}
         speeds: dict[int, int] = {}
         most, limited = self._current_limits(), self.limits_effort
@@ -286,7 +286,7 @@ class ServoCycle:
             sent.update(changed)
 
     def _current_limits(self) -> dict[int, int]:
-        """Return the largest current of each servo [counts]: its own limit, or a smaller option."""
+        """Return the largest current of each servo [counts]: its limit, or a smaller option."""
         limits = {}
         for servo, scale in zip(self._servos, self.scales, strict=True):
             limit = self.found[servo.id].current_limit

@@ -29,16 +29,16 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _SLOW = 5.0
-"""Longest time for what reads or writes the servos one by one [s]."""
+"""Longest time to read or write all servos one by one [s]."""
 
 _ONE_SERVO = 1.0
 """Longest time for one request to one servo, retries included [s]."""
 
 _REBOOT_POLL = 0.1
-"""Pause between two questions whether rebooted servos answer again [s]; they take some 0.4 s."""
+"""Pause between two pings of rebooted servos [s]; a reboot takes about 0.4 s."""
 
 _MOST_GAIN = 16383
-"""Largest gain that the position controllers take (addresses 80 to 84)."""
+"""Largest gain of the position controllers (addresses 80 to 84)."""
 
 GAINS = {"p": table.POSITION_P, "i": table.POSITION_I, "d": table.POSITION_D}
 """Registers of the gains that can be tuned."""
@@ -49,11 +49,11 @@ class DynamixelDriver(CalibratesServos):
 
     A cycle is one group read of current, velocity and position, and one group write of goal
     positions. Current limits (from the effort limit) and profile velocities are written before the
-    positions when they change. Hardware errors show in the alert bit of every answer.
+    positions when they change. Hardware errors set the alert bit of every answer.
 
-    Servos lose their turns with their supply: a joint whose range crosses the wrap is read in the
-    turn in which it lies within its limits. Servos with torque are left as they are, when
-    the line is opened and when it is closed.
+    Servos lose their turn count with their supply: for a joint whose range crosses the wrap, the
+    turn is assumed in which it is within its limits. Servos with torque keep it, and their goals,
+    when the line is opened and when it is closed.
     """
 
     Options: ClassVar[type[DynamixelOptions]] = DynamixelOptions
@@ -75,7 +75,7 @@ class DynamixelDriver(CalibratesServos):
     def _best_rate(self, *, fast: bool) -> float:
         """Return the fastest rate of cycles that the line allows [Hz]."""
         n, size = len(self.spec.actuators), table.STATE_SIZE
-        # Bytes of: read request, answers (one packet, or one for each servo), write request.
+        # Bytes of the read request, the answers (one packet, or one per servo), the write request.
         answer = 8 + n * (size + 4) if fast else n * (size + 11)
         count = 14 + n + answer + 14 + n * 5
         return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
@@ -96,7 +96,7 @@ class DynamixelDriver(CalibratesServos):
         )
         link = cycle.link
         await link.run(cycle.find, _SLOW)
-        # After finding: the calibration belongs to these very servos, or it is refused.
+        # After finding the servos, since a calibration of other servos is refused.
         if options.calibration is not None:
             zeros = zeros_of(options.calibration, self.spec.name, _as_calibrated(cycle))
             for scale, zero in zip(cycle.scales, zeros, strict=True):
@@ -106,7 +106,7 @@ class DynamixelDriver(CalibratesServos):
         await link.run(cycle.unwrap, _SLOW)
 
     def _describe(self, cycle: ServoCycle) -> None:
-        """Refine the capabilities by what was found."""
+        """Refine the capabilities according to the servos found."""
         found = cycle.found.values()
         models = Counter(model_of(servo.model).name for servo in found)
         measures = {"position", "velocity", "temperature"}
@@ -134,12 +134,12 @@ class DynamixelDriver(CalibratesServos):
         )
 
     async def activate(self) -> None:
-        """Set up and power the servos that are without torque, where they are."""
+        """Set up the servos without torque and power them at their positions."""
         cycle = self.connection.link
         cycle.link.patient = True
         await cycle.link.run(cycle.unwrap, _SLOW)
         await cycle.link.run(cycle.power, _SLOW)
-        # From now on a cycle has to be kept.
+        # From now on the exchanges have to fit into a cycle.
         cycle.link.patient = False
         cycle.active = True
 
@@ -150,7 +150,7 @@ class DynamixelDriver(CalibratesServos):
         return ""
 
     async def deactivate(self) -> None:
-        """Take the torque away."""
+        """Disable the torque."""
         if self.connection.is_open:
             cycle = self.connection.link
             cycle.active = False
@@ -159,7 +159,7 @@ class DynamixelDriver(CalibratesServos):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return current, velocity and position of all servos, read at once."""
+        """Read current, velocity and position of all servos in one exchange."""
         cycle = self.connection.link
         return await cycle.link.run(cycle.sense)
 
@@ -182,13 +182,13 @@ class DynamixelDriver(CalibratesServos):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
             await patiently(partial(cycle.link.run, cycle.hold))
 
     async def disable(self) -> None:
-        """Take the torque away; the fingers go limp."""
+        """Disable the torque; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
@@ -213,7 +213,7 @@ class DynamixelDriver(CalibratesServos):
     # --- calibration -------------------------------------------------------------------------
 
     async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Take the present positions for a posture [rad]; raises `BusError`."""
+        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
         cycle = self.connection.link
         await cycle.link.run(partial(cycle.set_zeros, rest), _SLOW)
         return _as_calibrated(cycle)

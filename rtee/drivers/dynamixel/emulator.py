@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import VirtualObject
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import (
     ALERT,
@@ -27,9 +26,9 @@ from rtee.drivers.properties import read_properties
 from rtee.drivers.servo_emulator import ServoLine
 
 _SPAN = 4
-"""Bytes of an address and a length, with which the parameters of most instructions begin."""
+"""Bytes of address and length at the beginning of most instructions' parameters."""
 _ALWAYS = 2
-"""Status return level at which a servo answers every instruction; see its control table."""
+"""Status return level at which a servo answers every instruction (address 68)."""
 _CLEAR_TURNS = b"\x01DXL\x22"  # the only parameters with which Clear is accepted
 _LEVELS = {int(Instruction.PING): 0, int(Instruction.READ): 1}
 """Status return level from which an instruction is answered; other instructions from 2."""
@@ -49,9 +48,9 @@ class LineProperties:
     Attributes:
         ids: Ids of its servos.
         servo: Properties of all servos.
-        special: Properties of single servos, by id.
+        special: Properties of individual servos, by id.
         latency: Latency of the adapter per answer [s]; 1 ms or 16 ms with an FTDI chip.
-        fast: Whether they know the fast reads.
+        fast: Whether they support the fast reads.
     """
 
     ids: tuple[int, ...] = (1,)
@@ -66,7 +65,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
 
     Attributes:
         properties: Properties of the line.
-        counts: Instructions heard, by instruction.
+        counts: Number of received instructions, by instruction.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_HARDWARE) | {"silent"}
@@ -115,12 +114,12 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             self.ordered[0].fail(_HARDWARE[fault])
 
     def clear(self, fault: str | None = None) -> None:
-        """Take a fault away; hardware errors stay latched until a reboot."""
+        """Remove a fault; hardware errors stay latched until a reboot."""
         super().clear(fault)
         self.ordered[0].cause = Hardware(0)
 
     def on_faults(self) -> None:
-        """Block the servos while they are stuck, and have them answer as the model they are."""
+        """Block the servos while they are stuck, and set their model numbers."""
         for servo in self.ordered:
             servo.axis.stuck = "stuck" in self.faults
             # 350 is an XL-320, which has another control table.
@@ -128,7 +127,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             servo.set(table.MODEL, model)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the servos close: from where they stood at power-up."""
+        """Return how the servos close, from their positions at power-up."""
         strongest = float(table.CURRENT_LIMIT.default)
         return [
             Closing(servo.axis, made.start, made.start + made.closing, strongest)
@@ -136,14 +135,8 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             for made in [servo.properties]
         ]
 
-    def grip_object(
-        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
-    ) -> None:
-        """Put an object in a servo's way, met at a position [pulse]; stiffness in mA per pulse."""
-        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
-
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes from the host and return the answers."""
+        """Receive bytes from the host and return the answers."""
         self.step(now)
         self._show_rate()
         answers: list[bytes] = []
@@ -152,7 +145,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 continue
             self.counts[packet.instruction] = self.counts.get(packet.instruction, 0) + 1
             for servo in self.ordered:
-                # Every instruction on the line feeds the bus watchdog, whichever servo it is for.
+                # Every instruction on the line resets the bus watchdogs of all servos.
                 servo.heard(now)
             answers += self._answers(packet, now)
         return answers + self._crc_errors(now)
@@ -165,7 +158,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 servo.set(table.BAUD_RATE, table.BAUD_RATES.index(self.baudrate))
 
     def _crc_errors(self, now: float) -> list[bytes]:
-        """Return the answers of servos to instructions for them that were damaged on the way."""
+        """Return the answers of servos to damaged instructions that are addressed to them."""
         damaged, self._parser.damaged = self._parser.damaged, []
         if "silent" in self.faults:
             return []
@@ -206,7 +199,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
         everybody = packet.device == BROADCAST
         numbers = sorted(self.servos) if everybody else [packet.device]
         answers = [self._single(servo, packet, now) for servo in self._listening(numbers, now)]
-        # A broadcast is obeyed by all and answered by none, except for a ping.
+        # All servos carry out a broadcast, but none answers it, except for a ping.
         if everybody and packet.instruction != Instruction.PING:
             return []
         return self._delayed([a.to_bytes() for a in answers if a is not None], numbers)
@@ -246,7 +239,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 servo.action()
                 error = Error.NONE
             case Instruction.REBOOT:
-                # It answers first: after the reboot it is silent for a while.
+                # It answers before the reboot, after which it is silent for a while.
                 answer = self._status(servo, 0)
                 servo.reboot(now)
                 return answer if level >= _ALWAYS else None
@@ -264,7 +257,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
     def _read_many(self, wanted: list[tuple[int, int, int]], fast: bool, now: float) -> list[bytes]:
         answers = []
         for number, address, length in wanted:
-            # Each servo waits for the answer of the one before it: a missing one silences the rest.
+            # Each servo waits for the answer of the previous one: a missing one silences the rest.
             found = self._listening([number], now)
             if not found:
                 break
@@ -279,7 +272,7 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
         return self._delayed([a.to_bytes() for a in answers], [n for n, _, _ in wanted])
 
     def _delayed(self, answers: list[bytes], numbers: Iterable[int]) -> list[bytes]:
-        """Set the turn-around of these answers: every servo's return delay, and the adapter's."""
+        """Set the turnaround of these answers: return delays of the servos, adapter's latency."""
         servos = self.servos
         # The register counts in units of 2 µs.
         delays = [servos[n].get(table.RETURN_DELAY) * 2e-6 for n in numbers if n in servos]

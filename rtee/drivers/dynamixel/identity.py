@@ -1,4 +1,4 @@
-"""How a servo gets another id, and another rate: before it shares a line with others."""
+"""Change the id and the rate of a servo before it shares a line with others."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _DEADLINE = 0.1
 _ALL = 5.0
 """Longest time for an exchange with all its repetitions [s]."""
 _ATTEMPTS = 4
-"""How often something is written to which the servo does not answer as it should afterwards."""
+"""Attempts to write an id or a rate that the servo does not use afterwards."""
 _SETTLES = 0.02
-"""Time that a servo is given to store a value of its EEPROM [s]; no source gives one."""
+"""Time for a servo to store a value in its EEPROM [s]; no source gives one."""
 
 
 async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Model | None:
-    """Return the model of the servo with an id; ``None`` where none answers; raises `BusError`."""
+    """Return the model of the servo with an id, ``None`` if none answers; raises `BusError`."""
     bus = await _line(pool, port, baudrate)
     try:
         return await _asked(bus, number)
@@ -36,23 +36,23 @@ async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Mode
 async def set_id(
     pool: BusPool, port: str, baudrate: int, old: int, new: int, new_baudrate: int | None = None
 ) -> Model:
-    """Store another id in a servo, and another rate; its torque is taken away.
+    """Store another id in a servo, and another rate; this disables its torque.
 
     Args:
         pool: The buses.
-        port: Where it is.
+        port: The servo's port.
         baudrate: Rate of the line [baud].
-        old: Its id.
-        new: The id that it gets, which may be the same.
-        new_baudrate: The rate that it gets [baud]; ``None`` leaves it.
+        old: Its present id.
+        new: Its new id, which may be the same.
+        new_baudrate: Its new rate [baud]; ``None``: unchanged.
 
     Returns:
-        What it is.
+        The servo's model.
 
     Raises:
         BusError: if the line fails.
         ConfigError: if another servo has that id.
-        DriverError: if it does not take the id or the rate.
+        DriverError: if it does not accept the id or the rate.
         NotConnected: if no servo answers to the old id.
     """
     bus = await _line(pool, port, baudrate)
@@ -85,14 +85,14 @@ async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -
             await _store(bus, number, table.BAUD_RATE, table.BAUD_RATES.index(new))
         finally:
             await bus.detach(_OWNER)
-        # From then on it hears nothing at the old rate.
+        # A servo with the new rate does not answer at the old one.
         if await model_at(pool, port, new, number) is not None:
             return
     raise DriverError(port, f"servo {number} does not take the rate of {new} baud")
 
 
 async def _answers_as(bus: DynamixelBus, old: int, new: int) -> bool:
-    """Return whether it has its new id; writes it again where it has not."""
+    """Return whether the servo has its new id; writes it again if not."""
     for _ in range(_ATTEMPTS):
         if await _asked(bus, new) is not None:
             return True
@@ -101,7 +101,7 @@ async def _answers_as(bus: DynamixelBus, old: int, new: int) -> bool:
 
 
 async def _store(bus: DynamixelBus, number: int, register: table.Register, value: int) -> None:
-    """Write where the servo may answer under its new id, at its new rate, or not at all."""
+    """Write a register without expecting an answer: it may come with the new id or rate."""
     link = _link(bus, number)
     await link.run(partial(link.write_group, register, {number: value}), _ALL)
     await asyncio.sleep(_SETTLES)

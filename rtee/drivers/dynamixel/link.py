@@ -20,25 +20,25 @@ _ERROR_NUMBER = 0x7F
 """Bits of a status packet's error byte beside the hardware alert (protocol 2.0)."""
 
 _LATENCY = 0.008
-"""Time allowed for an answer beyond that of its bytes, in a cycle [s]: some polls of an adapter
-whose latency timer is 1 ms."""
+"""Time allowed for an answer beside that of its bytes, in a cycle [s]: several polls of an adapter
+with a latency timer of 1 ms."""
 
 _PATIENT_LATENCY = 0.03
-"""The same in set-up [s]; the SDK allows 34 ms."""
+"""The same during set-up [s]; the SDK allows 34 ms."""
 
 _ATTEMPTS = 4
-"""How often a group write is sent to servos that have not taken it."""
+"""Attempts to write a group of servos that do not have the value afterwards."""
 
 
 def _heard(result: int, error: int) -> int:
-    """Return the SDK's result; a request that reached the servo damaged is worth another try."""
+    """Return the SDK's result; a request that reached the servo damaged counts as corrupt."""
     if result == sdk.COMM_SUCCESS and error & _ERROR_NUMBER == Error.CRC:
         return int(sdk.COMM_RX_CORRUPT)
     return int(result)
 
 
 class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
-    """A group read that keeps the error bytes of the answers, which carry the hardware alert.
+    """A group read that also stores the error bytes of the answers, with the hardware alert.
 
     Attributes:
         errors: Error byte of each servo's last answer, by id.
@@ -66,7 +66,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
         return int(sdk.COMM_SUCCESS)
 
     def fastSyncReadRxPacket(self) -> int:  # noqa: N802 - the SDK's name
-        """Receive the one answer of all servos."""
+        """Receive the common answer of all servos."""
         self.last_result = False
         # Each servo's part: error, id, data and checksum.
         part = self.data_length + 4
@@ -77,7 +77,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
             return int(result)
         if len(raw) != part * len(self.data_dict):
             return int(sdk.COMM_RX_CORRUPT)
-        # Checked before anything is taken over: half of an answer must not mix with the last one.
+        # Checked before anything is stored: half of an answer must not mix with the previous one.
         starts = range(0, part * len(self.data_dict), part)
         if {raw[at + 1] for at in starts} != self.data_dict.keys():
             return int(sdk.COMM_RX_CORRUPT)
@@ -96,9 +96,9 @@ class DynamixelLink:
         bus: The line.
         ids: The device's servos, in the order of its actuators.
         fast: Whether groups are read with the fast sync read.
-        patient: Answers may take long: set-up has no cycle to keep, and must not fail because the
-            computer was busy for a moment.
-        delay: Sum of the servos' return delays [s], waited for on top of the wire's time.
+        patient: Whether answers may take longer: during set-up there is no cycle to keep, and a
+            computer that is busy for a moment must not be a failure.
+        delay: Sum of the servos' return delays [s], allowed in addition to the time on the wire.
     """
 
     def __init__(
@@ -123,21 +123,21 @@ class DynamixelLink:
         """Call a function in the worker thread; raises `BusError`.
 
         Args:
-            function: May exchange several times.
-            deadline: Longest time [s], by default that of two exchanges.
+            function: The function, which may make several exchanges.
+            deadline: Longest time [s]; by default that of two exchanges.
         """
         return await self.bus.run(function, deadline or 2.0 * (self._deadline + self.delay))
 
     def repeated(self, attempt: Callable[[], int]) -> None:
-        """Try until it succeeds, within deadline and retries; in the worker thread.
+        """Repeat an attempt until it succeeds, within deadline and retries; in the worker thread.
 
         Args:
-            attempt: Returns the SDK's result.
+            attempt: Makes one exchange and returns the SDK's result.
 
         Raises:
-            BusTimeout: if nothing came in time.
-            FrameError: if something came but no valid packet.
-            BusBroken: if nothing could be sent.
+            BusTimeout: if there was no answer in time.
+            FrameError: if the answer was not a valid packet.
+            BusBroken: if the request could not be sent.
         """
         latency = max(_PATIENT_LATENCY, self._latency) if self.patient else self._latency
         end = time.monotonic() + self.delay + max(self._deadline, 5.0 * latency)
@@ -148,8 +148,7 @@ class DynamixelLink:
                 if time.monotonic() >= end:
                     break
                 counters.retries += 1
-            # The SDK leaves its flag set when an exception ends a request, and refuses all others
-            # then.
+            # When an exception ends a request, the SDK leaves this flag set and refuses all others.
             self.bus.port.is_using = False
             result = attempt()
             if result == sdk.COMM_SUCCESS:
@@ -190,7 +189,7 @@ class DynamixelLink:
         """Return bytes of the control tables and the error bytes, by id, in one exchange."""
         if ids is None:
             group = self._groups.get((address, size))
-            # Kept between cycles: the SDK builds its lists in Python. A new link has another port.
+            # Kept between cycles, since building it takes time. A new link has another port.
             if group is None or group.port is not self.bus.port:
                 group = GroupRead(self.bus.port, self.bus.packets, address, size, self.ids)
                 self._groups[address, size] = group
@@ -203,7 +202,7 @@ class DynamixelLink:
     def choose_read(self, choice: str) -> None:
         """Decide whether groups are read by the fast sync read: ``auto``, ``always``, ``never``.
 
-        Older firmware does not know it, and does not answer then.
+        Older firmware does not support it and does not answer.
         """
         self.fast = choice != "never"
         if choice == "auto":
@@ -213,35 +212,30 @@ class DynamixelLink:
                 self.fast = False
 
     def write_group(self, register: Register, values: Mapping[int, int]) -> None:
-        """Write a register of several servos at once; nothing answers."""
+        """Write a register of several servos at once; servos do not answer."""
         params: list[int] = []
         for number, value in values.items():
             params.append(number)
             params += register.pack(value)
-        packets, port = self.bus.packets, self.bus.port
+        write, port = self.bus.packets.syncWriteTxOnly, self.bus.port
+        address, size = register.address, register.size
         if values:
-            self.repeated(
-                lambda: int(
-                    packets.syncWriteTxOnly(
-                        port, register.address, register.size, params, len(params)
-                    )
-                )
-            )
+            self.repeated(lambda: int(write(port, address, size, params, len(params))))
 
     def write_confirmed(
         self, register: Register, values: Mapping[int, int], *, within: int = 0
     ) -> None:
-        """Write a register of several servos at once, and again to those that have not heard it.
+        """Write a register of several servos, and again to those that have not received it.
 
-        Nothing answers to a group write, so the register is read back.
+        Servos do not answer a group write, so the register is read back.
 
         Args:
             register: The register.
             values: Its values, by id.
-            within: How far what is read back may be from what was written.
+            within: Largest accepted difference of the value read back.
 
         Raises:
-            FrameError: if a servo does not take its value.
+            FrameError: if a servo does not accept its value.
             BusError: if the line fails.
         """
         left = dict(values)
@@ -249,7 +243,7 @@ class DynamixelLink:
             if not left:
                 return
             self.write_group(register, left)
-            # All are read where all are meant: that group is kept between calls.
+            # Without ids if all are meant: that group is kept between calls.
             ids = None if left.keys() == set(self.ids) else list(left)
             there, _ = self.read_group(register.address, register.size, ids)
             left = {n: v for n, v in left.items() if abs(register.unpack(there[n]) - v) > within}
@@ -260,7 +254,7 @@ class DynamixelLink:
             )
 
     def write(self, number: int, register: Register, value: int) -> None:
-        """Write a register of one servo and see that it takes it.
+        """Write a register of one servo and check that it accepts the value.
 
         Raises:
             DriverError: if the servo refuses.
@@ -285,6 +279,6 @@ class DynamixelLink:
             )
 
     def reboot(self, number: int) -> None:
-        """Reboot a servo; it may answer or not."""
+        """Reboot a servo, whether it answers or not."""
         self.bus.port.is_using = False
         self.bus.packets.reboot(self.bus.port, number)

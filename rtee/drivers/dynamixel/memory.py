@@ -1,4 +1,4 @@
-"""A servo's control table: bytes by address, registers by name, and windows onto other bytes."""
+"""The control table of an emulated servo, with indirect addresses ("windows") onto other bytes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Memory:
             self.set(register, register.default)
 
     def reset_windows(self) -> None:
-        """Let every window look at itself."""
+        """Let every window point to itself."""
         self._indirect = list(table.INDIRECT_DATA)
         for at, target in zip(table.INDIRECT, table.INDIRECT_DATA, strict=True):
             self._bytes[at : at + 2] = target.to_bytes(2, "little")
@@ -33,23 +33,23 @@ class Memory:
         return register.unpack(bytes(self._bytes[register.address :]))
 
     def set(self, register: Register, value: int) -> None:
-        """Set a register, whatever it allows."""
+        """Set a register without any check."""
         end = register.address + register.size
         self._bytes[register.address : end] = register.pack(value)
 
     def read(self, address: int, length: int) -> bytes:
-        """Return bytes of the table, those of windows from where they look."""
+        """Return bytes of the table; bytes of windows come from where they point."""
         out = self._bytes[address : address + length]
         for at in range(max(address, table.INDIRECT_DATA.start), address + length):
             out[at - address] = self._bytes[self._points_to(at)]
         return bytes(out)
 
     def after(self, address: int, data: bytes) -> bytes:
-        """Return the whole table as it would be with these bytes written, windows left alone."""
+        """Return the whole table as if these bytes were written, without following windows."""
         return bytes(self._bytes[:address] + data + self._bytes[address + len(data) :])
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes; those to windows go where they look."""
+        """Write bytes; bytes to windows go where they point."""
         if address >= table.INDIRECT_DATA.start:
             for offset, byte in enumerate(data):
                 self._bytes[self._points_to(address + offset)] = byte

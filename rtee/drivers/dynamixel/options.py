@@ -20,13 +20,13 @@ class ServoOptions(servo_lines.ServoOptions):
 
     Attributes:
         id: Its id on the line.
-        zero: Its position where the joint is at 0 rad [pulse], within one turn.
-        drive_mode: Drive mode expected; a servo set up otherwise is refused.
-        p: Proportional gain; else that of the line.
+        zero: Its position at 0 rad of the joint [pulse], within one turn.
+        drive_mode: Expected drive mode; a servo with another one is refused.
+        p: Proportional gain; by default that of the line.
         i: Integral gain.
         d: Derivative gain.
-        current: Largest current [A]; else that of the line.
-        current_unit: Current per count [A]; else that of the model.
+        current: Largest current [A]; by default that of the line.
+        current_unit: Current per count [A]; by default that of the model.
     """
 
     id: Annotated[int, Field(ge=0, le=252)]
@@ -47,20 +47,20 @@ class DynamixelOptions(DeviceOptions):
         baudrate: Rate of the line [baud].
         servos: The servo of each actuator, by the actuator's name.
         mode: Operating mode.
-        p: Proportional gain; else as the servos have it.
+        p: Proportional gain; by default as stored in the servos.
         i: Integral gain.
         d: Derivative gain.
-        current: Largest current [A]; else the servos' own limit.
+        current: Largest current [A]; by default the servos' own limit.
         calibration: File of a calibration (`rtee calibrate`); its zeros replace those above.
         fast: Whether to read with the fast sync read: ``auto`` tries it.
-        return_delay: Return delay written to servos that have another one [2 µs]; ``null``: leave.
-        watchdog: Servos stop after this long a silence on the line [s]; 0: they hold.
-        health_every: Temperature, voltage and torque are read once in this many exchanges.
-        outside: How far a joint may be outside its limits before its zero is doubted [rad].
-        reboot_time: Longest time a reboot may take [s].
+        return_delay: Return delay to write to servos with another one [2 µs]; ``null``: unchanged.
+        watchdog: Servos stop after a silence of this length on the line [s]; 0: they hold.
+        health_every: Number of exchanges after which temperature, voltage and torque are read.
+        outside: Distance from its limits at which a joint's zero counts as wrong [rad].
+        reboot_time: Longest time for a reboot [s].
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        turnaround: Time per read that the wire does not explain, the adapter's latency [s].
+        turnaround: Time per read beside that on the wire: the adapter's latency [s].
     """
 
     port: str = "/dev/ttyUSB0"

@@ -14,8 +14,8 @@ from rtee.drivers.dynamixel.table import Mode, Register
 QUARTER_TURN = table.PULSES / 4.0  # [pulse]
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 """Speed per count of a velocity [pulse/s]."""
-_FRICTION = 25.0  # current that moves the free shaft [mA]; the datasheets give none
-_GAIN = 4.0  # current per position error at standstill [mA/pulse]
+_FRICTION = 25.0  # current to move the free shaft [mA]; no datasheet gives it
+_GAIN = 4.0  # current per position error at standstill [mA/pulse], an assumption
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
 
 
@@ -25,15 +25,15 @@ class ServoProperties:
 
     Attributes:
         model: Its model number.
-        start: Shaft at power-up [pulse]; beyond one turn the turns are lost, as in the real one.
-        homing_offset: As stored in its EEPROM [pulse].
-        drive_mode: As stored in its EEPROM.
-        return_delay: As stored in its EEPROM [2 µs].
+        start: Shaft position at power-up [pulse]; whole turns are lost, as in a real servo.
+        homing_offset: Homing offset in the EEPROM [pulse].
+        drive_mode: Drive mode in the EEPROM.
+        return_delay: Return delay in the EEPROM [2 µs].
         reboot_time: Silence after a reboot [s].
-        overload_time: Time at the current limit after which overload trips [s]; 0: never.
-        lower: Mechanical stop [pulse].
-        upper: Mechanical stop [pulse].
-        closing: Signed way from `start` to closed, as an object meets it [pulse].
+        overload_time: Time at the current limit after which the overload error trips [s]; 0: never.
+        lower: Lower mechanical stop [pulse].
+        upper: Upper mechanical stop [pulse].
+        closing: Signed travel from `start` to closed, for objects [pulse].
     """
 
     model: int = 1200
@@ -49,16 +49,16 @@ class ServoProperties:
 
 
 class Servo:
-    """A servo's memory and what moves behind it.
+    """A servo's control table and its motor.
 
     Attributes:
-        properties: What it is like.
+        properties: Its properties.
         get: Returns a register's value.
-        set: Sets a register, whatever it allows.
-        axis: Its shaft, in pulses counted over turns.
-        silent_until: It answers nothing before this time [s].
-        unplugged: It answers nothing at all.
-        cause: Hardware errors whose cause lasts: a reboot brings them back.
+        set: Sets a register without any check.
+        axis: Its shaft, in pulses over all turns.
+        silent_until: Time before which it does not answer [s].
+        unplugged: Whether it never answers.
+        cause: Hardware errors whose cause persists: they come back after a reboot.
     """
 
     def __init__(self, number: int, properties: ServoProperties) -> None:
@@ -97,7 +97,7 @@ class Servo:
 
     @property
     def alert(self) -> bool:
-        """Whether its hardware error status says something."""
+        """Whether it has a hardware error."""
         return self.get(table.HARDWARE_ERROR) != 0
 
     def read(self, address: int, length: int) -> bytes | None:
@@ -108,7 +108,7 @@ class Servo:
         return self._memory.read(address, length)
 
     def write(self, address: int, data: bytes) -> Error:
-        """Write bytes as a host may, and return what the servo says to it."""
+        """Write bytes as a host may, and return the error of the servo's answer."""
         if address + len(data) > table.END or not data:
             return Error.DATA_RANGE
         if address >= table.INDIRECT_DATA.start:
@@ -150,14 +150,14 @@ class Servo:
             if tripped and goal:
                 return Error.DATA_RANGE
             if register == table.OPERATING_MODE and value not in set(Mode):
-                return Error.DATA_RANGE  # between the modes there are numbers without meaning
+                return Error.DATA_RANGE  # some numbers between the modes have no meaning
             if self._beyond(register, value):
                 return Error.DATA_LIMIT
         return self._windows(after, address, end)
 
     @staticmethod
     def _windows(after: bytes, address: int, end: int) -> Error:
-        """Return what it says to indirect addresses that would be written."""
+        """Return the error of a write to indirect addresses."""
         for at in table.INDIRECT:
             if at + 2 <= address or end <= at:
                 continue
@@ -179,13 +179,13 @@ class Servo:
         return False
 
     def register_write(self, address: int, data: bytes) -> Error:
-        """Keep bytes to be written by `action`."""
+        """Store bytes to be written by `action`."""
         self._registered = (address, data)
         self.set(table.REGISTERED, 1)
         return Error.NONE
 
     def action(self) -> None:
-        """Write what `register_write` has kept."""
+        """Write the bytes stored by `register_write`."""
         if self._registered is not None:
             address, data = self._registered
             self._registered = None
@@ -195,7 +195,7 @@ class Servo:
     # --- life ------------------------------------------------------------------------------
 
     def reboot(self, now: float) -> None:
-        """Restart: RAM at its defaults, no torque, turns lost, errors cleared."""
+        """Restart with RAM at its defaults, without torque, turns and errors."""
         self.silent_until = now + self.properties.reboot_time
         self._memory.reset(register for register in table.REGISTERS if not register.eeprom)
         self._memory.reset_windows()
@@ -203,7 +203,7 @@ class Servo:
         self._start()
 
     def factory_reset(self, now: float, option: int) -> None:
-        """Forget the EEPROM, too; option 1 keeps the id, 2 the baud rate as well."""
+        """Reset the EEPROM, too; option 1 keeps the id, 2 also the baud rate."""
         kept = {0x01: (table.ID,), 0x02: (table.ID, table.BAUD_RATE)}.get(option, ())
         values = [(register, self.get(register)) for register in (*kept, table.MODEL)]
         self._memory.reset(table.REGISTERS)
@@ -212,7 +212,7 @@ class Servo:
         self.reboot(now)
 
     def clear_turns(self) -> None:
-        """Count turns from here."""
+        """Reset the turn count."""
         self._lose_turns()
         self.set(table.GOAL_POSITION, self.position)
         self._act()
@@ -238,7 +238,7 @@ class Servo:
             self.set(table.GOAL_POSITION, self.position)
 
     def fail(self, error: Hardware) -> None:
-        """Note a hardware error; where the shutdown mask says so, torque goes."""
+        """Set a hardware error; if the shutdown mask contains it, disable the torque."""
         self.set(table.HARDWARE_ERROR, self.get(table.HARDWARE_ERROR) | error)
         if error & self.get(table.SHUTDOWN):
             self.set(table.TORQUE, 0)
@@ -256,11 +256,11 @@ class Servo:
 
     @property
     def position(self) -> int:
-        """Present position as it reports it [pulse]."""
+        """Reported present position [pulse]."""
         return round(self._sign * self.axis.position) + self._offset
 
     def heard(self, now: float) -> None:
-        """Note that there was an instruction on the bus, for anybody."""
+        """Note the time of an instruction on the bus, for any servo."""
         self._heard = now
 
     def step(self, now: float) -> None:
@@ -304,13 +304,13 @@ class Servo:
             push = {Mode.CURRENT: current, Mode.VELOCITY: self.get(table.GOAL_VELOCITY)}.get(
                 Mode(mode), self.get(table.GOAL_PWM)
             )
-            # Without a position to go to: as far as the stops let it.
+            # Without a goal position, the shaft moves up to the stops.
             axis.target = axis.position if push == 0 else math.copysign(1e9, push * self._sign)
             if mode == Mode.CURRENT:
                 axis.max_effort = float(min(abs(current), limit))
             elif mode == Mode.VELOCITY:
                 axis.max_velocity = abs(push) * _PULSES_PER_COUNT
-        # Less current than friction takes moves nothing.
+        # A current below that of friction does not move the shaft.
         strong = axis.max_effort >= _FRICTION
         axis.enabled = bool(self.get(table.TORQUE)) and strong and self.get(table.BUS_WATCHDOG) >= 0
 

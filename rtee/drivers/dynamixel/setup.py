@@ -1,4 +1,4 @@
-"""Prepare servos before they are driven: present, as expected, set up, powered."""
+"""Prepare servos before they are driven: find, check, set up and power them."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ WATCHDOG_TRIPPED = 0x101
 """Codes of the driver's own faults, above the eight bits of the hardware error status."""
 
 NEAR = 16
-"""How far the goal of a servo without torque may be from where it stands [pulse], 1.4°: no jump;
-no source says whether such a goal follows the shaft."""
+"""Tolerance of the goal read back from a servo without torque [pulse], 1.4°: too small for a jump.
+No source says whether such a goal follows the shaft."""
 
-_EEPROM = 64  # bytes of the table that survive a power cycle; they say what a servo is
+_EEPROM = 64  # bytes of the table that survive a power cycle, identity included
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A servo as it was found.
+    """The registers of a servo as found.
 
     Attributes:
         id: Its id.
@@ -43,9 +43,9 @@ class Found:
         homing_offset: Its homing offset [pulse].
         return_delay: Its return delay [2 µs].
         current_limit: Its current limit [counts].
-        lowest: The least goal that it takes in the mode `position` [pulse].
-        highest: The largest.
-        torque: Whether it is powered.
+        lowest: Smallest goal that it accepts in the mode `position` [pulse].
+        highest: Largest goal that it accepts in that mode [pulse].
+        torque: Whether it has torque.
     """
 
     id: int
@@ -62,7 +62,7 @@ class Found:
 
     @classmethod
     def from_table(cls, number: int, eeprom: bytes, torque: int) -> Found:
-        """Read it from the first bytes of a control table."""
+        """Read the registers from the first bytes of a control table."""
 
         def get(register: Register) -> int:
             return register.unpack(eeprom[register.address :])
@@ -85,11 +85,11 @@ class Found:
 def find(
     link: DynamixelLink, device: str, servos: Mapping[str, ServoOptions], port: str
 ) -> dict[int, Found]:
-    """Return all servos as they are found, by id; in the worker thread; writes nothing.
+    """Find all servos, by id; in the worker thread; writes nothing.
 
     Raises:
         NotConnected: if none answers.
-        HandshakeError: if some are missing or of another model than expected.
+        HandshakeError: if some are missing or differ from what is expected.
         BusError: if the line fails.
     """
     models = {servo.id: link.ping(servo.id) for servo in servos.values()}
@@ -130,22 +130,22 @@ def prepare(
     positions: Mapping[int, int],
     currents: Mapping[int, int],
 ) -> None:
-    """Set up servos that are without torque, and power them where they are; in the worker thread.
+    """Set up servos without torque, and power them at their positions; in the worker thread.
 
     Args:
         link: The line.
-        options: How they are to be set.
+        options: Their settings.
         found: The servos without torque, by id.
-        positions: Goals where they are [pulse].
+        positions: Their present positions, as goals [pulse].
         currents: Their current limits [counts].
 
     Raises:
-        BusError: if the line fails, or a servo does not take what is written.
+        BusError: if the line fails, or a servo does not accept a value.
     """
     mode = MODES[options.mode]
     for number, servo in found.items():
         if servo.mode != mode:
-            # Only if it differs: EEPROM wears out.
+            # Only if it differs, since EEPROM wears out.
             link.write(number, table.OPERATING_MODE, mode)
         delay = options.return_delay
         if delay is not None and servo.return_delay != delay:
@@ -169,10 +169,10 @@ def prepare(
 
 
 def arm(link: DynamixelLink, seconds: float) -> None:
-    """Set the bus watchdog of all servos, clearing one that has tripped; in the worker thread.
+    """Set the bus watchdog of all servos, and clear a tripped one; in the worker thread.
 
     Raises:
-        BusError: if the line fails, or a servo does not take it.
+        BusError: if the line fails, or a servo does not accept it.
     """
     # 0 clears a watchdog that has tripped; any other value is refused until then.
     link.write_confirmed(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
@@ -184,11 +184,11 @@ def arm(link: DynamixelLink, seconds: float) -> None:
 def refuse(
     link: DynamixelLink, device: str, names: Mapping[int, str], errors: Mapping[int, int]
 ) -> None:
-    """Raise the fault that the alert bit of an answer announces; in the worker thread.
+    """Raise the hardware errors of servos whose answer has the alert bit; in the worker thread.
 
     Raises:
         DeviceFault: if a servo has a hardware error.
-        BusError: if asking for it fails.
+        BusError: if reading the error fails.
     """
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:
@@ -209,7 +209,7 @@ def refuse(
 
 
 def hurt(link: DynamixelLink) -> list[int]:
-    """Return the servos that have a hardware error, or do not say; in the worker thread."""
+    """Return the servos that have a hardware error or do not answer; in the worker thread."""
     found = []
     for number in link.ids:
         try:

@@ -1,4 +1,4 @@
-"""The control table of X-series servos and the models that are known."""
+"""The control table of X-series servos, and the known models."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 WATCHDOG_UNIT = 0.02
 """Time per count of the bus watchdog [s], as in the e-manual."""
 LATENCY = 1e-3
-"""Latency of a USB adapter, per read [s]: an FTDI chip's timer at its shortest."""
+"""Latency of a USB adapter per read [s]: the shortest setting of an FTDI chip's timer."""
 END = 228
 """First address behind the table."""
 
 _RAM = 64
-"""First address of the RAM area; what lies below is EEPROM."""
+"""First address of the RAM area; the addresses below are EEPROM."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class Register:
         default: Its value after power-up (RAM) or reset (EEPROM).
         signed: Whether it is two's complement.
         writable: Whether it can be written.
-        minimum: Smallest value taken, if limited.
-        maximum: Largest value taken, if limited.
+        minimum: Smallest accepted value, if limited.
+        maximum: Largest accepted value, if limited.
     """
 
     address: int
@@ -47,7 +47,7 @@ class Register:
 
     @property
     def eeprom(self) -> bool:
-        """Whether it survives a power cycle, and can be written only without torque."""
+        """Whether it keeps its value without power, and can be written only without torque."""
         return self.address < _RAM
 
     def pack(self, value: int) -> bytes:
@@ -119,16 +119,16 @@ REGISTERS: tuple[Register, ...] = tuple(
 INDIRECT = range(168, 208, 2)
 """Addresses of the twenty indirect addresses."""
 INDIRECT_DATA = range(208, 228)
-"""Where the bytes they point to appear; by default each points to its own address."""
+"""Addresses of the bytes that they point to; by default each points to itself."""
 POINTABLE = range(64, END)
-"""What they may point to."""
+"""Addresses that they may point to."""
 
 STATE = PRESENT_CURRENT.address
-"""Where current, velocity and position begin, one after the other."""
-STATE_SIZE = 10  # bytes
+"""First address of current, velocity and position, which are adjacent."""
+STATE_SIZE = 10  # bytes of these
 HEALTH = PRESENT_VOLTAGE.address
-"""Where voltage and temperature begin, one after the other."""
-HEALTH_SIZE = 3  # bytes
+"""First address of voltage and temperature, which are adjacent."""
+HEALTH_SIZE = 3  # bytes of these
 
 BAUD_RATES: tuple[int, ...] = (
     9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000,
@@ -148,18 +148,18 @@ class Mode(IntEnum):
 
 
 REVERSE = 0x01
-"""Bit of the drive mode: positions count the other way."""
+"""Bit of the drive mode that reverses the direction of positions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What differs between models.
+    """The differences between models.
 
     Attributes:
         name: Its name.
-        current_unit: Current per count [A]; ``NaN`` where it measures load instead.
-        torque_per_ampere: Stall torque per stall current at its recommended voltage [N·m/A]: near
-            the truth at standstill, less while it moves.
+        current_unit: Current per count [A]; ``NaN`` if it measures load instead.
+        torque_per_ampere: Stall torque per stall current at its recommended voltage [N·m/A]; a good
+            approximation at standstill, too large in motion.
     """
 
     name: str
@@ -185,5 +185,5 @@ MODELS: dict[int, Model] = {
 
 
 def model_of(number: int) -> Model:
-    """Return a model by its number; an unknown one measures current in units not known."""
+    """Return a model by its number; the units of an unknown one are ``NaN``."""
     return MODELS.get(number, Model(f"model {number}", math.nan, math.nan))

@@ -1,4 +1,4 @@
-"""From a joint's angle to a servo's pulses and back: zero, direction, gear, turns."""
+"""Conversion between a joint's angle and a servo's pulses: zero, direction, gear, turns."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Scale:
 
     Attributes:
         zero: Pulses at 0 rad, within one turn.
-        direction: +1 or -1: sense of the pulses with the joint's angle.
-        gear: Servo's turns per turn of the joint.
+        direction: +1 or -1: sign of the pulses relative to the joint's angle.
+        gear: Turns of the servo per turn of the joint.
         current_unit: Current per count [A].
-        torque_per_ampere: Joint's torque per current [N·m/A].
-        turn: Whole turns in the servo's count beyond the joint's angle; set by `unwrap`.
+        torque_per_ampere: Torque of the joint per current [N·m/A].
+        turn: Whole turns by which the servo's count exceeds the joint's angle; set by `unwrap`.
     """
 
     zero: float
@@ -46,11 +46,11 @@ class Scale:
 
     def to_speed_counts(self, velocity: float) -> int:
         """Return a speed limit in counts, at least 1, for a joint's velocity [rad/s]."""
-        # To the servo a profile velocity of 0 means no limit, so the slowest motion is one count.
+        # A profile velocity of 0 means no limit to the servo, so the slowest motion is one count.
         return max(1, round(abs(velocity) * self.gear / VELOCITY_UNIT))
 
     def to_current(self, counts: float) -> float:
-        """Return the current [A], positive where it drives the joint's angle up."""
+        """Return the current [A], positive if it increases the joint's angle."""
         return self.direction * counts * self.current_unit
 
     def to_effort(self, counts: float) -> float:
@@ -65,20 +65,20 @@ class Scale:
     def unwrap(self, pulses: float, lower: float, upper: float) -> float:
         """Choose the turn in which a position lies in a joint's range, or nearest to it.
 
-        A servo that lost its supply counts within one turn again: a joint whose range crosses the
-        wrap then reads a turn off.
+        After a power cycle a servo counts within one turn again, so that a joint whose range
+        crosses the wrap may read a whole turn off.
 
         Args:
-            pulses: What the servo reads.
+            pulses: The servo's position.
             lower: Lower limit of the joint [rad].
             upper: Upper limit of the joint [rad].
 
         Returns:
-            How far the angle is outside the range [rad]; 0 inside.
+            The distance of the angle from the range [rad]; 0 inside.
         """
         self.turn = 0
         step = 2.0 * math.pi / self.gear
-        # The turn nearest to the middle of the range: the one that leaves the largest margin.
+        # The turn nearest to the middle of the range leaves the largest margin.
         middle = (lower + upper) / 2.0 if math.isfinite(upper - lower) else 0.0
         away = self.direction * (self.to_rad(pulses) - middle) / step
         self.turn = round(away)
@@ -87,11 +87,11 @@ class Scale:
 
 
 class Scales:
-    """The units of all joints at once, as they are when this is made; see `Scale`.
+    """The units of all joints as arrays, copied from each joint's `Scale`.
 
     Args:
-        ids: The joints' servos.
-        scales: Their units.
+        ids: Ids of the joints' servos.
+        scales: The joints' units.
     """
 
     def __init__(self, ids: Sequence[int], scales: Sequence[Scale]) -> None:
@@ -111,7 +111,7 @@ class Scales:
         """Return positions [rad], velocities [rad/s], efforts [N·m] and currents [A].
 
         Args:
-            data: What each servo reports, by id: current, velocity and position in a row.
+            data: The state registers of each servo, by id: current, velocity and position.
         """
         reported = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
         amount = reported["current"]

@@ -1,8 +1,8 @@
 """Frames of Feetech's serial bus servos: requests, replies, checksums. No I/O.
 
-A request is ``FF FF id length instruction parameters checksum``; a reply has the servo's status in
-the place of the instruction. All families share this. They differ in the order of the bytes of a
-word; see `rtee.drivers.feetech.table`.
+A request is ``FF FF id length instruction parameters checksum``; in a reply, the servo's status
+replaces the instruction. All families share these frames but differ in the byte order of words; see
+`rtee.drivers.feetech.table`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ OVERHEAD = 6
 """Bytes of a frame beside its parameters: header, id, length, instruction or status, checksum."""
 LONGEST = 250
 """Largest length field that the vendor's clients accept [byte]."""
-_LARGEST_STATUS = 0x7F  # clients take a reply with a larger one for garbage
+_LARGEST_STATUS = 0x7F  # clients reject replies with a larger status
 
 
 class FeetechFrameError(ValueError):
@@ -46,7 +46,7 @@ class Instruction(IntEnum):
 
 
 class Status(IntFlag):
-    """The bits of a reply's status, which last as long as their cause."""
+    """The bits of a reply's status, which are set as long as their cause persists."""
 
     VOLTAGE = 0x01
     ANGLE = 0x02
@@ -56,7 +56,7 @@ class Status(IntFlag):
 
 
 def checksum(body: bytes) -> int:
-    """Return the checksum of what stands between header and checksum."""
+    """Return the checksum of the bytes between header and checksum."""
     return ~sum(body) & 0xFF
 
 
@@ -67,7 +67,7 @@ class Frame:
     Attributes:
         device: Id of the servo; in a request also `BROADCAST`.
         code: The request's instruction, or the reply's status.
-        params: Parameters, or what was read.
+        params: Parameters of a request, or data of a reply.
     """
 
     device: int
@@ -103,11 +103,11 @@ def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
 
 
 def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
-    """Return the requests, one unless it would be too long, that set registers of several servos.
+    """Return the requests that set registers of several servos: one, unless it is too long.
 
     Args:
         address: The first register.
-        data: What to write by id, the same number of bytes for each.
+        data: The bytes to write by id, the same number for each servo.
     """
     if not data:
         return []
@@ -133,7 +133,7 @@ class _Parser(FramedParser[Frame]):
     LARGEST: ClassVar[int]
 
     def _length(self, at: int) -> int:
-        # A byte above the largest id is part of a header that begins later, or noise.
+        # A byte above the largest id belongs to a header that begins later, or is noise.
         device, length = self._buffer[at + 2], self._buffer[at + 3]
         return length + 4 if device <= self.LARGEST and 2 <= length <= LONGEST else 0
 
@@ -160,11 +160,11 @@ class ReplyParser(_Parser):
 
 
 class GroupParser:
-    """Finds the replies of several servos to one request, and hands them on together.
+    """Finds the replies of several servos to one request, and returns them together.
 
     Args:
         ids: Their ids.
-        size: Bytes that each reports; others are not answers to this request.
+        size: Data bytes of each reply; replies of other sizes belong to other requests.
     """
 
     def __init__(self, ids: Collection[int], size: int) -> None:

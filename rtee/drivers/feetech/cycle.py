@@ -22,16 +22,16 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _FASTER = 1.5
-"""Speed without a limit of its own [velocity limit of the actuators]: a servo that is behind its
-set-points has to be faster than they are."""
+"""Speed limit of references without one [velocity limit of the actuators]: a servo that lags behind
+its set-points has to be faster than they are."""
 
 _QUICK = 30.0
-"""Rate of a servo that is not believed [rad/s]: several times that of a free one."""
+"""Largest plausible speed of a servo [rad/s]: several times that of a free one."""
 _ATTEMPTS = 4
-"""How often goals are written again that servos about to be powered have not taken."""
+"""Attempts to write goals to servos that are about to be powered."""
 
 _JUMP = 0.1
-"""Change of a servo's angle that is always believed [rad]: backlash, and a push."""
+"""Change of a servo's angle that is plausible at any speed [rad]: backlash, and a push."""
 
 
 class ServoCycle:
@@ -40,19 +40,19 @@ class ServoCycle:
     Args:
         spec: The device.
         options: Its options.
-        joints: What the servos drive.
+        joints: The map between servos and actuators.
         link: The line.
 
     Attributes:
-        link: See above.
+        link: The line.
         family: The servos' family.
-        joints: See above.
+        joints: The map between servos and actuators.
         ids: Their ids, in the order of the actuators.
         names: Their names by id.
         together: Whether they are read by one request for all.
-        found: The servos as they were found, by id.
+        found: Their registers as found, by id.
         scales: Their units, in the order of the actuators.
-        attached: The actuators that are left as they were found.
+        attached: The actuators that keep what they held when the driver attached.
         active: Whether the servos must have torque.
     """
 
@@ -100,7 +100,7 @@ class ServoCycle:
         options = self._options
         named = dict(zip(self.joints.names, self._servos, strict=True))
         self.found = await setup.find(self.link, self.family, self._device, named, options.port)
-        # The slowest servo counts: the deadline is the same for all.
+        # That of the slowest servo, since the deadline is the same for all.
         self.link.delay = max(servo.return_delay for servo in self.found.values()) * DELAY_UNIT
         for servo, scale in zip(self._servos, self.scales, strict=True):
             found = self.found[servo.id]
@@ -113,27 +113,27 @@ class ServoCycle:
         self.use_scales()
 
     def use_scales(self) -> None:
-        """Take over what was changed in the units of the servos."""
+        """Apply changes of the servos' units."""
         self._units = Scales(self.scales)
 
     def check(self, states: Sequence[State]) -> None:
-        """Check that servos can go where their actuators can, and are where they can be.
+        """Check that the servos' limits include their actuators' ranges, and their positions.
 
         Args:
-            states: What they measure.
+            states: The servos' measurements.
 
         Raises:
-            CalibrationError: if one is elsewhere.
-            ConfigError: if one cannot go there.
+            CalibrationError: if an actuator is far outside its limits.
+            ConfigError: if a servo's limits do not include the actuator's range.
             DeviceFault: if one reports a fault.
         """
         self.refuse(states)
         ends = self.joints.ends(self._actuators)
         for i, (number, name) in enumerate(self.names.items()):
             low, high = self.found[number].limits
-            # A servo may count against its angle, which swaps the ends.
+            # A servo with the opposite sign swaps the ends.
             wanted = sorted(self.scales[i].to_counts(angle) for angle in ends[i])
-            # Both limits are 0 where a servo counts turns; it goes anywhere then.
+            # A servo that counts turns has limits of 0 and goes anywhere.
             if low < high and not low <= wanted[0] <= wanted[1] <= high:
                 raise ConfigError(
                     f"device '{self._device}': servo {number} ({name}) would have to go from "
@@ -152,34 +152,34 @@ class ServoCycle:
                 )
 
     async def power(self) -> None:
-        """Set up and power the servos that are without torque, where they are.
+        """Set up the servos without torque and power them at their positions.
 
         Raises:
-            CalibrationError: if one is where it cannot be.
-            ConfigError: if one cannot go where its actuator can.
-            DeviceFault: if one reports a fault, or takes no torque.
-            DriverError: if one does not take a setting.
+            CalibrationError: if an actuator is far outside its limits.
+            ConfigError: if a servo's limits do not include the actuator's range.
+            DeviceFault: if one reports a fault, or its torque cannot be enabled.
+            DriverError: if one does not accept a setting.
             BusError: if the line fails.
         """
-        # Again: what was set before the supply was cut is lost.
+        # Again, since a power cycle in the meantime has reset the settings.
         await self.find()
         self.check(await self.states())
         off = {n: servo for n, servo in self.found.items() if not servo.powered}
         if off:
             await setup.prepare(self.link, self.family, self._device, self._options, off)
-            # The settings have changed what was found, and goals are limited by that.
+            # The settings have changed the registers, which limit the goals.
             await self.find()
-            # Before the torque: an old goal would make the servo jump to it.
+            # Before the torque, since the servo would jump to an old goal.
             await self._aim_here(list(off))
             refused = await self.link.set_all(table.TORQUE, dict.fromkeys(off, POWERED))
             if refused:
                 self.refuse(await self.states())
-                # Only where no fault of its own explains it.
+                # Only if no other fault explains it.
                 raise setup.lost(self._device, self.names, list(refused))
         self._goal = self.joints.positions(self._take(await self.states()).angle)
         held = {i for i, number in enumerate(self.ids) if number not in off}
         for i, j in self.joints.pairs:
-            # Both drive both: an actuator of a pair holds only if both servos do.
+            # Both servos drive both actuators, so a pair holds only if both servos do.
             if not {i, j} <= held:
                 held -= {i, j}
         self.attached.begin(held)
@@ -188,13 +188,13 @@ class ServoCycle:
     # --- every cycle -------------------------------------------------------------------------
 
     async def states(self) -> list[State]:
-        """Return what the servos tell, in the order of the actuators; raises `BusError`."""
+        """Read the states of the servos, in the order of the actuators; raises `BusError`."""
         first, size = table.PRESENT_POSITION.address, self.family.state
         answers = await self.link.read_all(first, size, self.ids, together=self.together)
         return [State.from_bytes(self.family, answers[n].params, answers[n].code) for n in self.ids]
 
     def refuse(self, states: Sequence[State]) -> None:
-        """Raise the `DeviceFault` that states tell of, if any."""
+        """Raise a `DeviceFault` if states report errors."""
         pairs = zip(self.ids, states, strict=True)
         setup.refuse(self._device, self.names, {number: state.status for number, state in pairs})
 
@@ -204,11 +204,11 @@ class ServoCycle:
         return measured
 
     async def sense(self) -> ActuatorState:
-        """Return what the servos measure.
+        """Return the servos' measurements.
 
         Raises:
             DeviceFault: if one that must have torque has none or has restarted, or reports a fault.
-            FrameError: if one tells a position that it cannot have come to.
+            FrameError: if one reports an impossible position.
             BusError: if the line fails.
         """
         self._count += 1
@@ -222,7 +222,7 @@ class ServoCycle:
         stamp = time.monotonic()
         self._believe(states, stamp)
         if self.active and any(state.status for state in states):
-            # Asked again: a sum of bytes lets one damaged answer in fifty pass.
+            # Read again, since a sum of bytes misses one damaged answer in fifty.
             self.refuse(await self.states())
         measured = self._take(states)
         velocity, effort = measured.rate, measured.torque
@@ -248,35 +248,35 @@ class ServoCycle:
         )
 
     async def _check_servos(self) -> None:
-        """Check the servo whose turn it is, or all after a silence; raises as `_check_servo`."""
+        """Check one servo in turn, or all after a silence; raises as `_check_servo`."""
         turn, rest = divmod(self._count, self._options.check_every)
-        # One servo each time: all at once would take as long as a whole cycle.
+        # One servo at a time: all together would take as long as a whole cycle.
         due = [self.ids[turn % len(self.ids)]] if rest == 0 else []
-        # A supply that was cut silences them first.
+        # All after a silence, which may have been a power cycle.
         for number in self.ids if self._silent else due:
             await self._check_servo(number)
         self._silent = False
 
     async def _check_servo(self, number: int) -> None:
-        """Check that a servo has torque and its settings, asking twice.
+        """Check that a servo has its torque and its settings.
 
         Raises:
-            DeviceFault: if it has not.
+            DeviceFault: if it has lost them.
             BusError: if the line fails.
         """
-        # Twice: a damaged answer must not pass for a servo that has lost its torque.
-        told, marked = POWERED, True
+        # Twice, so that a damaged answer is not taken for a servo without torque.
+        torque, marked = POWERED, True
         for _ in range(2):
-            told, marked = await setup.condition(self.link, self.family, number)
+            torque, marked = await setup.condition(self.link, self.family, number)
             marked = marked or not self.found[number].marked
-            if told == POWERED and marked:
+            if torque == POWERED and marked:
                 return
-        if not told:
+        if not torque:
             self.refuse(await self.states())
             raise setup.lost(self._device, self.names, [number])
         if not marked:
             raise setup.restarted(self._device, self.names, number)
-        # Neither on nor off: only a frame that was damaged on its way has set that.
+        # Any other value comes from a frame that was damaged on its way.
         await self.link.set_all(table.TORQUE, {number: POWERED})
 
     async def restarted(self) -> list[int]:
@@ -289,40 +289,42 @@ class ServoCycle:
         ]
 
     def _believe(self, states: Sequence[State], stamp: float) -> None:
-        """Refuse positions that servos cannot have come to, unless they are told twice.
+        """Refuse positions that servos cannot have reached, unless they are reported twice.
 
         Args:
-            states: What the servos tell.
-            stamp: When they did, CLOCK_MONOTONIC [s].
+            states: The servos' states.
+            stamp: When they were read, CLOCK_MONOTONIC [s].
 
         Raises:
-            FrameError: if an answer must have been damaged, though its checksum fits.
+            FrameError: if an answer must have been damaged in spite of its checksum.
         """
-        told, doubted = [state.position for state in states], self._doubted
+        reported, doubted = [state.position for state in states], self._doubted
         self._doubted = []
         if self._seen is not None:
             when, last = self._seen
             reach = (_JUMP + _QUICK * (stamp - when)) / self.family.rad_per_count
-            jumped = [n for n, p, q in zip(self.ids, told, last, strict=True) if abs(p - q) > reach]
+            pairs = zip(self.ids, reported, last, strict=True)
+            jumped = [n for n, p, q in pairs if abs(p - q) > reach]
             again = bool(doubted) and all(
-                abs(p - q) <= reach for p, q in zip(told, doubted, strict=True)
+                abs(p - q) <= reach for p, q in zip(reported, doubted, strict=True)
             )
             if jumped and not again:
-                self._doubted = told
+                self._doubted = reported
                 numbers = ", ".join(str(n) for n in jumped)
                 raise FrameError(
-                    self._options.port, f"servo {numbers} cannot have come to where it says it is"
+                    self._options.port,
+                    f"servo {numbers} cannot have reached the position it reports",
                 )
-        # Also where the jump was told twice: the servo is there, however it came.
-        self._seen = stamp, told
+        # A jump that was reported twice is real.
+        self._seen = stamp, reported
 
     async def move(self, reference: Reference) -> None:
-        """Set positions, speeds and torque limits of all servos that a reference is for."""
+        """Set positions, speeds and torque limits of the servos that a reference commands."""
         mask = reference.mask.copy()
         if self.attached:
             here = self.joints.positions(self._angles)
             mask[list(self.attached.left(reference, here))] = False
-        # Before the pairs are joined: the actuator that was not asked keeps its own goal.
+        # Before the pairs are joined: an actuator without a reference keeps its goal.
         self._goal = np.where(mask, reference.position, self._goal)
         for i, j in self.joints.pairs:
             mask[[i, j]] = mask[i] or mask[j]
@@ -330,7 +332,7 @@ class ServoCycle:
             return
         angles = self.joints.servos(self._goal)
         self._warnings = self.joints.gave_way(self._goal, angles)
-        # Without signs: at worst, the motions of both actuators add up in one servo.
+        # Absolute values, since in the worst case both actuators' motions add up in one servo.
         jacobian = np.abs(self.joints.jacobian(self._angles))
         limited = np.isfinite(reference.max_velocity)
         speeds = self._speeds(jacobian, np.where(limited, reference.max_velocity, self._fastest))
@@ -340,7 +342,7 @@ class ServoCycle:
         await self._write({i: (counts[i], speeds[i], torques[i]) for i in places})
 
     async def _aim_here(self, numbers: Sequence[int]) -> None:
-        """As `hold`, and see that the goals have arrived: nothing answers to the frame."""
+        """Hold, and read the goals back, since servos do not answer the frame."""
         for _ in range(_ATTEMPTS):
             sent = await self.hold(numbers)
             if sent == {n: await self.link.value(n, table.GOAL_POSITION) for n in sent}:
@@ -348,35 +350,35 @@ class ServoCycle:
         raise FrameError(self._options.port, "servos do not take where they are as their goals")
 
     async def hold(self, numbers: Sequence[int]) -> dict[int, int]:
-        """Make the present positions of servos their goals; return these; raises `BusError`."""
+        """Make the present positions of servos their goals and return them; raises `BusError`."""
         states = await self.states()
         angles = self._take(states).angle
         speeds = self._speeds(np.abs(self.joints.jacobian(angles)), self._fastest)
         most = self._most()
         chosen = [i for i, number in enumerate(self.ids) if number in numbers]
-        # The servos' own counts: by way of the actuators, a pair beyond its limit would be moved.
+        # In the servos' counts: by the actuators' positions, a pair beyond its limit would move.
         sent = await self._write({i: (states[i].position, speeds[i], most[i]) for i in chosen})
         self._goal = self.joints.positions(angles)
         return sent
 
     def _speeds(self, jacobian: FloatArray, velocities: FloatArray) -> list[int]:
-        """Return the speed counts with which servos let actuators have their velocities."""
+        """Return the speed counts of the servos for velocities of the actuators."""
         rates = (jacobian @ velocities).tolist()
         return [scale.to_speed(rate) for scale, rate in zip(self.scales, rates, strict=True)]
 
     @property
     def limits_effort(self) -> bool:
-        """Whether a limit of effort can be turned into one of torque."""
+        """Whether effort limits can be sent as torque limits."""
         if self.family.limits_torque == "share":
             return all(math.isfinite(scale.stall_torque) for scale in self.scales)
         by_current = all(math.isfinite(scale.torque_per_ampere) for scale in self.scales)
         return self.family.limits_torque == "current" and by_current
 
     def _torques(self, efforts: FloatArray, jacobian: FloatArray) -> list[int]:
-        """Return the servos' torque limits [0.1 % or 6.5 mA] that keep those of the efforts.
+        """Return the servos' torque limits [0.1 % or 6.5 mA] for effort limits of the actuators.
 
-        Two servos with the same torque give an actuator that times the sum of its column; where
-        both of a pair's efforts are limited, the smaller torque counts.
+        Two servos with equal torques exert on an actuator that torque times the sum of its column;
+        if both efforts of a pair are limited, the smaller torque counts.
         """
         most = self._most()
         if not self.limits_effort or not np.isfinite(efforts).any():
@@ -399,14 +401,14 @@ class ServoCycle:
 
     @property
     def written(self) -> int:
-        """Bytes set of each servo in a cycle, from the goal position on."""
+        """Number of bytes written to each servo in a cycle, from the goal position on."""
         return 8 if self.family.limits_torque == "share" else 6
 
     async def _write(self, goals: Mapping[int, tuple[int, int, int]]) -> dict[int, int]:
-        """Set goals, by the servos' places: position, speed and torque limit [counts].
+        """Set goals by the servos' indices: position, speed and torque limit [counts].
 
         Returns:
-            The positions as sent, by id.
+            The positions that were sent, by id.
         """
         family, data, sent = self.family, {}, {}
         by_current = family.limits_torque == "current"
@@ -424,7 +426,7 @@ class ServoCycle:
         return sent
 
     def calibrated(self) -> list[Calibrated]:
-        """Return the servos with the zeros that they have now."""
+        """Return the servos with their present zeros."""
         servos = [self.found[number] for number in self.ids]
         return [
             Calibrated(name, s.id, s.model, s.phase & table.REVERSE, s.offset, scale.zero)
@@ -432,7 +434,7 @@ class ServoCycle:
         ]
 
     def set_zeros(self, states: Sequence[State], positions: FloatArray) -> None:
-        """Take what servos measure for these positions of the actuators [rad]."""
+        """Set the zeros so that states are these positions of the actuators [rad]."""
         angles = self.joints.servos(positions).tolist()
         for scale, state, angle in zip(self.scales, states, angles, strict=True):
             scale.zero = state.position - angle / scale.rad

@@ -1,4 +1,4 @@
-"""Drives hands of Feetech servos: any number on one line, each its joint, or two by two."""
+"""Drives hands of Feetech servos on one line; each drives a joint, or two drive two joints."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class FeetechDriver(CalibratesServos):
     """SCS, STS, SMS or HLS servos on one line.
 
     A cycle reads position, speed, load, voltage, temperature and current, by one request for all
-    servos or, where the family does not answer to that, by one for each; and it sets position,
-    speed and torque limit of all by one frame that nothing answers. That frame carries everything
-    each time, so that a lost one changes nothing for long.
+    servos or, if the family does not support that, by one for each; and it sets position, speed and
+    torque limit of all by one frame without answers. This frame always carries all values, so that
+    the next one makes up for a lost one.
 
-    Servos with torque are left as they are, when the line is opened and when it is closed. Nothing
-    that is written survives a power cycle.
+    Servos with torque keep it, and their goals, when the line is opened and when it is closed. The
+    driver stores nothing in the servos.
     """
 
     Options: ClassVar[type[FeetechOptions]] = FeetechOptions
@@ -82,7 +82,7 @@ class FeetechDriver(CalibratesServos):
                 options.port,
                 owner=self.connection.owner,
                 baudrate=options.baudrate,
-                # A reply does not name its request: a late one would pass for the next answer.
+                # A reply does not identify its request, so a late one could be taken for the next.
                 fresh=True,
                 emulator=emulator_of(self.spec, "feetech"),
             ),
@@ -104,7 +104,7 @@ class FeetechDriver(CalibratesServos):
         return ServoCycle(self.spec, options, self._joints, link)
 
     def _describe(self, cycle: ServoCycle) -> None:
-        """Refine the capabilities by what was found."""
+        """Refine the capabilities according to the servos found."""
         link = cycle.link
         models = Counter(model_name(servo.model) for servo in cycle.found.values())
         measures = set(self.capabilities.measures)
@@ -131,20 +131,20 @@ class FeetechDriver(CalibratesServos):
         )
 
     async def activate(self) -> None:
-        """Set up and power the servos that are without torque, where they are."""
+        """Set up the servos without torque and power them at their positions."""
         cycle = self.connection.link
         with cycle.link.unhurried():
             await cycle.power()
 
     async def examine(self) -> str:
-        """Raise the fault that the servos report, or what is wrong with their places."""
+        """Raise the fault that the servos report, or an error of their positions."""
         cycle = self.connection.link
         with cycle.link.unhurried():
             cycle.check(await cycle.states())
         return ""
 
     async def deactivate(self) -> None:
-        """Take the torque away."""
+        """Disable the torque."""
         if self.connection.is_open:
             cycle = self.connection.link
             cycle.active = False
@@ -154,15 +154,15 @@ class FeetechDriver(CalibratesServos):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return what the servos measure."""
+        """Return the servos' measurements."""
         return await self.connection.link.sense()
 
     async def move(self, reference: Reference) -> None:
-        """Set positions, speeds and torque limits of all servos that a reference is for."""
+        """Set positions, speeds and torque limits of the servos that a reference commands."""
         await self.connection.link.move(reference)
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:
-        """Write gains of the position controllers of all servos, not stored."""
+        """Write gains of the position controllers of all servos without storing them."""
         cycle = self.connection.link
         for name, value in gains.items():
             register = GAINS[name]
@@ -172,28 +172,28 @@ class FeetechDriver(CalibratesServos):
     # --- stop and faults ---------------------------------------------------------------------
 
     async def stop(self) -> None:
-        """Hold the measured pose; servos without torque are left without."""
+        """Hold the measured posture; servos without torque stay without."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
             cycle.attached.begin()
             with cycle.link.unhurried():
                 powered = cycle.ids
                 if not cycle.active:
-                    # A goal would switch the torque of some servos on.
-                    told = {n: await cycle.link.value(n, table.TORQUE) for n in cycle.ids}
-                    powered = [n for n, value in told.items() if value == POWERED]
+                    # A goal would enable the torque of some servos.
+                    torque = {n: await cycle.link.value(n, table.TORQUE) for n in cycle.ids}
+                    powered = [n for n, value in torque.items() if value == POWERED]
                 await patiently(partial(cycle.hold, powered))
 
     async def disable(self) -> None:
-        """Take the torque away; the fingers go limp."""
+        """Disable the torque; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Take the torque of the servos with a fault away, which ends an overload.
+        """Disable the torque of servos with a fault, which ends an overload.
 
-        So with those that have restarted, since only servos without torque are set up. They are
-        powered again by `activate`.
+        The same goes for servos that have restarted, since only servos without torque are set up.
+        `activate` powers them again.
         """
         cycle = self.connection.link
         cycle.active = False
@@ -208,7 +208,7 @@ class FeetechDriver(CalibratesServos):
     # --- calibration -------------------------------------------------------------------------
 
     async def take_zeros(self, rest: FloatArray) -> list[Calibrated]:
-        """Take the present positions for a posture [rad]; raises `BusError`."""
+        """Set the zeros so that the present positions are a posture [rad]; raises `BusError`."""
         cycle = self.connection.link
         with cycle.link.unhurried():
             cycle.set_zeros(await patiently(cycle.states), rest)

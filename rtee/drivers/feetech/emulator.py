@@ -1,19 +1,20 @@
 """Emulates a line of Feetech servos, all of one family.
 
-What sources leave open is a property: whether servos of a family that is not known to answer a sync
-read do, and whether the adapter hands back what it sends. What a broadcast ping brings from several
-servos is what two senders make of one wire: a 0 wherever one of them sends it.
+What sources leave open is a property: whether servos answer a sync read in families for which that
+is not known, and whether the adapter echoes what it sends. The answers of several servos to a
+broadcast ping collide on the wire: a bit is 0 if any of them sends a 0.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import VirtualObject
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.codec import (
     BROADCAST,
@@ -41,7 +42,7 @@ _ERRORS = {
 _READS = (Instruction.PING, Instruction.READ)
 """Instructions that are answered whatever the response level."""
 _WRONG = 0x0101
-"""Model number of a device that is none of these."""
+"""Model number of a device of another kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +53,10 @@ class LineProperties:
         family: Their family.
         ids: Their ids.
         servo: Properties of all servos.
-        special: Properties of single servos, by id.
+        special: Properties of individual servos, by id.
         latency: Latency of the adapter per answer [s].
-        sync_read: Whether they answer to a sync read; ``None``: as their family does.
-        echo: Whether the adapter hands back what it sends.
+        sync_read: Whether they answer a sync read; ``None``: as known of their family.
+        echo: Whether the adapter echoes what it sends.
     """
 
     family: FamilyName = "sts"
@@ -74,7 +75,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         properties: Properties of the line.
 
     Attributes:
-        properties: See above.
+        properties: Properties of the line.
         family: The servos' family.
     """
 
@@ -120,7 +121,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             self.ordered[0].fail(_ERRORS[fault])
 
     def on_faults(self) -> None:
-        """Block the servos while they are stuck, and have them answer as the model they are."""
+        """Block the servos while they are stuck, and set their errors and model numbers."""
         causes = [bit for name, bit in _ERRORS.items() if name in self.faults]
         self.ordered[0].cause = Status(sum(causes))
         for servo, model in zip(self.ordered, self._models, strict=True):
@@ -130,7 +131,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
     # --- objects -----------------------------------------------------------------------------
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the servos close: from where they stood at power-up."""
+        """Return how the servos close, from their positions at power-up."""
         quarter = self.family.counts / self.family.span * 1.57
         found = []
         for servo in self.ordered:
@@ -141,16 +142,10 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             found.append(Closing(servo.axis, opened, closed, float(FULL)))
         return found
 
-    def grip_object(
-        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
-    ) -> None:
-        """Put an object in a servo's way, met at a position; stiffness in 0.1 % per count."""
-        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
-
     # --- the line ----------------------------------------------------------------------------
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes from the host and return the answers."""
+        """Receive bytes from the host and return the answers."""
         self.step(now)
         self._show_rate()
         answers = [data] if self.properties.echo else []
@@ -178,7 +173,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             knows = self.properties.sync_read
             if not (self.family.sync_read if knows is None else knows):
                 return []
-            # Each waits for its turn; one that is missing leaves a gap.
+            # Each servo answers in its turn; a missing one leaves a gap.
             found = self.listening(params[2:], now)
             replies = [self._reply(servo, servo.read(params[0], params[1])) for servo in found]
             return self._delayed(replies, found)
@@ -197,7 +192,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         return Frame(servo.number, servo.status, params or b"").to_bytes()
 
     def _single(self, servo: Servo, request: Frame, now: float) -> bytes:
-        """Let a servo do what it is asked; return its answer, empty where there is none."""
+        """Let a servo carry out a request; return its answer, empty if there is none."""
         params = request.params
         match request.code:
             case Instruction.READ if len(params) == 2:
@@ -216,7 +211,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             case Instruction.CALIBRATE if len(params) in (0, 2):
                 where = int.from_bytes(params, self.family.order) if params else MIDDLE
                 servo.make_present(where)
-            # A position has two bytes; what any other number of them means is not known.
+            # A position has two bytes; the meaning of other lengths is not known.
             case Instruction.PING | Instruction.BACK_UP | Instruction.RESET | Instruction.CALIBRATE:
                 pass
             case _:
@@ -224,7 +219,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
         return self._reply(servo, b"")
 
     def _delayed(self, answers: list[bytes], servos: Iterable[Servo]) -> list[bytes]:
-        """Set the turn-around of these answers: every servo's return delay, and the adapter's."""
+        """Set the turnaround of these answers: return delays of the servos, adapter's latency."""
         hls = self.family.name == "hls"
         delays = [0 if hls else servo.get(table.RETURN_DELAY) for servo in servos]
         self.turnaround = sum(delays) * DELAY_UNIT + self.properties.latency
@@ -232,19 +227,13 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
 
 
 def _collided(answers: Sequence[bytes]) -> bytes:
-    """Return what several servos that send at once make of one wire."""
+    """Return the bytes on the wire when several servos send at once."""
     columns = itertools.zip_longest(*answers, fillvalue=0xFF)
-    found = bytearray()
-    for column in columns:
-        byte = 0xFF
-        for one in column:
-            byte &= one
-        found.append(byte)
-    return bytes(found)
+    return bytes(functools.reduce(operator.and_, column) for column in columns)
 
 
 def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
-    """Return the properties of each servo of a device by id: where it stands, how it closes."""
+    """Return the properties of each servo of a device by id: its start and how it closes."""
     family = FAMILIES[options.get("family", "sts")]
     angles: dict[str, tuple[float, float]] = {}
     if options.get("differential"):
@@ -265,7 +254,7 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
             given.get("direction", 1),
             given.get("gear", 1.0),
         )
-        # A quarter turn where nothing says how far its actuator goes.
+        # A quarter turn if the travel of its actuator is not known.
         start, end = angles.get(name, (0.0, 1.57 / scale.gear))
         first, last = scale.to_counts(start), scale.to_counts(end)
         place = {"start": float(first), "closing": float(last - first)}

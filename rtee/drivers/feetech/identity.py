@@ -1,4 +1,4 @@
-"""Who a servo is, and how it gets another id: before it shares a line with others."""
+"""Recognise a servo, and change its id before it shares a line with others."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _OWNER = "set-id"
 _DEADLINE = 0.03
 """Longest time for the answer of a servo [s]: an adapter keeps bytes back for up to 16 ms."""
 _ATTEMPTS = 4
-"""How often an id is written that the servo does not answer to afterwards."""
+"""Attempts to write an id that the servo does not use afterwards."""
 _SETTLES = 0.02
-"""Time that a servo is given to store its id [s]; no source gives one."""
+"""Time for a servo to store its id [s]; no source gives one."""
 
 T = TypeVar("T")
 
 
 def recognise(data: bytes) -> Model | None:
-    """Return the model that the two bytes of a model number tell, in its family's order."""
+    """Return the model for the two bytes of a model number, in its family's byte order."""
     for family in FAMILIES.values():
-        # In the other order the same bytes may be the number of another family's model.
+        # In the other byte order they may be the number of another family's model.
         found = MODELS.get(int.from_bytes(data, family.order))
         if found is not None and found.family == family.name:
             return found
@@ -45,27 +45,27 @@ async def is_there(pool: BusPool, port: str, baudrate: int, number: int) -> bool
 
 
 async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) -> Model:
-    """Store another id in a servo; its torque is taken away.
+    """Store another id in a servo; this disables its torque.
 
     Args:
         pool: The buses.
-        port: Where it is.
+        port: The servo's port.
         baudrate: Rate of the line [baud].
-        old: Its id.
-        new: The id that it gets.
+        old: Its present id.
+        new: Its new id.
 
     Returns:
-        What it is.
+        The servo's model.
 
     Raises:
         BusError: if the line fails.
         ConfigError: if another servo has that id.
-        DriverError: if it is of no model that is known, or does not take the id.
+        DriverError: if its model is not known, or it does not accept the id.
         NotConnected: if no servo answers to the old id.
     """
     bus = await pool.serial(port, owner=_OWNER, baudrate=baudrate, fresh=True)
     try:
-        # Any family will do here: only whether somebody answers counts.
+        # Any family will do: only whether a servo answers counts.
         link = FeetechLink(bus, FAMILIES["sts"], _DEADLINE, 2)
         if await _heard(lambda: link.model(new)) is not None:
             raise ConfigError(f"there is a servo {new} at {port} already; take it off the line")
@@ -73,13 +73,13 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
         family = FAMILIES[model.family]
         link = FeetechLink(bus, family, _DEADLINE, 2)
         await patiently(lambda: link.set_all(table.TORQUE, {old: 0}))
-        # Unlocked, what is written survives a power cycle.
+        # An unlocked servo stores what is written.
         await patiently(lambda: link.set_all(family.lock, {old: 0}))
         for _ in range(_ATTEMPTS):
             await link.write_all(table.ID.address, {old: bytes([new])})
             await asyncio.sleep(_SETTLES)
             if await link.model(new) is not None:
-                # It answers to the new id at once, so the lock is set under that one.
+                # It uses the new id at once, so the lock is set with that one.
                 await patiently(lambda: link.set_all(family.lock, {new: 1}))
                 return model
         await patiently(lambda: link.set_all(family.lock, {old: 1}))
@@ -89,7 +89,7 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
 
 
 async def _heard(ask: Callable[[], Awaitable[T | None]], times: int = 3) -> T | None:
-    """Return an answer, asked for again where none came."""
+    """Return an answer; without one, ask again."""
     for _ in range(times):
         found = await ask()
         if found is not None:

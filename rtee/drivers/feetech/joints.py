@@ -1,8 +1,8 @@
-"""From the servos' angles to the actuators' positions and back, with velocities and efforts.
+"""Conversion between the servos' angles and the actuators' positions, with the derivative.
 
-A servo of its own turns its actuator. Two servos of a differential turn two: their angles are a
-linear map of two coordinates, of which one bends the finger and the other tilts it. Velocities and
-efforts follow by the derivative of the same map.
+A single servo turns one actuator. Two servos of a differential turn two actuators: their angles are
+a linear map of two coordinates, of which one bends the finger and the other tilts it. Velocities
+and efforts follow from the derivative of the same map.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from rtee.sample import FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec
 
 _GAVE_WAY = 0.02
-"""How much less than asked a tilt may be before that is told [rad], about a degree."""
+"""Largest reduction of a tilt without a warning [rad], about a degree."""
 
 
 class Curve:
-    """A line through points, prolonged at both ends.
+    """A polyline through points, extended at both ends.
 
     Args:
-        points: Two or more, the first numbers rising.
+        points: Two or more points, their first numbers rising.
     """
 
     def __init__(self, points: Sequence[tuple[float, float]]) -> None:
@@ -37,7 +37,7 @@ class Curve:
         return _line(self._x, self._y, x)
 
     def inverse(self, y: float) -> float:
-        """Return where a value is met, of a curve that rises."""
+        """Return where a rising curve has a value."""
         return _line(self._y, self._x, y)[0]
 
 
@@ -48,13 +48,13 @@ def _line(x: Sequence[float], y: Sequence[float], at: float) -> tuple[float, flo
 
 
 class Differential:
-    """The map of one pair: two servos, and the flexion and tilt that they make.
+    """The map of one pair between the angles of two servos and the flexion and tilt of a finger.
 
     Args:
-        options: How it is made.
+        options: Its parameters.
 
     Attributes:
-        limit: Largest angle of a servo, both ways [rad].
+        limit: Largest angle of a servo in both directions [rad].
     """
 
     def __init__(self, options: DifferentialOptions) -> None:
@@ -67,14 +67,14 @@ class Differential:
         self._shared = options.tilt_share[0][0], options.tilt_share[-1][0]
 
     def servos(self, flexion: float, tilt: float) -> tuple[float, float]:
-        """Return the servos' angles within their limit [rad]; the tilt gives way to the flexion.
+        """Return the servos' angles within their limit [rad]; the tilt is reduced to keep it.
 
         Args:
             flexion: Position of the flexion [rad].
             tilt: Position of the tilt [rad].
         """
         (a, b), (c, d) = self._matrix.tolist()
-        # The flexion gets the whole range, the tilt what is left of it.
+        # The flexion may use the whole range, the tilt the rest.
         most = self.limit / max(abs(a), abs(c), 1e-9)
         bent = min(max(self._flexion.inverse(flexion), -most), most)
         lean = self._tilt.inverse(tilt / self._share_at(bent)[0])
@@ -90,7 +90,7 @@ class Differential:
         return self._flexion.at(bent)[0], self._tilt.at(lean)[0] * self._share_at(bent)[0]
 
     def jacobian(self, first: float, second: float) -> FloatArray:
-        """Return how the servos' angles change with flexion and tilt there ``(2, 2)``."""
+        """Return the derivative of the servos' angles by flexion and tilt ``(2, 2)``."""
         bent, lean = self._coordinates(first, second)
         (tilt, tilts), (share, shares) = self._tilt.at(lean), self._share_at(bent)
         joints = np.array([[self._flexion.at(bent)[1], 0.0], [tilt * shares, tilts * share]])
@@ -104,14 +104,14 @@ class Differential:
     def _share_at(self, bent: float) -> tuple[float, float]:
         low, high = self._shared
         share, slope = self._share.at(min(max(bent, low), high))
-        # Level beyond its ends: prolonged, it might reach 0.
+        # Constant beyond its ends: extended, it might reach 0.
         return share, slope if low < bent < high else 0.0
 
 
 class Joints:
     """The map of all servos of a device to all its actuators.
 
-    A servo stands in the place of an actuator that it drives: its own, or one of its pair's.
+    Each servo has the index of an actuator that it drives: its own, or one of its pair.
 
     Args:
         spec: The device.
@@ -121,7 +121,7 @@ class Joints:
         names: The names of the servos, in the order of the actuators.
 
     Raises:
-        ConfigError: if servos and pairs do not drive every actuator once.
+        ConfigError: if servos and pairs do not drive every actuator exactly once.
     """
 
     def __init__(self, spec: DeviceSpec, options: FeetechOptions) -> None:
@@ -140,7 +140,7 @@ class Joints:
             ]
 
     def ends(self, actuators: Sequence[ActuatorSpec]) -> list[tuple[float, float]]:
-        """Return the least and the greatest angle of each servo [rad]."""
+        """Return the smallest and the largest angle of each servo [rad]."""
         ends = [(actuator.lower, actuator.upper) for actuator in actuators]
         for i, j, pair in self._pairs:
             ends[i] = ends[j] = (-pair.limit, pair.limit)
@@ -148,7 +148,7 @@ class Joints:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """The places of the servos and of the actuators of each pair."""
+        """The indices of the servos, and of the actuators, of each pair."""
         return [(i, j) for i, j, _ in self._pairs]
 
     def servos(self, positions: FloatArray) -> FloatArray:
@@ -166,7 +166,7 @@ class Joints:
         return positions
 
     def jacobian(self, angles: FloatArray) -> FloatArray:
-        """Return how the servos' angles change with the actuators' positions ``(n, n)``."""
+        """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
         matrix = np.eye(len(angles))
         for i, j, pair in self._pairs:
             found = pair.jacobian(float(angles[i]), float(angles[j]))
@@ -174,7 +174,7 @@ class Joints:
         return matrix
 
     def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:
-        """Return what positions ask for and the servos' limit does not allow, in words."""
+        """Return a warning for each tilt that the servos' limit has reduced."""
         reached = self.positions(angles)
         return tuple(
             f"{self._actuators[j]} gives way to {self._actuators[i]}: its servos are at their limit"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from contextlib import AbstractContextManager
+from typing import ClassVar
 
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.drivers.connection import longer_deadline
+from rtee.drivers.deadlines import Unhurried
 from rtee.drivers.feetech.codec import (
     OVERHEAD,
     Frame,
@@ -20,17 +20,15 @@ from rtee.drivers.feetech.codec import (
 from rtee.drivers.feetech.table import MODEL, Family, Register
 from rtee.errors import BusTimeout, FrameError
 
-PATIENCE = 0.2
-"""Longest time for an exchange that belongs to no cycle, beside its time on the line [s]."""
 _ATTEMPTS = 4
-"""How often a register that was written and is not as it was written is written again."""
+"""Attempts to write a register that has another value afterwards."""
 
 
-class FeetechLink:
+class FeetechLink(Unhurried):
     """Talks to servos on one line; several devices may share it.
 
-    What a servo sends is known as an answer by its id and its length alone. An adapter that hands
-    back what it sends is understood: a frame that is the request itself is not an answer to it.
+    A frame counts as the answer if it has the servo's id and the right length. Adapters with an
+    echo are supported: a frame that equals the request is not an answer to it.
 
     Args:
         bus: The line.
@@ -40,8 +38,11 @@ class FeetechLink:
 
     Attributes:
         delay: Time that a servo waits before its answer [s].
-        turnaround: Time per request that neither this nor the bytes explain [s].
+        turnaround: Further time per request, beside that on the line [s].
     """
+
+    # Beside its time on the line.
+    PATIENCE: ClassVar[float] = 0.2
 
     def __init__(self, bus: SerialBus, family: Family, deadline: float, retries: int) -> None:
         self.delay = self.turnaround = 0.0
@@ -52,27 +53,23 @@ class FeetechLink:
         self._parser = ReplyParser()
         self._groups: dict[tuple[frozenset[int], int], GroupParser] = {}
 
-    def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        return longer_deadline(self, PATIENCE)
-
     def read_time(self, size: int, count: int = 1) -> float:
-        """Return the time of one request for so many bytes of each of ``count`` servos [s]."""
+        """Return the time to read ``size`` bytes of each of ``count`` servos in one request [s]."""
         request = OVERHEAD + 2 + (count if count > 1 else 0)
         answers = count * (OVERHEAD + size)
         once = wire_time(request + answers, self._bus.line.baudrate) + self.turnaround
         return once + count * self.delay
 
     def write_time(self, size: int, count: int) -> float:
-        """Return the time to write so many bytes to each of ``count`` servos [s]."""
+        """Return the time to write ``size`` bytes to each of ``count`` servos [s]."""
         return wire_time(OVERHEAD + 2 + count * (size + 1), self._bus.line.baudrate)
 
     def _longest(self, size: int, count: int = 1) -> float:
-        # Every attempt may take its whole time on the line.
+        # Every attempt may need its full time on the line.
         return self.deadline + (self._retries + 1) * self.read_time(size, count)
 
     async def read(self, number: int, address: int, size: int) -> Frame:
-        """Return a servo's answer with so many bytes of its registers; raises `BusError`."""
+        """Return a servo's answer with ``size`` bytes of its registers; raises `BusError`."""
         request = Frame(number, Instruction.READ, bytes([address, size])).to_bytes()
 
         def answers(reply: Frame) -> bool:
@@ -92,13 +89,13 @@ class FeetechLink:
     async def read_all(
         self, address: int, size: int, ids: Collection[int], *, together: bool
     ) -> Mapping[int, Frame]:
-        """Return the answers of servos with so many bytes of their registers, by id.
+        """Return the answers of servos with ``size`` bytes of their registers, by id.
 
         Args:
             address: The first register.
             size: Number of bytes.
             ids: The servos.
-            together: By one request for all, which not every family answers.
+            together: Whether to send one request for all, which not every family answers.
 
         Raises:
             BusError: if one does not answer.
@@ -129,32 +126,32 @@ class FeetechLink:
             return None
 
     async def write_all(self, address: int, data: Mapping[int, bytes]) -> None:
-        """Set registers of several servos at once, by id; nothing answers. Raises `BusError`."""
+        """Set registers of several servos at once, by id, without answers; raises `BusError`."""
         for request in sync_write(address, data):
             await self._bus.send(request)
 
     async def set_all(self, register: Register, values: Mapping[int, int]) -> dict[int, int]:
-        """Set a register of several servos and read it back, again where it was not taken.
+        """Set a register of several servos and read it back; repeat for those without the value.
 
-        Servos may be set up to answer to reads alone, and what answers to a write says only that it
-        came; so what counts is what they tell afterwards.
+        Servos may be configured to answer only reads, and the answer to a write only confirms that
+        it was received; so the value read back decides.
 
         Args:
             register: The register.
             values: Its value by id.
 
         Returns:
-            What servos that do not take it say instead, by id; empty: all have it.
+            The other values that servos have kept, by id; empty if all have accepted theirs.
 
         Raises:
             BusError: if the line fails.
         """
-        left, told = dict(values), dict[int, int]()
+        left, found = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS):
             data = {number: self._family.pack(register, value) for number, value in left.items()}
             await self.write_all(register.address, data)
-            told = {number: await self.value(number, register) for number in left}
-            left = {number: value for number, value in left.items() if told[number] != value}
+            found = {number: await self.value(number, register) for number in left}
+            left = {number: value for number, value in left.items() if found[number] != value}
             if not left:
                 return {}
-        return {number: told[number] for number in left}
+        return {number: found[number] for number in left}

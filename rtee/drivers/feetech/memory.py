@@ -1,4 +1,4 @@
-"""The registers of an emulated Feetech servo: what is stored, and what is in force."""
+"""The registers of an emulated Feetech servo: stored and active values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SCS = {
     table.MIN_VOLTAGE: 45,
     table.MAX_TORQUE: FULL,
     table.UNLOAD: 36,
-    table.ALARM: 37,  # which errors the LED tells
+    table.ALARM: 37,  # errors that the LED shows
     table.P: 15,
     table.D: 15,
     Register(24, 2): 30,  # least force to start
@@ -36,7 +36,7 @@ _STS = {
     table.MAX_TORQUE: FULL,
     table.PHASE: 12,
     table.UNLOAD: 44,
-    table.ALARM: 47,  # which errors the LED tells
+    table.ALARM: 47,  # errors that the LED shows
     table.P: 32,
     table.D: 32,
     Register(24, 1): 16,  # least force to start
@@ -59,10 +59,10 @@ _DEFAULTS = {"scs": _SCS, "sts": _STS, "sms": _STS, "hls": _HLS}
 class Memory:
     """The registers of one servo.
 
-    Locked, it takes settings that do not survive a power cycle; unlocked, it stores them.
+    Locked, it accepts settings but does not store them; unlocked, they survive a power cycle.
 
     Args:
-        family: Whose registers.
+        family: The servo's family.
     """
 
     def __init__(self, family: Family) -> None:
@@ -79,18 +79,18 @@ class Memory:
         self._stored[:] = self._bytes[:RAM]
 
     def keep(self, register: Register, value: int) -> None:
-        """Set a register and store it; other settings that are not stored stay so."""
+        """Set a register and store it; other settings stay as they are, stored or not."""
         self.set(register, value)
         at = slice(register.address, register.address + register.size)
         self._stored[at] = self._bytes[at]
 
     def power_cycle(self) -> None:
-        """Return to what is stored, locked and with the rest at 0."""
+        """Restore the stored settings, locked and with the other registers at 0."""
         self._bytes[:] = self._stored + bytes(END - RAM)
         self.set(self._family.lock, 1)
 
     def restore(self) -> None:
-        """Return to the values from the factory; identity stays."""
+        """Restore the values from the factory, except for the identity."""
         kept = (table.MODEL, table.ID, table.BAUD_RATE)
         values = [(register, self.get(register)) for register in kept]
         fresh = Memory(self._family)
@@ -104,7 +104,7 @@ class Memory:
         return self._family.unpack(register, bytes(self._bytes))
 
     def set(self, register: Register, value: int) -> None:
-        """Set a register, whatever it allows; a setting is not stored by it."""
+        """Set a register without any check; the value is not stored."""
         data = self._family.pack(register, value)
         self._bytes[register.address : register.address + register.size] = data
 
@@ -113,7 +113,7 @@ class Memory:
         return bytes(self._bytes[address : address + size]) if address + size <= END else None
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes as a host may; those that can only be read stay."""
+        """Write bytes as a host may; read-only bytes are not changed."""
         stored = not self.get(self._family.lock)
         for at, byte in enumerate(data, address):
             if at < table.ID.address or table.PRESENT_POSITION.address <= at:

@@ -25,11 +25,11 @@ class ServoOptions(servo_lines.ServoOptions):
 
     Attributes:
         id: Its id on the line.
-        zero: Its position where its angle is 0; else the middle of its range.
-        p: Proportional gain; else that of the line.
+        zero: Its position at 0 rad; by default the middle of its range.
+        p: Proportional gain; by default that of the line.
         i: Integral gain.
         d: Derivative gain.
-        stall_torque: Largest torque at this supply [N·m]; else that of the line, or of the model.
+        stall_torque: Largest torque at this supply [N·m]; by default that of the line or the model.
     """
 
     id: Annotated[int, Field(ge=0, le=LARGEST_ID)]
@@ -57,15 +57,15 @@ class PairOptions(BaseModel):
 class DifferentialOptions(BaseModel):
     """How pairs of servos drive pairs of actuators, the same for all pairs of the device.
 
-    The matrix gives the angles of the two servos from two coordinates: that of the flexion and that
-    of the tilt. Two curves give the actuators' positions from these, where they are not the same.
+    The matrix gives the angles of the two servos from two coordinates, flexion and tilt. Two curves
+    map these coordinates to the actuators' positions.
 
     Attributes:
-        matrix: Rows of the servos, columns of flexion and tilt.
-        limit: Largest angle of a servo, both ways [rad]; the tilt gives way to it.
+        matrix: Matrix with a row for each servo and columns for flexion and tilt.
+        limit: Largest angle of a servo in both directions [rad]; the tilt is reduced to keep it.
         flexion: Points of coordinate and position of the flexion, rising [rad].
-        tilt: The same of the tilt, where the coordinate of the flexion is 0 [rad].
-        tilt_share: Points of the flexion's coordinate [rad] and the share of the tilt that is left.
+        tilt: Points of coordinate and position of the tilt, at a flexion coordinate of 0 [rad].
+        tilt_share: Points of the flexion's coordinate [rad] and the remaining share of the tilt.
         pairs: The pairs by name.
     """
 
@@ -174,7 +174,7 @@ class FeetechOptions(DeviceOptions):
 
     @property
     def paired(self) -> dict[str, str]:
-        """The actuator in whose place each servo of a pair stands, by the servo's name."""
+        """The actuator whose index each servo of a pair uses, by the servo's name."""
         if self.differential is None:
             return {}
         pairs = self.differential.pairs.values()

@@ -13,12 +13,12 @@ from rtee.drivers.feetech.table import FULL, MODELS, Family, Register
 from rtee.drivers.properties import Duration, Positive
 
 MIDDLE = 2048
-"""What the present position becomes where it is made the middle [counts]."""
-_MAKE_MIDDLE = 128  # value of the torque register that does so
+"""The present position after it has been declared the middle [counts]."""
+_MAKE_MIDDLE = 128  # value of the torque register that declares it
 _FASTEST = {"scs": 1500.0, "sts": 3400.0, "sms": 3400.0, "hls": 3400.0}
 """Speed of a free servo [counts/s]: what published programs command; no source gives more."""
 _FRICTION = 40.0  # load of a free servo that moves [0.1 %]; no source gives it
-_STIFFNESS = 2000.0  # load by angle between servo and goal [0.1 % per rad]; likewise
+_STIFFNESS = 2000.0  # load per position error [0.1 % per rad]; no source gives it
 _SPEED_MODE = 1
 
 
@@ -28,20 +28,19 @@ class ServoProperties:
 
     Attributes:
         model: Its model number; 0: the first known of its family.
-        start: Where it stands at power-up [counts]; negative: in the middle.
-        closing: Signed way from `start` to closed, as an object meets it [counts]; 0: a quarter
-            turn.
-        lower: Mechanical stop [counts].
-        upper: Mechanical stop [counts].
-        return_delay: As stored [2 µs].
-        level: Response level, as stored: 0 answers to reading alone.
-        limits: Least and greatest position, as stored [counts]; ``None``: from the factory.
-        phase: Phase bits, as stored; ``None``: from the factory.
-        offset: Position offset, as stored [counts].
-        unload: Which errors switch it off, as stored; ``None``: from the factory.
-        voltage: Its supply [V].
+        start: Position at power-up [counts]; negative: in the middle.
+        closing: Signed travel from `start` to closed, for objects [counts]; 0: a quarter turn.
+        lower: Lower mechanical stop [counts].
+        upper: Upper mechanical stop [counts].
+        return_delay: Stored return delay [2 µs].
+        level: Stored response level; at 0 it answers only reads.
+        limits: Stored smallest and largest position [counts]; ``None``: from the factory.
+        phase: Stored phase bits; ``None``: from the factory.
+        offset: Stored position offset [counts].
+        unload: Stored errors that disable the torque; ``None``: from the factory.
+        voltage: Its supply voltage [V].
         reboot_time: Silence after a reboot [s].
-        haste: How much faster than usual it moves.
+        haste: Factor by which it moves faster than a real one.
     """
 
     model: int = 0
@@ -61,20 +60,20 @@ class ServoProperties:
 
 
 class Servo:
-    """A servo's registers and what moves behind them.
+    """A servo's registers and its motor.
 
     Args:
         family: Its family.
         number: Its id.
-        properties: What it is like.
+        properties: Its properties.
 
     Attributes:
-        properties: See above.
+        properties: Its properties.
         axis: Its shaft, in counts of its encoder and 0.1 % of its largest torque.
         get: Returns a register's value.
-        set: Sets a register, whatever it allows.
-        silent_until: It answers nothing before this time [s].
-        cause: Errors whose cause lasts.
+        set: Sets a register without any check.
+        silent_until: Time before which it does not answer [s].
+        cause: Errors whose cause persists.
     """
 
     def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
@@ -126,12 +125,12 @@ class Servo:
 
     @property
     def status(self) -> Status:
-        """What is wrong, as every reply tells it."""
+        """The errors in the status of every reply."""
         return self.cause | self._latched
 
     @property
     def position(self) -> int:
-        """Present position as it reports it [counts]."""
+        """Reported present position [counts]."""
         position = round(self.axis.position) - self._offset
         if self._turns:
             return position
@@ -143,7 +142,7 @@ class Servo:
 
     @property
     def _turns(self) -> bool:
-        """Whether it counts turns, and has no limits of its position."""
+        """Whether it counts turns and has no position limits."""
         return self.get(table.MIN_ANGLE) == self.get(table.MAX_ANGLE) == 0
 
     def read(self, address: int, size: int) -> bytes | None:
@@ -161,24 +160,24 @@ class Servo:
             if self.get(table.TORQUE) == _MAKE_MIDDLE and self._family.offset is not None:
                 self.make_present(MIDDLE)
         if table.GOAL_POSITION.address in touched and not self.get(table.TORQUE):
-            # A goal switches the torque on: published programs never do that themselves.
+            # A goal enables the torque: published programs never do that separately.
             self.set(table.TORQUE, int(not self.status & self.get(table.UNLOAD)))
         self._act()
 
     def hold_back(self, address: int, data: bytes) -> None:
-        """Keep bytes to be written by `action`."""
+        """Store bytes to be written by `action`."""
         self._pending = address, data
         self.set(table.PENDING, 1)
 
     def action(self) -> None:
-        """Write what `hold_back` has kept."""
+        """Write the bytes stored by `hold_back`."""
         if self._pending is not None:
             (address, data), self._pending = self._pending, None
             self.set(table.PENDING, 0)
             self.write(address, data)
 
     def make_present(self, position: int) -> None:
-        """Choose the offset with which the present position is this one, and switch off."""
+        """Set the offset so that the present position has a value, and disable the torque."""
         if self._family.offset is not None:
             self.memory.keep(self._family.offset, round(self.axis.position) - position)
         self.set(table.TORQUE, 0)
@@ -187,7 +186,7 @@ class Servo:
     # --- life ----------------------------------------------------------------------------------
 
     def reboot(self, now: float) -> None:
-        """Restart: what is not stored is lost; no torque."""
+        """Restart without torque; values that are not stored are lost."""
         self.silent_until = now + self.properties.reboot_time
         self._pending = None
         self.memory.power_cycle()
@@ -203,7 +202,7 @@ class Servo:
         self._act()
 
     def fail(self, error: Status) -> None:
-        """Have an error whose cause lasts; where its mask says so, the torque goes."""
+        """Set an error whose cause persists; if the mask contains it, disable the torque."""
         self.cause |= error
         self._unload(error)
 
@@ -226,7 +225,7 @@ class Servo:
         if self._family.protection is None or Status.OVERLOAD in self._latched:
             return
         _, lasting, most = (self.get(Register(at, 1)) for at in self._family.protection)
-        # Both in percent and in the register's unit of time.
+        # Torques in percent, the time in the register's unit.
         if abs(self.axis.effort) <= most * FULL / 100 or not most:
             self._strained = None
         elif self._strained is None:
@@ -246,7 +245,7 @@ class Servo:
         fastest = _FASTEST[self._family.name] * self.properties.haste
         axis.max_velocity = min(abs(asked) * unit, fastest) if asked else fastest
         if self._family.offset is not None and self.get(table.MODE) == _SPEED_MODE:
-            # So far away that it is never reached: only the speed counts.
+            # So far away that it is never reached, since only the speed counts.
             axis.target = math.copysign(1e9, asked) if asked else axis.position
         elif self._turns and self._family.offset is None:
             axis.target = axis.position  # it turns without end; nothing here asks it to
@@ -256,7 +255,7 @@ class Servo:
             axis.target = float((min(max(goal, low), high) if low < high else goal) + self._offset)
 
     def _strongest(self) -> float:
-        """Return the largest torque [0.1 %] that limits and protection leave."""
+        """Return the largest torque [0.1 %] that limits and protection allow."""
         most = float(self.get(table.MAX_TORQUE))
         if self._family.limits_torque == "share":
             most = min(most, float(self.get(table.TORQUE_LIMIT)))

@@ -1,4 +1,4 @@
-"""Prepare servos before they are driven: present, as expected, set up, powered."""
+"""Prepare servos before they are driven: find, check and set up; and their faults."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ TORQUE_LOST = 0x100
 RESTARTED = 0x200
 """Codes of the driver's own faults, above the bits of the status."""
 _MARK = 0x80
-"""Bit of the errors that the LED tells which stands for none in any family: written, not stored, it
-is gone after a power cycle."""
+"""Unused bit of the register of errors that the LED shows. It is written but not stored, so a servo
+without it has had a power cycle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A servo as it was found.
+    """The registers of a servo as found.
 
     Attributes:
         id: Its id.
         model: Its model number.
         firmware: Its firmware's version.
-        phase: Its phase bits; 0 where they have another meaning.
+        phase: Its phase bits; 0 if they have another meaning.
         offset: Its position offset [counts].
         mode: Its operating mode; 0: position.
         return_delay: Its return delay [2 µs].
-        limits: Its least and greatest position [counts]; both 0: it counts turns.
+        limits: Its smallest and largest position [counts]; both 0: it counts turns.
         most: Its largest torque [0.1 %], or current [6.5 mA] (HLS).
         gains: Its P, I and D.
-        alarm: The errors that its LED tells, and the mark.
-        powered: Whether it drives.
+        alarm: The errors that its LED shows, and the mark.
+        powered: Whether it has torque.
     """
 
     id: int
@@ -58,12 +58,12 @@ class Found:
 
     @property
     def marked(self) -> bool:
-        """Whether it would lose the mark by a power cycle."""
+        """Whether it has the mark, which a power cycle removes."""
         return bool(self.alarm & _MARK)
 
     @classmethod
     def from_table(cls, family: Family, number: int, data: bytes, powered: bool) -> Found:
-        """Read it from the registers that survive a power cycle."""
+        """Read it from the registers that are stored."""
 
         def get(register: Register) -> int:
             return family.unpack(register, data)
@@ -89,14 +89,14 @@ class Found:
 async def find(
     link: FeetechLink, family: Family, device: str, servos: Mapping[str, ServoOptions], port: str
 ) -> dict[int, Found]:
-    """Return all servos as they are found, by id; writes nothing.
+    """Find all servos, by id; writes nothing.
 
     Raises:
         NotConnected: if none answers.
-        HandshakeError: if some are missing, or not what is expected.
+        HandshakeError: if some are missing or differ from what is expected.
         BusError: if the line fails.
     """
-    # All are asked before any is refused, so that one message names all that are missing.
+    # All models are read first, so that one message names all missing servos.
     models = {servo.id: await link.model(servo.id) for servo in servos.values()}
     expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
     check_present(device, port, expected, models, model_name)
@@ -127,7 +127,7 @@ async def find(
 
 
 def _found(data: bytes) -> str:
-    """Return what the bytes of a model number tell, also of another family."""
+    """Return the name for the bytes of a model number, in any family."""
     one = recognise(data)
     return (
         f"model {data.hex(' ').upper()}" if one is None else f"{one.name}, of family {one.family}"
@@ -141,47 +141,47 @@ async def prepare(
     options: FeetechOptions,
     found: Mapping[int, Found],
 ) -> None:
-    """Set up servos without torque; nothing of it survives a power cycle.
+    """Set up servos without torque; the settings are not stored.
 
     Args:
         link: The line.
         family: The servos' family.
         device: The device's name.
-        options: How they are to be set.
+        options: Their settings.
         found: The servos without torque, by id.
 
     Raises:
         BusError: if the line fails.
-        DriverError: if one does not take a setting.
+        DriverError: if one does not accept a setting.
     """
 
-    async def take(register: Register, values: Mapping[int, int]) -> None:
-        for number, told in (await link.set_all(register, values)).items():
+    async def write(register: Register, values: Mapping[int, int]) -> None:
+        for number, kept in (await link.set_all(register, values)).items():
             raise DriverError(
                 device,
                 f"servo {number} does not take {values[number]} at address {register.address}; "
-                f"it has {told}",
+                f"it has {kept}",
             )
 
-    # Locked, they take settings without storing them: their memory does not wear out.
-    await take(family.lock, dict.fromkeys(found, 1))
+    # Locked servos accept settings without storing them, so that their memory does not wear out.
+    await write(family.lock, dict.fromkeys(found, 1))
     for register, wanted, present in _settings(family, options, found):
-        # Only what differs: each is written and read back one by one.
-        await take(register, {n: v for n, v in wanted.items() if v != present[n]})
+        # Only differences, since values are read back one by one.
+        await write(register, {n: v for n, v in wanted.items() if v != present[n]})
     if options.acceleration is not None and family.offset is not None:
-        await take(table.ACCELERATION, dict.fromkeys(found, options.acceleration))
-    # The register of the delay means something else to HLS servos.
+        await write(table.ACCELERATION, dict.fromkeys(found, options.acceleration))
+    # In HLS servos, the register of the return delay has another meaning.
     if options.return_delay is not None and family.name != "hls":
         slow = [n for n, servo in found.items() if servo.return_delay != options.return_delay]
-        # One that keeps its delay is slower, and no worse.
+        # Not an error if a servo keeps its delay: it is only slower.
         await link.set_all(table.RETURN_DELAY, dict.fromkeys(slow, options.return_delay))
-    # One that does not take the mark is driven all the same; its power cycles stay unnoticed.
+    # A servo that does not accept the mark is driven, too, but its power cycles go unnoticed.
     new = {n: servo.alarm | _MARK for n, servo in found.items() if not servo.marked}
     await link.set_all(table.ALARM, new)
 
 
 async def condition(link: FeetechLink, family: Family, number: int) -> tuple[int, bool]:
-    """Return a servo's torque register and whether it is marked, by one read; or `BusError`."""
+    """Return a servo's torque register and whether it has the mark; raises `BusError`."""
     first = table.ALARM.address
     answer = await link.read(number, first, table.TORQUE.address + 1 - first)
 
@@ -194,7 +194,7 @@ async def condition(link: FeetechLink, family: Family, number: int) -> tuple[int
 def _settings(
     family: Family, options: FeetechOptions, found: Mapping[int, Found]
 ) -> Iterator[tuple[Register, Mapping[int, int], Mapping[int, int]]]:
-    """Yield registers with their values by id: those wanted, and those found."""
+    """Yield registers with their wanted and their present values, by id."""
     servos = {servo.id: servo for servo in options.servos.values() if servo.id in found}
     for i, (register, own, common) in enumerate(
         (
@@ -214,7 +214,7 @@ def _settings(
 
 
 def refuse(device: str, names: Mapping[int, str], statuses: Mapping[int, Status]) -> None:
-    """Raise the `DeviceFault` that servos report, if any.
+    """Raise a `DeviceFault` if servos report errors.
 
     Args:
         device: The device's name.
@@ -237,7 +237,7 @@ def refuse(device: str, names: Mapping[int, str], statuses: Mapping[int, Status]
 
 
 def lost(device: str, names: Mapping[int, str], numbers: Sequence[int]) -> DeviceFault:
-    """Return the fault of servos that ought to drive and do not."""
+    """Return the fault of servos that have lost their torque."""
     named = ", ".join(f"{n} ({names[n]})" for n in numbers)
     return DeviceFault(
         device,
@@ -248,7 +248,7 @@ def lost(device: str, names: Mapping[int, str], numbers: Sequence[int]) -> Devic
 
 
 def restarted(device: str, names: Mapping[int, str], number: int) -> DeviceFault:
-    """Return the fault of a servo that has lost its settings, and that a goal has powered again."""
+    """Return the fault of a servo that has lost its settings and was powered again by a goal."""
     return DeviceFault(
         device,
         RESTARTED,

@@ -16,7 +16,7 @@ FamilyName = Literal["scs", "sts", "sms", "hls"]
 BAUD_RATES: Final = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 """Rate of the line by the value of its register [baud], in the vendor's order."""
 LATENCY = 1e-3
-"""Latency of a USB adapter, per read [s]: an FTDI chip's timer at its shortest."""
+"""Latency of a USB adapter per read [s]: the shortest setting of an FTDI chip's timer."""
 DELAY_UNIT = 2e-6
 """Time per count of the return delay [s]."""
 CURRENT_UNIT = 6.5e-3
@@ -38,7 +38,7 @@ class Register(NamedTuple):
     Attributes:
         address: Its first byte.
         size: Its bytes.
-        sign: Number of its sign bit; ``None``: it has none.
+        sign: Number of its sign bit; ``None``: unsigned.
     """
 
     address: int
@@ -86,26 +86,26 @@ PRESENT_CURRENT = Register(69, 2, 15)
 SLOW_UNIT = 0x04
 """Bit of the phase register (STS, SMS) that is set where speeds count in steps per second."""
 REVERSE = 0x81
-"""Its bits that turn the sense of rotation."""
+"""Bits of the phase register that reverse the direction of rotation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """What servos of a family have in common.
+    """Common properties of the servos of a family.
 
     Attributes:
         name: Its name in hand.yaml.
-        order: Order of the bytes of a word.
-        counts: Positions in their range.
-        span: Angle that these cover [rad].
+        order: Byte order of words.
+        counts: Number of positions in the range.
+        span: Angle of the range [rad].
         center: Position in the middle of the range.
-        lock: The register that keeps settings from being stored.
-        offset: The position offset; ``None``: they have none.
-        state: Bytes from the present position on that tell the state.
-        sync_read: Whether they answer to a sync read.
-        torque_time: Seconds of the overload's protection per count of its register.
+        lock: The register that prevents settings from being stored.
+        offset: The position offset; ``None``: there is none.
+        state: Number of bytes with the state, from the present position on.
+        sync_read: Whether the servos answer a sync read.
+        torque_time: Time of the overload protection per count of its register [s].
         protection: Addresses of protective torque, protection time and overload torque; ``None``:
-            they have no such protection.
+            there is no overload protection.
     """
 
     name: FamilyName
@@ -127,12 +127,12 @@ class Family:
 
     @property
     def has_current(self) -> bool:
-        """Whether the state ends with the current."""
+        """Whether the state includes the current."""
         return self.state > PRESENT_CURRENT.address - PRESENT_POSITION.address
 
     @property
     def limits_torque(self) -> Literal["", "share", "current"]:
-        """How the torque is limited while they run: not at all, by its share, by a current."""
+        """How the torque is limited in operation: not at all, by its share, or by a current."""
         if self.name == "hls":
             return "current"
         return "" if self.name == "scs" else "share"
@@ -144,7 +144,7 @@ class Family:
         return int(value).to_bytes(register.size, self.order)
 
     def unpack(self, register: Register, data: bytes, start: int = 0) -> int:
-        """Return the value of a register in a table of which ``data`` begins at ``start``."""
+        """Return the value of a register in ``data``, which begins at the address ``start``."""
         at = register.address - start
         value = int.from_bytes(data[at : at + register.size], self.order)
         sign = 0 if register.sign is None else 1 << register.sign
@@ -180,13 +180,13 @@ FAMILIES: Final[dict[FamilyName, Family]] = {
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A model that is known.
+    """A known model.
 
     Attributes:
         name: Its name.
         family: Its family.
-        stall_torque: Largest torque at its rated voltage [N·m]; ``NaN``: several are sold under
-            the number.
+        stall_torque: Largest torque at its rated voltage [N·m]; ``NaN``: several variants share the
+            model number.
     """
 
     name: str
@@ -204,11 +204,11 @@ MODELS: Final[dict[int, Model]] = {
     6922: Model("HLS3915", "hls"),
     5130: Model("HLS3915", "hls"),
 }
-"""Models by number, read in the order of bytes of their family."""
+"""Models by number, read in the byte order of their family."""
 
 
 def model_name(number: int | None) -> str:
-    """Return what a model is called."""
+    """Return the name of a model number."""
     if number is None:
         return "unknown"
     return MODELS[number].name if number in MODELS else f"model {number}"
@@ -216,17 +216,17 @@ def model_name(number: int | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What a servo measures, in its own counts.
+    """The measurements of a servo, in its own counts.
 
     Attributes:
         position: Present position.
         speed: Present speed.
-        load: Share of the full voltage that the motor gets [0.1 %].
-        voltage: Supply [0.1 V].
-        temperature: [°C].
+        load: Motor voltage as a share of the supply [0.1 %].
+        voltage: Supply voltage [0.1 V].
+        temperature: Temperature [°C].
         moving: Whether it moves.
-        current: [6.5 mA]; 0 where it measures none.
-        status: What is wrong.
+        current: Current [6.5 mA]; 0 if it measures none.
+        status: Errors.
     """
 
     position: int
@@ -240,12 +240,12 @@ class State:
 
     @classmethod
     def from_bytes(cls, family: Family, data: bytes, status: int = 0) -> State:
-        """Read it from the registers from the present position on.
+        """Read the state from the registers from the present position on.
 
         Args:
-            family: Whose registers these are.
-            data: So many bytes as the family's `Family.state` says.
-            status: Status of the reply that brought them.
+            family: The servo's family.
+            data: The registers, `Family.state` bytes.
+            status: Status of the reply with these registers.
         """
 
         def get(register: Register) -> int:
@@ -259,6 +259,6 @@ class State:
             get(PRESENT_TEMPERATURE),
             bool(get(MOVING) & 1),
             get(PRESENT_CURRENT) if family.has_current else 0,
-            # Bits 4, 6 and 7 stand for no error.
+            # Bits 4, 6 and 7 have no meaning.
             Status(status & 0x2F),
         )

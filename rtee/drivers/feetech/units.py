@@ -1,4 +1,4 @@
-"""From the servos' counts to SI units and back: zero, direction, gear, torque."""
+"""Conversion between the servos' counts and SI units: zero, direction, gear, torque."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Scale:
 
     Attributes:
         family: Its family.
-        zero: Position where its angle is 0 [counts].
-        direction: +1 or -1: sense of its positions with the angle.
-        gear: Its turns per turn of the angle.
+        zero: Position at 0 rad [counts].
+        direction: +1 or -1: sign of its positions relative to the angle.
+        gear: Turns of the servo per turn of the angle.
         stall_torque: Its largest torque [N·m].
         torque_per_ampere: Its torque per current [N·m/A].
-        speed_unit: Its angle per second of a speed count [rad/s].
+        speed_unit: Speed of the servo per speed count [rad/s].
     """
 
     family: Family
@@ -52,7 +52,7 @@ class Scale:
 
     def to_speed(self, rate: float) -> int:
         """Return the speed count, at least 1, for a rate of the angle [rad/s]."""
-        # To some servos 0 means the largest speed, to others standstill.
+        # For some servos 0 is the largest speed, for others standstill.
         count = round(abs(rate) * self.gear / self.speed_unit)
         return min(max(count, 1), _MOST_SPEED)
 
@@ -64,10 +64,10 @@ class Scale:
 
     @property
     def torque_unit(self) -> float:
-        """Torque at the angle by a count of what measures it, signed [N·m].
+        """Torque at the angle per count of its measurement, signed [N·m].
 
-        That is a count of the load, or of the current where the torque per current is known; near
-        the truth at standstill.
+        It is measured by the current if the torque per current is known, else by the load; both are
+        good approximations only at standstill.
         """
         by = self.stall_torque / FULL
         if self.family.has_current and math.isfinite(self.torque_per_ampere):
@@ -77,15 +77,15 @@ class Scale:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What the servos of a device measure, each in its place ``(n,)``.
+    """The measurements of the servos of a device, arrays ``(n,)``.
 
     Attributes:
         angle: Angles [rad].
-        rate: Their rates [rad/s].
+        rate: Angular velocities [rad/s].
         torque: Torques [N·m]; ``NaN``: not known.
         current: Currents [A]; ``NaN``: not measured.
         temperature: Temperatures [°C].
-        voltage: Supplies [V].
+        voltage: Supply voltages [V].
     """
 
     angle: FloatArray
@@ -97,7 +97,7 @@ class Measured:
 
 
 class Scales:
-    """The units of all servos at once, as they are when this is made; see `Scale`.
+    """The units of all servos as arrays, copied from each servo's `Scale`.
 
     Args:
         scales: The units, in the order of the servos.
@@ -116,7 +116,7 @@ class Scales:
         self._current = np.array(sense)
 
     def measured(self, states: Sequence[State]) -> Measured:
-        """Return what states tell, in SI units."""
+        """Return states in SI units."""
         columns = np.array(
             [(s.position, s.speed, s.load, s.current, s.temperature, s.voltage) for s in states],
             dtype=np.float64,

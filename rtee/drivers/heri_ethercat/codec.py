@@ -1,6 +1,6 @@
 """Process data and objects of HERI II's two-motor boards. No I/O.
 
-Layouts are those of a public packet header and of a program that ran on the hand; units marked
+The layouts come from a public packet header and from a program that ran on the hand; units marked
 uncertain there are uncertain here.
 """
 
@@ -33,7 +33,7 @@ _REFUSED = 0xAA00  # the board did not accept the command
 
 
 class HeriFrameError(ValueError):
-    """Bytes that are not process data of these boards."""
+    """Bytes that are not process data or an acknowledgement of these boards."""
 
 
 class Order(IntEnum):
@@ -62,7 +62,7 @@ class Fault(IntFlag):
 
 
 ACKNOWLEDGE = 0x7FFF
-"""Bits of the fault word that an acknowledgement clears; the last one is only a sign of life."""
+"""Bits of the fault word that an acknowledgement clears; the last bit is only a sign of life."""
 WARNINGS = Fault.CURRENT_LIMITED
 """Bits that are not faults: the board limits the current because it is hot."""
 
@@ -72,7 +72,7 @@ LEAST_TORQUE = 1e-3
 
 def faults_of(word: int) -> Fault:
     """Return the bits of a fault word that are faults."""
-    # Bits 10 to 14 have no published meaning; taking them for faults could stop a healthy hand.
+    # Bits 10 to 14 have no published meaning; as faults, they could stop a healthy hand.
     return Fault(word & ACKNOWLEDGE) & ~WARNINGS & Fault(0x1FF)
 
 
@@ -84,15 +84,15 @@ def words(fault: Fault) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a board gets every cycle: 32 bytes.
+    """The output process data of a board: 32 bytes per cycle.
 
     Attributes:
         positions: References of its two motors [rad].
         velocity: Velocity reference of both [rad/s].
-        torque: Torque reference of both [N·m]; in position control taken for a limit, 0 for none.
+        torque: Torque reference of both [N·m]; in position control a limit, 0: none.
         gains: Five raw gains.
         acknowledge: Bits of the fault word to clear.
-        stamp: The host's time, low 16 bits [µs]; the board sends it back.
+        stamp: The host's time, low 16 bits [µs]; the board returns it.
         operation: Operation and index of the auxiliary value.
         value: The auxiliary value.
     """
@@ -133,15 +133,15 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a board sends every cycle: 38 bytes.
+    """The input process data of a board: 38 bytes per cycle.
 
     Attributes:
-        positions: Of its two motors [rad].
-        velocities: Of its two motors [rad/s].
-        pressures: Of three phalanxes of either motor's finger, raw.
-        currents: Of its two motors [A]; the unit on the wire is taken for mA.
+        positions: Positions of its two motors [rad].
+        velocities: Velocities of its two motors [rad/s].
+        pressures: Raw pressures on the three phalanxes of each motor's finger.
+        currents: Currents of its two motors [A]; the unit on the wire is assumed to be mA.
         fault: The fault word.
-        round_trip: The stamp of the command it has seen.
+        round_trip: The stamp of the newest command.
         acknowledged: Answer to the auxiliary operation.
         value: The auxiliary value.
     """
@@ -187,12 +187,12 @@ class Reply:
 
 
 def _milli(value: float) -> int:
-    # Saturated, not wrapped: a value too large for 16 bits must not change its sign.
+    # Saturated, since a value too large for 16 bits must not change its sign.
     return min(max(round(value * 1000.0), -32768), 32767)
 
 
 def order(code: Order) -> bytes:
-    """Return the object's value that commands a board."""
+    """Return the value of the command object."""
     return struct.pack("<H", code)
 
 
@@ -205,7 +205,7 @@ def acknowledged(raw: bytes, code: Order) -> bool | None:
     if len(raw) < ORDER_SIZE:
         raise HeriFrameError("an acknowledgement has two bytes")
     word = raw[0] | raw[1] << 8
-    # The acknowledgement of the command before is still there until the board takes this one.
+    # The acknowledgement of the previous command stays until the board accepts this one.
     if word & 0xFF != code:
         return None
     if word & 0xFF00 == _DONE:

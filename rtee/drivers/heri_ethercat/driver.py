@@ -49,20 +49,20 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _REFUSED = 0x10000
-"""Code of the fault that a board takes no command, above the sixteen bits of the fault word."""
+"""Code of the fault that a board refuses a command, above the sixteen bits of the fault word."""
 
 _POLL = 0.005
-"""Pause between two questions for an acknowledgement [s]; boards take some ten milliseconds."""
+"""Pause between two reads of an acknowledgement [s]; boards need about ten milliseconds."""
 
 _PATIENCE = 0.5
-"""Longest time for an exchange that belongs to no cycle [s]."""
+"""Longest time for an exchange outside the cycle [s]."""
 
 _BEST_RATE = 1000.0
 """Rate of the public program that ran on the hand [Hz]."""
 
 
 _WIRING = {"motor_finger1": 0, "motor_finger2": 1, "motor_finger3": 2, "motor_thumb": 3}
-"""The motors of the public description, counted over its two boards."""
+"""Motor numbers by the names of the public description, counted over its two boards."""
 
 Raw = Annotated[int, Field(ge=0, le=0xFFFF)]
 
@@ -74,13 +74,13 @@ class HeriEthercatOptions(DeviceOptions):
         interface: Network interface of the boards; no other program may use it.
         motors: Motor of each actuator, counted over the boards from 0; by default those of the
             public description (``motor_finger1`` and so on), else in the actuators' order.
-        vendor: EtherCAT vendor id expected; else any.
-        product: EtherCAT product code expected; else any.
+        vendor: Expected EtherCAT vendor id; by default any.
+        product: Expected EtherCAT product code; by default any.
         gains: Five raw gains sent to every board; their meaning is not public.
         torque_per_ampere: Torque at the shaft per current [N·m/A].
-        limit_torque: Send the effort limit as the board's torque reference, which has one for both
-            motors: the smaller of theirs. Else that reference stays 0.
-        watchdog: Boards leave operation after this time without frames [s].
+        limit_torque: Whether to send the effort limit as the torque reference of a board: the
+            smaller limit of its two motors. Otherwise that reference is 0.
+        watchdog: Time without frames after which boards leave operation [s].
         order_timeout: Longest time for a board to acknowledge a command [s].
         deadline: Longest time for one exchange [s].
     """
@@ -100,9 +100,9 @@ class HeriEthercatOptions(DeviceOptions):
 class HeriEthercatDriver(Driver):
     """The boards of a HERI II hand, with this program as their master.
 
-    The boards are brought to safe-operational to read where the motors are, then to operational
-    with those positions for references, and powered only then: nothing jumps. A master that
-    starts takes the network over, so there is no attaching to a hand that another one holds.
+    The boards are brought to safe-operational to read the motors' positions, then to operational
+    with these positions as references, and powered only then, so that nothing jumps. A new master
+    takes over the network, so the driver cannot attach to a hand that another master controls.
     """
 
     Options: ClassVar[type[HeriEthercatOptions]] = HeriEthercatOptions
@@ -133,8 +133,8 @@ class HeriEthercatDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Take the network over, identify the boards and read where the motors are."""
-        # Reconnecting starts here too: the network has one master, so the old one goes first.
+        """Take over the network, identify the boards and read the motors' positions."""
+        # On reconnection, the old master has to end first: a network has only one.
         await self.close()
         options = self.options
         bus = await self.connection.open(
@@ -156,10 +156,10 @@ class HeriEthercatDriver(Driver):
         await self._operate()
 
     async def _operate(self) -> None:
-        """Bring the boards into operation, with references to stay where they are.
+        """Bring the boards into operation, with their present positions as references.
 
-        A board leaves operation when the frames stop for longer than its watchdog, as they do on a
-        computer that is busy for a moment. Before there is power that costs nothing but this.
+        A board leaves operation if the frames stop for longer than its watchdog, as on a computer
+        that is busy for a moment. As long as the motors are not powered, this can be repeated.
 
         Raises:
             BusError: if the network fails, or they do not stay in operation.
@@ -170,7 +170,7 @@ class HeriEthercatDriver(Driver):
             await self._exchange()
             self._seed()
             await self.connection.link.run(lambda ring: ring.request(State.OPERATIONAL, 2.0), 5.0)
-            # The first outputs in operation repeat what was just measured.
+            # The first outputs in operation are the positions just measured.
             await self._exchange()
 
         await patiently(begin)
@@ -181,7 +181,7 @@ class HeriEthercatDriver(Driver):
         ring.request(State.SAFE_OPERATIONAL, 2.0)
 
     async def _exchange(self) -> None:
-        # 16 bits of microseconds wrap after 65 ms, many exchanges; the board sends them back.
+        # 16 bits of microseconds wrap after 65 ms, which is many exchanges.
         stamp = int(time.monotonic() * 1e6) & 0xFFFF
         outputs = [
             Command(
@@ -193,7 +193,7 @@ class HeriEthercatDriver(Driver):
             ).to_bytes()
             for b in range(self._boards)
         ]
-        # Slaves behind the hand's boards get nothing from here.
+        # Slaves behind the hand's boards get no outputs.
         deadline = self.options.deadline if self._powered else _PATIENCE
         inputs = await self.connection.link.exchange(outputs, deadline)
         try:
@@ -204,22 +204,20 @@ class HeriEthercatDriver(Driver):
         self._fresh = True
 
     def _torque(self, board: int) -> float:
-        """Return the torque reference of a board [N·m]: the smaller limit of its motors; 0: none.
-
-        A limit too small for the wire must not become none.
-        """
+        """Return a board's torque reference [N·m]: the smaller limit of its motors; 0: none."""
         limit = min(self._limits[MOTORS * board : MOTORS * (board + 1)])
+        # A limit too small for the wire must not become 0, which means none.
         return max(limit, LEAST_TORQUE) if math.isfinite(limit) else 0.0
 
     def _seed(self) -> None:
         self._references = [q for reply in self._replies for q in reply.positions]
 
     async def activate(self) -> None:
-        """Power the motors where they are."""
+        """Power the motors at their positions."""
         await self._in_operation()
         self._seed()
-        # Power comes on in direct mode, without a reference; position control begins after that,
-        # from positions that were just measured.
+        # Powered in direct mode, which has no reference; then position control, which begins at the
+        # positions just measured.
         for code in (Order.POWER_OFF, Order.DIRECT, Order.POWER_ON, Order.POSITION):
             for position in range(self._boards):
                 await self._order(position, code)
@@ -235,24 +233,24 @@ class HeriEthercatDriver(Driver):
         return ""
 
     async def _in_operation(self) -> None:
-        """Exchange; boards that have left operation are brought back first."""
+        """Exchange process data; boards that have left operation are brought back first."""
         try:
             await self._exchange()
         except BusTimeout:
             await self._operate()
 
     async def _order(self, position: int, code: Order) -> None:
-        """Command a board's controller and wait for its word, keeping the frames going.
+        """Command a board's controller and wait for the acknowledgement, with frames going on.
 
         Raises:
-            DeviceFault: if it refuses or says nothing.
+            DeviceFault: if it refuses or does not answer.
             BusError: if the network fails.
         """
         bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
         end = time.monotonic() + self.options.order_timeout
         done: bool | None = None
-        # Frames must keep coming while the board thinks, or its watchdog takes it out of operation.
+        # Without frames, the board's watchdog would take it out of operation meanwhile.
         while done is None and time.monotonic() < end:
             await self._exchange()
             raw = await bus.run(lambda ring: ring.read(position, *ACKNOWLEDGE_OBJECT), 1.0)
@@ -277,8 +275,7 @@ class HeriEthercatDriver(Driver):
         for reply in self._replies:
             self._acknowledge |= reply.fault & codec.ACKNOWLEDGE
         try:
-            # The board takes the bits from process data: a frame may be lost, and one more is on
-            # its way.
+            # The bits are in the process data: one frame may be lost, and one is on its way.
             for _ in range(3):
                 await self._exchange()
         finally:
@@ -287,7 +284,7 @@ class HeriEthercatDriver(Driver):
         self._refuse()
 
     async def deactivate(self) -> None:
-        """Take the motors' power away."""
+        """Disable the motors."""
         self._powered = False
         if self.connection.is_open:
             for position in range(self._boards):
@@ -301,7 +298,7 @@ class HeriEthercatDriver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return what the last exchange brought, or exchange."""
+        """Return the measurements of the last exchange, or make one."""
         self.connection.link.check()
         if not self._fresh:
             await self._exchange()
@@ -337,8 +334,7 @@ class HeriEthercatDriver(Driver):
                 self._references[motor] = min(max(wanted, actuator.lower), actuator.upper)
                 if self.options.limit_torque:
                     limit = max(float(reference.max_effort[i]), 0.0)
-                    # The full effort is sent as no limit; the board then limits by
-                    # itself.
+                    # The full effort is sent as no limit; the board has its own.
                     self._limits[motor] = limit if limit < actuator.effort else math.inf
         await self._exchange()
 
@@ -357,19 +353,19 @@ class HeriEthercatDriver(Driver):
         )
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self._exchange)
             self._seed()
             await patiently(self._exchange)
 
     async def disable(self) -> None:
-        """Take the motors' power away; tendons without power let go."""
+        """Disable the motors; tendons without power go slack."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Acknowledge faults; the motors are powered again by `activate`."""
+        """Acknowledge faults; `activate` powers the motors again."""
         self._powered = False
         await self._in_operation()
         await self._clear_faults()

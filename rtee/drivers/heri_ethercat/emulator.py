@@ -1,10 +1,10 @@
 """Emulates HERI II's two boards at the level of process data and objects.
 
-A board's torque reference limits the torque of both motors in position control; 0 limits nothing.
-That is how the hand's users describe their effort command, not something a manual says.
+A board's torque reference limits the torque of both motors in position control; 0 means no limit.
+That is how the hand's users describe their effort command; there is no manual.
 
-The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and what they do when
-frames stop are not public: here they are options, or missing.
+The boards' EtherCAT identity, gains, auxiliary operations, pressure scale and their reaction to
+missing frames are not public: here they are properties, or missing.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class BoardProperties:
         vendor: EtherCAT vendor id; the real one is not public.
         product: EtherCAT product code; that of the two-motor board is not public.
         firmware: The firmware version that they report.
-        start: Where the motors are at power-up [rad].
-        speed: Of a motor [rad/s].
+        start: Position of the motors at power-up [rad].
+        speed: Speed of a motor [rad/s].
         current: Largest current [A].
         torque_per_ampere: Torque at the shaft per current [N·m/A].
-        pressure: Raw pressure per ampere against an object.
-        lower: Mechanical stop [rad].
-        upper: Mechanical stop [rad].
+        pressure: Raw pressure per ampere on an object.
+        lower: Lower mechanical stop [rad].
+        upper: Upper mechanical stop [rad].
     """
 
     boards: int = 2
@@ -82,7 +82,7 @@ class _Board:
         self.power = False
         self.mode = 0
         self.fault = 0
-        self.said = b"\x00\x00"
+        self.acknowledgement = b"\x00\x00"
         self.beat = 0
         self.stamp = 0
 
@@ -177,7 +177,7 @@ class HeriEmulator(Emulator, Grasps):
         return [Slave("heri", made.vendor, product, 1) for _ in self.boards]
 
     def become(self, state: State, now: float) -> bool:
-        """Bring the boards to a state."""
+        """Bring the boards into a state."""
         self.state = state
         self._dropped = False
         self._heard = now
@@ -193,7 +193,7 @@ class HeriEmulator(Emulator, Grasps):
         self.timeout = seconds
 
     def cycle(self, outputs: Sequence[bytes], now: float) -> list[bytes] | None:
-        """Take outputs and return inputs; ``None`` when the boards have left their state."""
+        """Receive outputs and return inputs; ``None`` if the boards have left their state."""
         late = self._heard is not None and self.timeout and now - self._heard > self.timeout
         if self.state is State.OPERATIONAL and late:
             self.become(State.SAFE_OPERATIONAL, now)
@@ -215,7 +215,7 @@ class HeriEmulator(Emulator, Grasps):
         if self.state is State.OPERATIONAL:
             board.stamp = command.stamp
             if command.acknowledge:
-                # A fault whose cause is still injected comes back at once, as on the device.
+                # A fault comes back at once as long as its cause persists, as on the device.
                 board.fault &= ~command.acknowledge
                 for fault, bit in (("hardware", Fault.HARDWARE), ("encoder", Fault.ENCODER_1)):
                     if fault in self.faults and board is self.boards[0]:
@@ -245,13 +245,13 @@ class HeriEmulator(Emulator, Grasps):
         if thing is None or motor.position <= thing.contact:
             return 0, 0, 0
         raw = min(round(abs(motor.effort) * self.properties.pressure), 4095)
-        # An object touches the outermost phalanx most.
+        # The outermost phalanx has most of the contact.
         return raw // 4, raw // 2, raw
 
     def read_object(self, position: int, index: int, subindex: int) -> bytes | None:
         """Return an object."""
         if (index, subindex) == ACKNOWLEDGE_OBJECT:
-            return self.boards[position].said
+            return self.boards[position].acknowledgement
         if (index, subindex) == FIRMWARE_OBJECT:
             return self.properties.firmware.encode("ascii")
         return None
@@ -262,5 +262,5 @@ class HeriEmulator(Emulator, Grasps):
             return False
         board = self.boards[position]
         code = data[0] | data[1] << 8
-        board.said = codec.acknowledgement(code, board.obey(code))
+        board.acknowledgement = codec.acknowledgement(code, board.obey(code))
         return True

@@ -1,13 +1,13 @@
-"""The force calibration of an RH56, and what its sensors tell of an idle hand afterwards."""
+"""The force calibration of an RH56, and the offsets that its sensors keep after it."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from rtee.buses.retry import patiently
 from rtee.drivers.inspire_rh56.codec import (
@@ -20,27 +20,27 @@ from rtee.drivers.inspire_rh56.codec import (
     table,
 )
 from rtee.drivers.inspire_rh56.link import Rh56Link
+from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.errors import CalibrationError
-from rtee.hand.files import make_folder, write_atomically
 
 _SPEED = 250
-"""Speed with which the hand opens before, a quarter of the largest."""
-_OPENING = 5.0  # longest time for that [s]
+"""Speed at which the hand opens first [0.1 %]: a quarter of the largest."""
+_OPENING = 5.0  # longest time to open [s]
 _LASTS = 8.0
 """Time that published clients wait for the calibration [s]; it takes about 6 s."""
 _SAMPLES = 20
-"""Readings whose mean is a zero."""
+"""Number of readings that are averaged for a zero."""
 _IDLE = 100
-"""Largest force that an idle finger may tell [g]: from there on published force lines hold."""
+"""Largest plausible reading of an idle finger [g]: published force curves begin there."""
 
 
 @dataclass(frozen=True, slots=True)
 class ForceZeros:
-    """What the force sensors of an idle hand tell.
+    """Readings of the force sensors of an idle hand.
 
     Attributes:
         unit: Number of the hand.
-        grams: In the order of `FINGERS` [g].
+        grams: The readings, in the order of `FINGERS` [g].
     """
 
     unit: int
@@ -48,7 +48,7 @@ class ForceZeros:
 
     def __str__(self) -> str:
         pairs = zip(FINGERS, self.grams, strict=True)
-        return "idle, " + ", ".join(f"{finger} tells {grams} g" for finger, grams in pairs)
+        return "idle, " + ", ".join(f"{finger} reads {grams} g" for finger, grams in pairs)
 
 
 def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
@@ -57,18 +57,15 @@ def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
     Raises:
         CalibrationError: if they are missing, of another hand, or no calibration.
     """
-    try:
-        stored = json.loads(path.read_text("utf-8"))
+
+    def zeros_of(stored: Any) -> ForceZeros:
         zeros = ForceZeros(int(stored["unit"]), tuple(int(g) for g in stored["grams"]))
         if len(zeros.grams) != COUNT:
             raise ValueError(f"it has {len(zeros.grams)} forces instead of {COUNT}")
-    except FileNotFoundError:
-        raise CalibrationError(
-            device, f"there is no calibration at {path}; `rtee calibrate` makes one"
-        ) from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise CalibrationError(device, f"{path} is not a calibration: {error}") from error
-    # Every hand has sensors of its own, so another number's zeros are wrong here.
+        return zeros
+
+    zeros = read_calibration_file(path, device, zeros_of)
+    # Sensors differ from hand to hand, so the zeros of another hand are wrong here.
     if zeros.unit != unit:
         raise CalibrationError(
             device, f"{path} was made with unit {zeros.unit}, not {unit}; calibrate again"
@@ -84,19 +81,19 @@ async def calibrate(
     angles: Sequence[int],
     path: Path,
 ) -> ForceZeros:
-    """Open the hand, let it calibrate its force sensors, and store what they then tell.
+    """Open the hand, let it calibrate its force sensors, and store their readings afterwards.
 
     Args:
         link: The hand.
-        measured: Returns what it measures.
+        measured: Reads the hand's measurements.
         device: The device's name.
         unit: The hand's number.
-        angles: Set-points of the open hand, in the order of `FINGERS`; `KEEP`: as it is.
+        angles: Set-points of the open hand, in the order of `FINGERS`; `KEEP`: unchanged.
         path: File to write.
 
     Raises:
         BusError: if the line fails.
-        CalibrationError: if a finger does not open, or an idle one tells a force.
+        CalibrationError: if a finger does not open, or an idle one reads a force.
         ConfigError: if the file cannot be written.
     """
     before = await patiently(lambda: link.read(Register.SPEED_SET, 2 * COUNT))
@@ -105,7 +102,7 @@ async def calibrate(
         await patiently(lambda: link.write(Register.ANGLE_SET, table(angles)))
         await _opened(measured, device, angles)
     finally:
-        # Also when a finger did not open: the hand would keep the slow speed.
+        # Even if a finger did not open: otherwise the hand would keep the slow speed.
         await patiently(lambda: link.write(Register.SPEED_SET, before))
     await patiently(lambda: link.write(Register.FORCE_CALIBRATION, b"\x01"))
     await asyncio.sleep(_LASTS)
@@ -115,21 +112,20 @@ async def calibrate(
         sums = [total + grams for total, grams in zip(sums, report.forces, strict=True)]
     zeros = ForceZeros(unit, tuple(round(total / _SAMPLES) for total in sums))
     for finger, grams, angle in zip(FINGERS, zeros.grams, angles, strict=True):
-        # A finger that was not told to open may rest on something, so its force proves nothing.
+        # A finger that was not opened may rest on something, so its force proves nothing.
         if angle != KEEP and abs(grams) > _IDLE:
             raise CalibrationError(
                 device,
-                f"{finger} tells {grams} g although the hand is idle: does it touch something?",
+                f"{finger} reads {grams} g although the hand is idle: does it touch something?",
             )
-    make_folder(path.parent)
-    write_atomically(path, json.dumps(asdict(zeros), indent=2) + "\n")
+    write_json(path, asdict(zeros))
     return zeros
 
 
 async def _opened(
     measured: Callable[[], Awaitable[Report]], device: str, angles: Sequence[int]
 ) -> None:
-    """Wait until the motors that were told an angle are there; raises `CalibrationError`."""
+    """Wait until the motors that got a set-point have reached it; raises `CalibrationError`."""
     end = time.monotonic() + _OPENING
     while True:
         report = await patiently(measured)

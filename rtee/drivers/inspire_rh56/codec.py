@@ -1,8 +1,8 @@
 """The RH56's registers, its serial frames and the tables in its registers; no I/O.
 
-Sources: registers, frames, error and status codes as published clients use them, which quote the
-maker's manuals. Addresses are those of bytes; a value of 16 bits takes two, the low one first. Over
-Modbus the same numbers address registers, and the tables keep their order.
+Sources: registers, frames, error and status codes from published clients, which quote the maker's
+manuals. Addresses count bytes; a 16-bit value takes two, the low one first. Over Modbus the same
+numbers address registers, and the tables keep their order.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ WORDS = 2 * COUNT  # bytes of a table of 16-bit values
 OPEN = 1000
 """Angle count of an open finger; 0 is closed."""
 KEEP = -1
-"""A set-point by which a motor keeps the one it has."""
+"""A set-point that leaves the motor's present one unchanged."""
 MOST = 1000
 """Largest speed, and largest force limit of a hand without tactile sensors [g]."""
 MOST_TACTILE = 3000
@@ -34,17 +34,17 @@ OVERHEAD = 8  # bytes of a frame beside its data
 _AROUND = 5
 """Bytes of a frame that its length byte does not count: header, number, length and checksum."""
 _INSIDE = 3
-"""Bytes it counts besides the data: command and address."""
+"""Bytes that it counts besides the data: command and address."""
 MOST_DATA = 0xFF - _INSIDE
-"""Most bytes of data of a frame, whose length is told by one byte."""
+"""Largest number of data bytes in a frame, which has one length byte."""
 
 _LONGEST = 0xFF + _AROUND
 """Bytes of the longest frame."""
 _ERRORS = 0x1F
 """The five bits of a motor's error that have a meaning."""
 _BELOW, _ABOVE = -100, 2000
-"""What lies beyond is not an angle count: a tenth of the way below 0, and above what an example
-frame of the manual has."""
+"""Range of plausible angle counts: from a tenth of the travel below 0 to the value in an example
+frame of the manual."""
 _TABLE = struct.Struct(f"<{COUNT}h")
 
 
@@ -87,9 +87,9 @@ class Register(IntEnum):
 REPORT = 42
 """Bytes from `Register.FORCE` to the last temperature."""
 BLOCK = Register.FORCE + REPORT - Register.ANGLE
-"""Bytes from the angles to the last temperature; 24 of them, before the forces, mean nothing."""
+"""Bytes from the angles to the last temperature; the 24 before the forces have no meaning."""
 SET_POINTS = Register.SPEED_SET + WORDS - Register.ANGLE_SET
-"""Bytes from the set-points of the angles to the last speed; 12 before the speeds mean nothing."""
+"""Bytes from the angle set-points to the last speed; the 12 before the speeds have no meaning."""
 
 
 class Error(IntFlag):
@@ -126,14 +126,14 @@ class State(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame: a request, or the reply to one, which differs by its header.
+    """A request or a reply; they differ by the header.
 
     Attributes:
         hand: Number of the hand.
         command: Read or write.
         address: First register.
-        data: Of a request to read the number of bytes, of the reply to a write 1 if it was
-            accepted; else the registers.
+        data: Contents of the registers; in a read request the number of bytes, in the reply to a
+            write 1 if it was accepted.
     """
 
     hand: int
@@ -152,7 +152,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` holds, complete; its header is not looked at.
+        """Return the frame that ``raw`` holds; the header is not checked.
 
         Raises:
             Rh56FrameError: if it is none.
@@ -190,7 +190,7 @@ def words(data: bytes) -> tuple[int, ...]:
     """Return the six values of a table.
 
     Raises:
-        Rh56FrameError: if it has not twelve bytes.
+        Rh56FrameError: if it does not have twelve bytes.
     """
     if len(data) != WORDS:
         raise Rh56FrameError(f"{len(data)} bytes are not a table of six values")
@@ -204,15 +204,15 @@ def table(values: Sequence[int]) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a hand measures, in the order of `FINGERS`.
+    """The measurements of a hand, in the order of `FINGERS`.
 
     Attributes:
-        angles: 0 closed to 1000 open [counts].
-        forces: Against the closing finger, signed [g].
-        currents_ma: Of the motors [mA].
-        errors: Error bits.
-        states: What the motors do.
-        temperatures: Of the motors [°C].
+        angles: Angles, 0 closed to 1000 open [counts].
+        forces: Forces, positive against the closing finger [g].
+        currents_ma: Motor currents [mA].
+        errors: Error bits of the motors.
+        states: States of the motors.
+        temperatures: Motor temperatures [°C].
     """
 
     angles: tuple[int, ...]
@@ -227,13 +227,13 @@ class Report:
         """Read it from the twelve bytes of the angles and the `REPORT` from the forces on.
 
         Raises:
-            Rh56FrameError: if no RH56 can report that.
+            Rh56FrameError: if an RH56 cannot report it.
         """
         if len(report) != REPORT:
             raise Rh56FrameError(f"{len(report)} bytes are not a report")
         where = words(angles)
         errors, states, temperatures = report[24:30], report[30:36], report[36:42]
-        # A checksum of one byte lets some damage pass; what cannot be is refused here.
+        # A checksum of one byte does not detect all damage, so impossible values are refused here.
         if not all(_BELOW <= count <= _ABOVE for count in where):
             raise Rh56FrameError(f"no angles of an RH56: {where}")
         if any(bits > _ERRORS for bits in errors) or any(
@@ -252,10 +252,6 @@ class Report:
     def to_bytes(self) -> bytes:
         """Return the `BLOCK` from the angles on."""
         gap = bytes(BLOCK - WORDS - REPORT)
-        tables = table(self.forces) + table(self.currents_ma)
-        return (
-            table(self.angles)
-            + gap
-            + tables
-            + bytes((*self.errors, *self.states, *self.temperatures))
-        )
+        report = table(self.forces) + table(self.currents_ma)
+        report += bytes((*self.errors, *self.states, *self.temperatures))
+        return table(self.angles) + gap + report

@@ -20,6 +20,7 @@ from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
+from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.inspire_rh56.calibration import ForceZeros, calibrate, read_zeros
@@ -62,24 +63,25 @@ _CLEARING = 0.2
 """Longest time from clearing the errors until they are gone [s]; no source gives one."""
 
 _BEHIND = 1
-"""By how much the hand's Modbus TCP may count transactions behind: published clients met that."""
+"""Number of transactions by which the hand's Modbus TCP answers may lag, as published clients
+report."""
 
 _PAUSE = 0.3
-"""Time between two network connections that published clients keep [s]."""
+"""Pause between two network connections [s], as in published clients."""
 
-_WORDS = {State.AT_FORCE: True, State.OPENING: False, State.CLOSING: False, State.AT_TARGET: False}
-"""What a motor's state says of holding something; the states of trouble say nothing."""
+_HOLDS = {State.AT_FORCE: True, State.OPENING: False, State.CLOSING: False, State.AT_TARGET: False}
+"""Whether a motor in a state holds something; not known in the states of an error."""
 
 
 class InspireRh56Driver(Driver):
     """An RH56DFX, DFQ, BFX or DFTP.
 
     A cycle reads angles, forces, currents, errors, states and temperatures in one exchange, or in
-    two where the hand does not give them together, and writes what has changed: force limits and
-    speeds first, then the angles. A motor that a reference does not name keeps its own set-point.
+    two if the hand does not return them together, and writes set-points that have changed: force
+    limits and speeds first, then the angles. A motor without a reference keeps its set-point.
 
-    The hand has no switch for its motors: they are always on. It forgets force limits and speeds
-    when its supply is cut, so what was set is read back now and then.
+    The motors cannot be switched off. The hand loses force limits and speeds with its supply, so
+    the set-points are read back now and then.
     """
 
     Options: ClassVar[type[BaseModel] | None] = InspireRh56Options
@@ -114,12 +116,12 @@ class InspireRh56Driver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the line, see whether an RH56 answers, and how it is best read; moves nothing."""
+        """Open the line, check that an RH56 answers, and choose how to read it; moves nothing."""
         options = self.options
         if options.calibration is not None:
             self._zeros = read_zeros(options.calibration, self.spec.name, options.unit)
         link = await self._open()
-        # The supply may have been cut: the hand then has its initial limits again.
+        # The supply may have been cut, which restores the hand's initial limits.
         self._forces = self._speeds = None
         self._angles = [KEEP] * COUNT
         try:
@@ -137,9 +139,7 @@ class InspireRh56Driver(Driver):
                 self.spec.name, "an RH56", f"another device ({error})", hint="check the address"
             ) from error
         best = self._best_rate(link)
-        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        link.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
             self.capabilities,
             best_rate=best,
@@ -169,14 +169,14 @@ class InspireRh56Driver(Driver):
         )
 
     async def _pause(self) -> None:
-        """Leave a hand on the network the time it needs between two connections."""
+        """Wait for the time that a hand on the network needs between two connections."""
         if self.options.port.startswith("tcp://") and not self.spec.emulated:
             await self.connection.close()
             await asyncio.sleep(max(0.0, self._closed + _PAUSE - time.monotonic()))
 
     async def _identify(self, link: Rh56Link) -> None:
-        """Read what the hand measures, and find out whether one exchange is enough for it."""
-        # Two exchanges first: what fails then is the hand, and not its reading of the block.
+        """Read the hand, and find out whether one exchange is enough for all measurements."""
+        # Two exchanges first: if these fail, the hand is at fault and not the reading of the block.
         self._block = False
         await self._read(link)
         if self.options.reading == "separate":
@@ -187,7 +187,7 @@ class InspireRh56Driver(Driver):
         except (BusError, Rh56FrameError):
             if self.options.reading == "block":
                 raise
-            # The bytes between the two tables have no meaning, and a hand may refuse them.
+            # The bytes between the two tables have no meaning, and a hand may refuse to read them.
             self._block = False
 
     def _best_rate(self, link: Rh56Link) -> float:
@@ -197,16 +197,16 @@ class InspireRh56Driver(Driver):
         once = reading + link.write_time(WORDS, turnaround)
         if self._tactile is not None:
             once += link.read_time(self._tactile.largest, turnaround)
-        # Without a turnaround a network gives no bound; a millisecond is less than any hand takes.
+        # On a network nothing else bounds the rate; a hand takes more than a millisecond.
         return 1.0 / max(once, 1e-3)
 
     async def activate(self) -> None:
-        """Take the hand over as it is: its motors are always on, and keep their set-points."""
+        """Attach to the hand as it is: its motors are always on and keep their set-points."""
         link = self.connection.link
         with link.unhurried():
             self._check(await self._read(link))
             await self._read_back(link)
-        # Its set-points may hold a grip, which a reference at the measured pose would end.
+        # Its set-points may hold a grip, which a reference at the measured posture would end.
         self._attached.begin(range(len(self._motors)))
 
     async def examine(self) -> str:
@@ -219,7 +219,7 @@ class InspireRh56Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def _read(self, link: Rh56Link) -> Report:
-        """Return what the hand measures; raises `BusError` and `Rh56FrameError`."""
+        """Read the hand's measurements; raises `BusError` and `Rh56FrameError`."""
         if self._block:
             data = await link.read(Register.ANGLE, BLOCK)
             return Report.from_bytes(data[:WORDS], data[-REPORT:])
@@ -227,14 +227,14 @@ class InspireRh56Driver(Driver):
         return Report.from_bytes(angles, await link.read(Register.FORCE, REPORT))
 
     async def _measured(self) -> Report:
-        """Return what the hand measures; raises `BusError`."""
+        """Read the hand's measurements; raises `BusError`."""
         try:
             return await self._read(self.connection.link)
         except Rh56FrameError as error:
             raise FrameError(self.options.port, str(error)) from error
 
     async def sense(self) -> ActuatorState:
-        """Return what the hand measures."""
+        """Return the hand's measurements."""
         self._count += 1
         if self._count % self.options.check_every == 0:
             await self._read_back(self.connection.link)
@@ -252,12 +252,12 @@ class InspireRh56Driver(Driver):
             effort=[scale.effort(report.forces[m] - self._zeros[m]) for m, scale in both],
             current=[report.currents_ma[motor] * 1e-3 for motor in self._motors],
             temperature=[float(report.temperatures[motor]) for motor in self._motors],
-            grasped=tuple(_WORDS.get(report.states[motor]) for motor in self._motors),
+            grasped=tuple(_HOLDS.get(report.states[motor]) for motor in self._motors),
             touch=self._touch,
         )
 
     def _check(self, report: Report) -> None:
-        """Raise the fault that a report tells of."""
+        """Raise the fault in a report, if any."""
         faulty = {FINGERS[m]: report.errors[m] for m in self._motors if report.errors[m]}
         if not faulty:
             return
@@ -276,28 +276,28 @@ class InspireRh56Driver(Driver):
         raise DeviceFault(self.spec.name, int(together), "; ".join(names), hint=hint)
 
     async def _read_back(self, link: Rh56Link) -> None:
-        """Read the hand's set-points: those that are not as they were sent are sent again."""
+        """Read the hand's set-points back; those that differ are sent again with a reference."""
         try:
             data = await link.read(Register.ANGLE_SET, SET_POINTS)
         except ModbusRefusal:
-            return  # a hand that does not tell them keeps them, or so one has to hope
+            return  # they cannot be read from this hand and are assumed to be unchanged
         angles, forces = words(data[:WORDS]), words(data[WORDS : 2 * WORDS])
         self._forces, self._speeds = list(forces), list(words(data[-WORDS:]))
         pairs = zip(self._angles, angles, strict=True)
-        # KEEP stands for unknown here, so that the next reference writes the set-point again.
+        # KEEP means unknown here, so that the next reference writes the set-point again.
         self._angles = [sent if here in (sent, KEEP) else KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""
         left = self._attached.left(reference, self._here) if self._attached else ()
         most = self.options.most
-        # A table sets all six motors, so those that nobody asks get what they have.
+        # A table sets all six motors, so motors without a reference get their present values.
         forces = list(self._forces or (most,) * COUNT)
         speeds = list(self._speeds or (most,) * COUNT)
         angles = [KEEP] * COUNT
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
-            if not asked[i] or i in left:
+            if not mask[i] or i in left:
                 continue
             forces[motor] = scale.limit(float(reference.max_effort[i]))
             speeds[motor] = scale.speed(float(reference.max_velocity[i]))
@@ -314,7 +314,7 @@ class InspireRh56Driver(Driver):
     ) -> None:
         """Write the tables that differ from what the hand has."""
         link = self.connection.link
-        # What was sent counts as unknown until the hand has said that it has it.
+        # A set-point counts as unknown until the hand has confirmed it.
         if forces != self._forces:
             self._forces = None
             await link.write(Register.FORCE_SET, table(forces))
@@ -323,7 +323,7 @@ class InspireRh56Driver(Driver):
             self._speeds = None
             await link.write(Register.SPEED_SET, table(speeds))
             self._speeds = list(speeds)
-        # Angles last, so that no motion begins under the limits of the one before.
+        # Angles last, so that no motion begins with the limits of the previous one.
         changed = [
             KEEP if new == sent else new for new, sent in zip(angles, self._angles, strict=True)
         ]
@@ -346,19 +346,19 @@ class InspireRh56Driver(Driver):
 
     async def _hold(self, report: Report, motors: Sequence[int]) -> None:
         """Make the measured angles of some motors their set-points."""
-        # A count beyond the ends may be refused, and -1 would mean to keep the old set-point.
+        # The hand may refuse a count beyond the ends, and -1 would keep the old set-point.
         here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(report.angles)]
         self._angles = [KEEP] * COUNT
         await self.connection.link.write(Register.ANGLE_SET, table(here))
 
     async def recover(self) -> None:
-        """Clear the errors; motors that had one keep the pose they are in."""
+        """Clear the errors; motors that had one hold their measured position."""
         link = self.connection.link
         with link.unhurried():
             report = await self._measured()
             faulty = [m for m in self._motors if report.errors[m]]
             if faulty:
-                # No source says whether a motor goes on to its old set-point once it is cleared.
+                # No source says whether a cleared motor continues to its old set-point.
                 with contextlib.suppress(WriteRefused):
                     await self._hold(report, faulty)
                 await link.write(Register.CLEAR_ERROR, b"\x01")
@@ -369,7 +369,7 @@ class InspireRh56Driver(Driver):
         self._attached.begin(range(len(self._motors)))
 
     async def _cleared(self) -> Report:
-        """Return what the hand reports once its errors are gone, or the time for that is over."""
+        """Return the report in which the errors are gone, or the last one after `_CLEARING`."""
         end = time.monotonic() + _CLEARING
         while True:
             report = await self._measured()
@@ -388,16 +388,16 @@ class InspireRh56Driver(Driver):
     async def calibrate(
         self, path: Path, rest: FloatArray, ready: Callable[[str], Awaitable[None]]
     ) -> ForceZeros:
-        """Let the hand calibrate its force sensors, open and untouched; store what they then tell.
+        """Let the open hand calibrate its force sensors; store their readings afterwards.
 
         Args:
             path: File to write.
-            rest: The rest posture, which the hand goes to first [rad].
+            rest: The rest posture, to which the hand moves first [rad].
             ready: Called with an instruction for the user; returns when the user has followed it.
 
         Raises:
             BusError: if the line fails.
-            CalibrationError: if the sensors tell a force although nothing touches the hand.
+            CalibrationError: if the sensors read a force although nothing touches the hand.
             ConfigError: if the file cannot be written.
             DeviceFault: if the hand reports a fault.
         """

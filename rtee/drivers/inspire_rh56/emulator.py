@@ -1,7 +1,7 @@
 """Emulates an RH56 on the wire: its own frames, Modbus RTU or Modbus TCP.
 
 What differs between hands, or is not known, is a property here: whether registers without meaning
-can be read, and how long things take. A frame with a wrong checksum is met with silence.
+can be read, and how long motions and calibration take. It ignores frames with a wrong checksum.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from rtee.drivers.inspire_rh56.memory import FAULTS, Memory, Rh56Properties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
-_TURNS = 5  # the motor that turns the thumb, which closes on nothing
+_ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
 _REFUSED = b"\x00"
-"""Data of a reply to a write that is refused; sources know only that it is not 1."""
+"""Data of the reply to a refused write; sources say only that it is not 1."""
 
 
 class InspireRh56Emulator(ModbusEmulator, Grasps):
@@ -59,21 +59,19 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         self.turnaround = max(self.turnaround, made.turnaround)
         self.memory = Memory(made)
         self._frames = RequestParser() if framing is None else None
-        self._now: float | None = None
         self._before = b"\0\0"
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        names = ("unit", "model", "travel_time", "turnaround")
-        fitting = {name: options[name] for name in names if name in options}
+        given = cls._given(options, "unit", "model", "travel_time", "turnaround")
         framing: Framing | None = None
         if str(options.get("port", "")).startswith("tcp://"):
             framing = "tcp"
         elif options.get("protocol") == "modbus":
             framing = "rtu"
         rate = int(options.get("baudrate", codec.BAUDRATES[0]))
-        return cls(read_properties(Rh56Properties, options, **fitting), framing, baudrate=rate)
+        return cls(read_properties(Rh56Properties, options, **given), framing, baudrate=rate)
 
     @property
     def axes(self) -> Sequence[Any]:
@@ -83,7 +81,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return how the motors of fingers and thumb close."""
         most = float(self.memory.properties.most)
-        return [Closing(axis, float(OPEN), 0.0, most) for axis in self.memory.axes[:_TURNS]]
+        return [Closing(axis, float(OPEN), 0.0, most) for axis in self.memory.axes[:_ROTATOR]]
 
     def grip_object(self, closure: float = 0.5, stiffness: float = 50.0) -> None:
         """Put an object between the fingers, met at a closure; stiffness in grams per count."""
@@ -109,9 +107,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        if self._now is not None:
-            self.memory.advance(max(0.0, now - self._now))
-        self._now = now
+        self.memory.advance(self._elapsed(now))
 
     # --- frames ------------------------------------------------------------------------------
 
@@ -126,7 +122,7 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         for frame in self._frames.feed(data):
             if frame.hand == self.memory.properties.unit:
                 answer = self._answer(frame)
-                # More than a frame can carry, or nothing, cannot be told.
+                # Nothing, or more than a frame can carry, is not answered.
                 if answer and len(answer) <= MOST_DATA:
                     reply = Frame(frame.hand, frame.command, frame.address, answer)
                     replies.append(reply.to_bytes(ReplyParser.HEADER))
@@ -142,12 +138,12 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     def _registers(self, address: int, size: int) -> bytes | None:
         data = self.memory.read(address, size)
         if data is not None and "wrong_device" in self.faults:
-            # Another device's registers: states and errors that no RH56 has.
+            # The registers of another device: states and errors that no RH56 has.
             return b"\xee" * size if address >= Register.ANGLE else data
         return data
 
     def _numbered(self, answer: bytes) -> bytes:
-        """Return an answer with the number of the transaction before, where this hand does that."""
+        """Return an answer with the previous transaction's number, where the hand lags behind."""
         if not self.memory.properties.behind or self.framing != "tcp":
             return answer
         before, self._before = self._before, answer[:2]

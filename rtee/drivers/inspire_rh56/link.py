@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from contextlib import AbstractContextManager
 
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
-from rtee.drivers.connection import longer_deadline
+from rtee.drivers.deadlines import Unhurried
 from rtee.drivers.inspire_rh56.codec import (
     OVERHEAD,
     Command,
@@ -19,18 +18,15 @@ from rtee.drivers.inspire_rh56.codec import (
 )
 from rtee.errors import BusError
 
-PATIENCE = 0.5
-"""Longest time for an exchange that belongs to no cycle [s]."""
-
 
 class WriteRefused(BusError):
-    """The hand did not accept what was written to it."""
+    """The hand did not accept a write."""
 
     def __init__(self, bus: str, address: int, answer: int) -> None:
         super().__init__(bus, f"the hand refused a write to register {address} ({answer:#04x})")
 
 
-class Rh56Link(ABC):
+class Rh56Link(Unhurried, ABC):
     """Talks to one hand; several may share a line.
 
     Attributes:
@@ -41,10 +37,6 @@ class Rh56Link(ABC):
     def __init__(self, deadline: float, retries: int) -> None:
         self.deadline = deadline
         self.retries = retries
-
-    def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        return longer_deadline(self, PATIENCE)
 
     @abstractmethod
     async def read(self, address: int, size: int) -> bytes:
@@ -65,12 +57,12 @@ class Rh56Link(ABC):
 
         Args:
             size: Their number.
-            turnaround: What the hand needs before it answers [s].
+            turnaround: Time that the hand needs before it answers [s].
         """
 
     @abstractmethod
     def write_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to write so many; arguments as for `read_time`."""
+        """Return the shortest time to write so many bytes; arguments as for `read_time`."""
 
 
 class FrameLink(Rh56Link):
@@ -118,7 +110,7 @@ class FrameLink(Rh56Link):
 
     def read_time(self, size: int, turnaround: float) -> float:
         """Return the shortest time to read so many bytes of registers [s]."""
-        # Two frames: the request has one byte of data, the number.
+        # Two frames; the request has one byte of data, the number of bytes to read.
         count = 2 * OVERHEAD + 1 + size
         return wire_time(count, self._bus.line.baudrate) + turnaround
 
@@ -148,7 +140,7 @@ class ModbusLink(Rh56Link):
 
     async def write(self, address: int, data: bytes) -> None:
         """Set registers from ``address`` on; raises `BusError`."""
-        # Flags have one byte, a register has two.
+        # A flag has one byte, but a register has two.
         padded = data + bytes(len(data) % 2)
         values = struct.unpack(f"<{len(padded) // 2}H", padded)
         await self._bus.write(
@@ -157,7 +149,7 @@ class ModbusLink(Rh56Link):
 
     def read_time(self, size: int, turnaround: float) -> float:
         """Return the shortest time to read so many bytes of registers [s]."""
-        # The PDUs: function, address and number; function, length and registers.
+        # The PDUs are function, address and number; and function, length and registers.
         return self._bus.exchange_time(5, 2 + size, turnaround=turnaround)
 
     def write_time(self, size: int, turnaround: float) -> float:

@@ -40,7 +40,7 @@ _INDEX = 3
 _STALL_MA = 900.0
 """Current of a motor that exerts the largest force [mA]; no source gives it."""
 _RUNNING_MA = 150.0
-"""Current of a motor that moves freely [mA]; likewise."""
+"""Current of a motor that moves freely [mA]; no source gives it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +50,13 @@ class Rh56Properties:
     Attributes:
         unit: Its number.
         model: With tactile sensors (``dftp``) its force limits go up to 3000 g.
-        unknown: Whether it tells registers that have no meaning as 0, or refuses to.
-        behind: Over Modbus TCP, answers carry the number of the transaction before.
-        travel_time: Time for the whole way at speed 1000 [s].
-        force_bias: What its force sensors tell of an idle hand until they are calibrated [g].
-        calibration_time: Of its force calibration [s].
+        unknown: Whether it returns registers without meaning as 0, or refuses to.
+        behind: Whether answers over Modbus TCP carry the number of the previous transaction.
+        travel_time: Time for the whole travel at speed 1000 [s].
+        force_bias: Readings of the force sensors of an idle hand until they are calibrated [g].
+        calibration_time: Duration of its force calibration [s].
         turnaround: Time between a request and its answer [s].
-        haste: How much faster it calibrates and moves than a real one.
+        haste: Factor by which it calibrates and moves faster than a real one.
     """
 
     unit: Byte = 1
@@ -81,10 +81,10 @@ class Memory:
     Attributes:
         properties: Its properties.
         axes: The motors, in counts of their angles and in grams.
-        moves: Set-points of angles taken.
-        begun: Force limits in force when the last motion began [g].
+        moves: Number of angle set-points received.
+        begun: Force limits when the last motion began [g].
         errors: Error bits of the motors.
-        taxels: Bytes of the taxels' registers; of a hand without tactile sensors, none.
+        taxels: Bytes of the taxels' registers; empty in a hand without tactile sensors.
     """
 
     def __init__(self, properties: Rh56Properties) -> None:
@@ -102,7 +102,7 @@ class Memory:
             for _ in range(COUNT)
         ]
         for axis in self.axes:
-            # Spindles: an object that was squeezed does not push a finger back.
+            # Spindles are self-locking: a squeezed object does not push a finger back.
             axis.self_locking = axis.enabled = True
         self.moves = 0
         self.begun = [properties.most] * COUNT
@@ -120,7 +120,7 @@ class Memory:
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Take the initial speeds and force limits; fingers stay, for nothing moves them."""
+        """Restore the initial speeds and force limits; the fingers stay where they are."""
         self.errors = [Error(0)] * COUNT
         self._put(Register.SPEED_SET, self._get(Register.INITIAL_SPEED, WORDS))
         self._put(Register.FORCE_SET, self._get(Register.INITIAL_FORCE, WORDS))
@@ -131,7 +131,7 @@ class Memory:
         self._limit()
 
     def set_faults(self, faults: set[str]) -> None:
-        """Take the faults that are injected at present; errors stay until they are cleared."""
+        """Set the injected faults; errors stay until they are cleared."""
         self._faults = frozenset(faults & FAULTS)
         for axis in self.axes:
             axis.stuck = "stuck" in faults
@@ -141,7 +141,7 @@ class Memory:
         for fault in self._faults:
             self.errors[_INDEX] |= _BLOCK_FAULTS[fault]
         if "too_hot" not in self._faults:
-            # The only error that goes with its cause, and not when it is cleared.
+            # The only error that ends with its cause, and not when it is cleared.
             self.errors[_INDEX] &= ~Error.TOO_HOT
         for axis, errors in zip(self.axes, self.errors, strict=True):
             axis.enabled = not errors
@@ -166,7 +166,7 @@ class Memory:
         return bytes(self._bytes[address - FIRST : address - FIRST + size])
 
     def read(self, address: int, size: int) -> bytes | None:
-        """Return registers, or ``None`` where it refuses."""
+        """Return registers, or ``None`` if it refuses."""
         at = address - tactile.FIRST
         if at >= 0 and at + size <= len(self.taxels):
             return bytes(self.taxels[at : at + size])
@@ -185,12 +185,12 @@ class Memory:
         return self._get(address, size)
 
     def press(self, area: str, taxel: int, value: int) -> None:
-        """Have a taxel of an area measure a value, until it is given another."""
+        """Set the measured value of a taxel of an area."""
         at = next(a for a in tactile.AREAS if a.name == area).address - tactile.FIRST + 2 * taxel
         self.taxels[at : at + 2] = value.to_bytes(2, "little")
 
     def report(self) -> Report:
-        """Return what it measures."""
+        """Return its measurements."""
         return Report(
             tuple(round(axis.position) for axis in self.axes),
             tuple(round(self._force(i)) for i in range(COUNT)),
@@ -201,7 +201,7 @@ class Memory:
         )
 
     def _force(self, i: int) -> float:
-        # The sensors feel what a finger touches, not what holds it up inside.
+        # The sensors measure contact forces, not forces inside the hand.
         axis = self.axes[i]
         felt = -axis.effort if axis.obstacle is not None and axis.velocity == 0.0 else 0.0
         return felt + self._bias[i]
@@ -224,7 +224,7 @@ class Memory:
         return State.CLOSING if axis.target < axis.position else State.OPENING
 
     def write(self, address: int, data: bytes) -> bool:
-        """Set registers and act on them; return whether it accepted that."""
+        """Set registers and act on them; return whether the write was accepted."""
         settable = {
             Register.CURRENT_LIMIT,
             Register.INITIAL_SPEED,
@@ -253,9 +253,9 @@ class Memory:
         most = self.properties.most if "FORCE" in register.name else MOST
         least = 0
         if register is Register.ANGLE_SET:
-            # An example frame of the manual writes 2000, so it is taken for as open as can be.
+            # An example frame of the manual writes 2000, which is taken for fully open.
             least, most = KEEP, 2 * OPEN
-        # Limits of current are in mA, with a range of their own.
+        # Current limits are in mA and have another range.
         if register is not Register.CURRENT_LIMIT and not all(least <= v <= most for v in values):
             return False
         before = words(self._get(register, WORDS))

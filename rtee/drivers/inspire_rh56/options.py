@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -9,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rtee.drivers import wiring
 from rtee.drivers.inspire_rh56.codec import FINGERS, MOST, MOST_TACTILE
-from rtee.drivers.inspire_rh56.scales import FORCES, Force, Scale
+from rtee.drivers.inspire_rh56.scales import FORCES, Scale
 from rtee.drivers.inspire_rh56.tactile import AREAS, Area
 from rtee.drivers.options import DeviceOptions, Positive
 from rtee.errors import ConfigError
@@ -18,20 +19,20 @@ from rtee.types import DeviceSpec
 Finger = Literal["little", "ring", "middle", "index", "thumb_bend", "thumb_rotate"]
 
 TURNAROUND = 0.0035
-"""Time from a request to its answer beyond the wire's [s]: published exchanges of 29 bytes at
+"""Time from a request to its answer beside that on the wire [s]: published exchanges of 29 bytes at
 115,200 baud took 6 ms."""
 
 _ROTATES = ("yaw", "rot", "oppos", "abduct")
-"""Parts of names by which the motor that turns the thumb is recognised."""
+"""Parts of names that identify the motor that rotates the thumb."""
 
 
 class ForceOptions(BaseModel):
-    """What is known better of one finger's force than its line by default.
+    """A force calibration of one finger that replaces the default.
 
     Attributes:
-        newton_per_gram: Slope of the force by what the hand calls grams [N/g].
+        newton_per_gram: Force at the fingertip per gram in the registers [N/g].
         offset: Force at 0 g [N].
-        arm: Effort of the actuator by force at the fingertip [N·m/N].
+        arm: Effort of the actuator per force at the fingertip [N·m/N].
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -92,7 +93,7 @@ class InspireRh56Options(DeviceOptions):
 
     @property
     def modbus(self) -> bool:
-        """Whether it is talked to by Modbus."""
+        """Whether it is connected by Modbus."""
         return self.protocol == "modbus" or self.port.startswith("tcp://")
 
     @model_validator(mode="after")
@@ -121,7 +122,7 @@ class InspireRh56Options(DeviceOptions):
 
 
 def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its place in `FINGERS`.
+    """Return the motor of each actuator, by its index in `FINGERS`.
 
     Raises:
         ConfigError: if an actuator has none, or two have the same.
@@ -130,12 +131,12 @@ def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
 
 
 def _finger_of(name: str) -> str:
-    """Return the motor that an actuator's name speaks of; empty if it speaks of none."""
+    """Return the motor that an actuator's name suggests; empty if it suggests none."""
     lowered = name.lower()
     if "thumb" in lowered:
         turns = any(word in lowered for word in _ROTATES)
         return "thumb_rotate" if turns else "thumb_bend"
-    # The maker says little finger, many models of hands say pinky.
+    # The maker's name is little finger; in many models of hands it is pinky.
     if "pinky" in lowered:
         return "little"
     return next((finger for finger in FINGERS[:4] if finger in lowered), "")
@@ -151,13 +152,13 @@ def scales_of(
     """
     found = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
-        # Written with `not`, so that limits which are not numbers are refused, too.
+        # Written with `not`, so that limits of NaN are refused, too.
         if not actuator.upper - actuator.lower < float("inf"):
             raise ConfigError(f"device '{spec.name}': actuator '{actuator.name}' has no limits")
         finger = FINGERS[motor]
         given = options.forces.get(finger)  # type: ignore[call-overload]
-        usual = FORCES[finger]
-        force = usual if given is None else _replaced(usual, given)
+        changes = {} if given is None else given.model_dump(exclude_none=True)
+        force = replace(FORCES[finger], **changes)
         found.append(
             Scale(
                 actuator.lower,
@@ -169,11 +170,3 @@ def scales_of(
             )
         )
     return tuple(found)
-
-
-def _replaced(usual: Force, given: ForceOptions) -> Force:
-    return Force(
-        usual.newton_per_gram if given.newton_per_gram is None else given.newton_per_gram,
-        usual.offset if given.offset is None else given.offset,
-        usual.arm if given.arm is None else given.arm,
-    )

@@ -1,7 +1,7 @@
-"""The taxels of an RH56DFTP: which there are, where they stand in its registers, reading them.
+"""The taxels of an RH56DFTP: their arrays, their registers, and reading them.
 
-Source: the map of registers as a published client quotes the maker's manual. Values step by two in
-their addresses, as all of the hand's do, and one request may read at most 125 of them.
+Source: the register map in a published client that quotes the maker's manual. Addresses step by two
+from value to value, as in all tables of the hand, and one request reads at most 125 values.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from rtee.touch import TouchReading, TouchSensor
 
 FIRST: Final = 3000
 LAST: Final = 5124
-"""Addresses of the first register with a taxel, and behind the last one."""
+"""Address of the first register with a taxel, and the first address behind the last one."""
 
 FULL: Final = 4095
 """Largest value of a taxel; its unit is not published."""
 
-_FINGER: Final = 370  # registers' addresses from finger to finger
+_FINGER: Final = 370  # distance of the addresses from finger to finger
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def blocks(areas: Sequence[Area]) -> tuple[tuple[int, int], ...]:
 
 
 class TactileReader:
-    """Reads taxels by turns, one request at a time, so that the motors' cycle stays short.
+    """Reads taxels in turn, one request per cycle, so that the cycle of the motors stays short.
 
     Args:
         areas: The areas to read.
@@ -120,7 +120,7 @@ class TactileReader:
     async def read(self, link: Rh56Link) -> TouchReading | None:
         """Read the next part; return all taxels once each has been read; raises `BusError`.
 
-        What is not a value of a taxel is ``NaN``.
+        An impossible value becomes ``NaN``.
         """
         turn = self._turn
         address, count = self.blocks[turn]
@@ -129,7 +129,7 @@ class TactileReader:
         data = await link.read(address, 2 * count)
         raw = np.frombuffer(data, dtype="<u2").astype(np.float64)
         begin = sum(n for _, n in self.blocks[:turn])
-        # A copy: what was handed over must not change.
+        # A copy: a reading that was returned must not change.
         self._values = self._values.copy()
         self._values[begin : begin + count] = np.where(raw <= FULL, raw, math.nan)
         self._stamps[turn] = stamp

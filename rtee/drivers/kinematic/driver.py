@@ -59,7 +59,7 @@ class KinematicDriver(Driver):
     """A hand that follows its reference, stops at objects and gets warm by effort.
 
     Attributes:
-        now: The clock its motion follows [s]; another one makes it run at any speed.
+        now: Clock of the motion [s]; replace it to simulate faster or slower than real time.
         plants: The simulated actuators, in the order of ``spec.actuators``.
     """
 
@@ -112,15 +112,15 @@ class KinematicDriver(Driver):
     def place_object(self, name: str, fraction: float) -> None:
         """Put an object in the way of a finger or an actuator.
 
-        Actuators of a finger that turn without end have no way that it could be a part of.
+        Continuous joints of a finger get no object, since they have no farthest bound.
 
         Args:
             name: The finger or actuator.
-            fraction: Where, as a part of the way from rest to the farthest bound, 0 to 1.
+            fraction: Fraction of the way from rest to the farthest bound, 0 to 1.
 
         Raises:
-            ConfigError: if there is no such finger or actuator, it turns without end, or the
-                fraction is out of range.
+            ConfigError: if there is no such finger or actuator, the actuator turns without end, or
+                the fraction is out of range.
         """
         self._check_names({name: fraction}, fingers=True)
         if not 0.0 <= fraction <= 1.0:
@@ -133,7 +133,7 @@ class KinematicDriver(Driver):
                 plant.obstacle = plant.at(fraction)
 
     def remove_object(self, name: str | None = None) -> None:
-        """Take away the object of a finger or an actuator; all objects without a name."""
+        """Remove the object of a finger or an actuator; without a name, all objects."""
         for plant in self.plants:
             if name is None or name == plant.spec.name or name in plant.spec.fingers:
                 plant.obstacle = None
@@ -149,7 +149,7 @@ class KinematicDriver(Driver):
 
     def fail(self, name: str) -> None:
         """Make the device report a fault and lose its power until it is recovered."""
-        # First: up to this moment it moves with power.
+        # First, since it has moved with power up to this moment.
         self._advance()
         self._fault = name
         self._powered = False
@@ -176,7 +176,7 @@ class KinematicDriver(Driver):
         self._check()
         self._advance()
         for plant in self.plants:
-            # As the contract asks: activating must not move anything.
+            # Activating must not move anything, as the contract of drivers requires.
             plant.target = plant.position
         self._powered = True
 

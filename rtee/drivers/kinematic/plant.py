@@ -16,15 +16,15 @@ class Plant:
     """One simulated actuator.
 
     Attributes:
-        spec: Its limits.
-        position: Where it is [rad | m].
-        velocity: How fast it moves [rad/s | m/s].
-        effort: What it exerts [N·m | N].
-        temperature: Its temperature [°C].
-        target: Where it is to go [rad | m].
-        max_effort: Effort it may exert [N·m | N].
-        max_velocity: Velocity it may reach [rad/s | m/s].
-        obstacle: Position at which an object stops it [rad | m], if one does.
+        spec: Name and limits of the actuator.
+        position: Position [rad | m].
+        velocity: Velocity [rad/s | m/s].
+        effort: Effort [N·m | N].
+        temperature: Temperature [°C].
+        target: Target position [rad | m].
+        max_effort: Effort limit of the reference [N·m | N].
+        max_velocity: Velocity limit of the reference [rad/s | m/s].
+        obstacle: Position at which an object stops it [rad | m]; ``None``: no object.
     """
 
     spec: ActuatorSpec
@@ -39,24 +39,24 @@ class Plant:
 
     @property
     def rating(self) -> float:
-        """Effort limit of the actuator; 1 where the model gives none [N·m | N]."""
+        """Effort limit of the actuator [N·m | N]; 1 if the model gives none."""
         return self.spec.effort if math.isfinite(self.spec.effort) else 1.0
 
     def at(self, fraction: float) -> float:
-        """Return the position at a part of the way from rest to the farthest bound."""
+        """Return the position at a fraction of the way from rest to the farthest bound."""
         return from_rest(self.spec.rest, self.spec.farthest, fraction)
 
     def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
-        """Move on.
+        """Simulate the motion for a time.
 
         Args:
-            dt: Time [s].
-            follow: Part of the way to the target that is covered in this time.
-            full_effort_at: Distance behind the target that gives full effort [rad | m].
-            powered: Whether the motor is on; else it stays and exerts nothing.
+            dt: The time [s].
+            follow: Fraction of the way to the target that is covered in this time.
+            full_effort_at: Distance to the target that gives full effort at an object [rad | m].
+            powered: Whether the motor is on; else it stays where it is, without effort.
         """
         before, target = self.position, self.target
-        # Most actuators rest in most cycles, and at rest only an object takes effort.
+        # Most actuators rest in most cycles, and at rest only an object causes effort.
         if not powered or (target == before and self.obstacle is None):
             self.velocity = self.effort = 0.0
             return
@@ -90,15 +90,15 @@ class Plant:
         at = self.obstacle
         if at is None:
             return after
-        # Not by where the object is: one at the rest position says nothing about the direction.
+        # The sign of (obstacle - rest) would be 0, not a direction, for an object at rest.
         if self.spec.farthest >= self.spec.rest:
-            # One that is beyond the object already, when that is placed, is not thrown back.
+            # An actuator already beyond the object when that is placed does not jump back.
             return after if after <= at or before > at else at
         return after if after >= at or before < at else at
 
     def warm(self, dt: float, ambient: float, heating: float, time_constant: float) -> None:
-        """Let its temperature follow its effort for a time [s]."""
+        """Simulate the temperature for a time [s]; it depends on the effort."""
         share = self.effort / self.rating
-        # The loss in a winding goes with the square of the current.
+        # The loss in a winding is proportional to the square of the current.
         settled = ambient + heating * share * share
         self.temperature += (settled - self.temperature) * (1.0 - math.exp(-dt / time_constant))

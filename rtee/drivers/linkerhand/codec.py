@@ -1,7 +1,7 @@
 """The LinkerHands' registers, CAN properties, fault codes and version block; no I/O.
 
-Sources: register numbers, CAN properties and ranges as the maker's Python SDK uses them, for the O6
-also an independent client. Every register and every byte on CAN holds one value from 0 to 255.
+Sources: register numbers, CAN properties and ranges from the maker's Python SDK, for the O6 also
+from an independent client. Every register and every byte on CAN holds one value from 0 to 255.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ VERSION_COUNT = 6
 
 
 class LinkerFrameError(ValueError):
-    """Values that no LinkerHand gives."""
+    """Values that a LinkerHand cannot report."""
 
 
 class Fault(IntEnum):
@@ -43,11 +43,11 @@ FAULT_NAMES: Mapping[int, str] = {
     Fault.ENCODER: "encoder error",
     Fault.SUPPLY: "supply too high or too low",
 }
-"""Names of the fault codes, as the maker's interface document has them."""
+"""Names of the fault codes, from the maker's interface document."""
 
 
 class Table(IntEnum):
-    """What there is one value of for each motor."""
+    """Quantities with one value for each motor."""
 
     POSITION = 0
     TORQUE = 1
@@ -63,12 +63,12 @@ class Model:
     Attributes:
         name: Its name.
         motors: Its motors, in the order of every table.
-        ranges: Positions that the maker's SDK takes a value of 255 and of 0 for [rad].
-        registers: First input register of each table; those to be written have the same numbers.
+        ranges: Positions at the values 255 and 0 according to the maker's SDK [rad].
+        registers: First input register of each table; the holding registers have the same numbers.
         version: First register of its version block.
-        properties: CAN properties of each table in the order of its values, with their number.
+        properties: CAN properties of each table in the order of its values: code and count.
         spacing: Silence that the maker's SDK leaves between two frames on RS-485 [s].
-        joint_write: Positions, torques and speeds may be written in one frame.
+        joint_write: Whether positions, torques and speeds may be written in one frame.
     """
 
     name: str
@@ -110,8 +110,8 @@ O6 = Model(
 )
 L10 = Model(
     "L10",
-    # The maker's lists swap the names of the second and the last; by their ranges the second turns
-    # the thumb in front of the palm.
+    # The maker's lists swap the names of the second and the last motor; according to its range, the
+    # second one rotates the thumb in front of the palm.
     (
         "thumb_bend", "thumb_yaw", "index", "middle", "ring", "little",
         "index_roll", "ring_roll", "little_roll", "thumb_roll",
@@ -145,7 +145,7 @@ MODELS: Mapping[str, Model] = {"o6": O6, "l10": L10}
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """What a hand says about itself.
+    """The version block of a hand.
 
     Attributes:
         motors: Number of its degrees of freedom.
@@ -170,7 +170,7 @@ class Version:
         """Read it from the version block.
 
         Raises:
-            LinkerFrameError: if it has not six registers, or names no side.
+            LinkerFrameError: if it does not have six registers, or has no valid side.
         """
         if len(registers) != VERSION_COUNT:
             raise LinkerFrameError(f"{len(registers)} registers are not a version block")
@@ -194,7 +194,7 @@ def checked(registers: Sequence[int], count: int) -> tuple[int, ...]:
     """Return the values of a table.
 
     Raises:
-        LinkerFrameError: if there is another number of them, or one is above 255.
+        LinkerFrameError: if their number is wrong, or one is above 255.
     """
     if len(registers) != count or not all(0 <= value <= MOST for value in registers):
         raise LinkerFrameError(f"no {count} values of a LinkerHand: {list(registers)}")
@@ -209,12 +209,12 @@ def query(unit: int, code: int) -> CanFrame:
     return CanFrame(unit, bytes([code]))
 
 
-def told(unit: int, code: int, values: Sequence[int]) -> CanFrame:
-    """Return the frame by which a property is set, and by which the hand tells it."""
+def property_frame(unit: int, code: int, values: Sequence[int]) -> CanFrame:
+    """Return the frame that sets a property, and with which the hand reports it."""
     return CanFrame(unit, bytes((code, *values)))
 
 
 def answers(frame: CanFrame, unit: int, code: int, count: int) -> bool:
-    """Return whether a frame tells a property with so many values, or more."""
+    """Return whether a frame reports a property with at least ``count`` values."""
     fits = frame.id == unit and not (frame.remote or frame.extended)
     return fits and len(frame.data) > count and frame.data[0] == code

@@ -17,6 +17,7 @@ from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
+from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.linkerhand.codec import (
@@ -44,8 +45,8 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
 _SHORT = 6
-"""A motor that rests further from its set-point than this presses on something [counts]: 2 % of the
-way, more than what a reference at rest is missed by."""
+"""Distance from the set-point at which a resting motor presses on something [counts]: 2 % of the
+travel, more than the position error of a free motor."""
 _RESTING = 0.2
 """Time for which it must have rested [s]: three readings of the slowest hand."""
 
@@ -53,10 +54,9 @@ _RESTING = 0.2
 class LinkerHandDriver(Driver):
     """A LinkerHand O6 or L10.
 
-    A cycle reads the positions and writes the set-points that changed; faults and temperatures are
-    read now and then, besides. The hand has no switch for its motors and
-    tells neither efforts nor contacts: a motor that rests short of its set-point counts as holding
-    something.
+    A cycle reads the positions and writes the set-points that have changed; faults and temperatures
+    are read now and then. The motors cannot be switched off, and the hand reports neither efforts
+    nor contacts: a motor that rests short of its set-point counts as holding something.
     """
 
     Options: ClassVar[type[BaseModel] | None] = LinkerHandOptions
@@ -86,7 +86,7 @@ class LinkerHandDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the bus and see which hand answers; moves nothing."""
+        """Open the bus and identify the hand; moves nothing."""
         options = self.options
         self._targets = self._torques = self._speeds = None
         link = await self._open()
@@ -109,9 +109,7 @@ class LinkerHandDriver(Driver):
         if version is not None and options.check_model and version.motors != self._model.count:
             raise self._another(f"one with {version.motors} motors")
         best = 1.0 / link.cycle_time()
-        # One and a half of its periods leaves room for jitter; five exchanges for a retry.
-        every = self.spec.every or math.ceil(self.spec.rate / best)
-        link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 5.0 / best)
+        link.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
             self.capabilities, best_rate=best, identity=self._identity(version)
         )
@@ -158,7 +156,7 @@ class LinkerHandDriver(Driver):
         self._check(codes)
 
     async def activate(self) -> None:
-        """Take the hand over as it is: its motors are always on, and keep their set-points."""
+        """Attach to the hand as it is: its motors are always on and keep their set-points."""
         with self.connection.link.unhurried():
             await self._examine()
         self._attached.begin(range(len(self._motors)))
@@ -172,17 +170,17 @@ class LinkerHandDriver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     def _keep(self, counts: tuple[int, ...]) -> None:
-        """Note measured positions, and which motors they say have moved."""
+        """Store measured positions, and when each motor has moved last."""
         now = time.monotonic()
         before = self._counts or counts
         for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
-            # A count of noise is not a motion.
+            # A change of one count is noise.
             if abs(new - old) > 1:
                 self._moved[motor] = now
         self._counts = counts
 
     async def sense(self) -> ActuatorState:
-        """Return what the hand measures."""
+        """Return the hand's measurements."""
         link, every = self.connection.link, self.options.health_every
         self._turn = (self._turn + 1) % every
         if self._turn == 0:
@@ -200,14 +198,14 @@ class LinkerHandDriver(Driver):
         )
 
     def _holds(self, motor: int, now: float) -> bool | None:
-        """Return whether a motor rests short of its set-point; ``None``: that is not known."""
+        """Return whether a motor rests short of its set-point; ``None``: not known."""
         if self._targets is None:
             return None
         short = abs(self._targets[motor] - self._counts[motor]) > _SHORT
         return short and now - self._moved[motor] > _RESTING
 
     def _check(self, codes: tuple[int, ...]) -> None:
-        """Raise the fault that the motors tell of."""
+        """Raise the fault that the motors report, if any."""
         faulty = {self._model.motors[m]: codes[m] for m in self._motors if codes[m]}
         if not faulty:
             return
@@ -225,17 +223,17 @@ class LinkerHandDriver(Driver):
         left = self._attached.left(reference, self._here) if self._attached else ()
         if len(left) == len(self._motors):
             return
-        # One frame sets all motors; what those were set to that nobody asked is not known.
+        # One frame sets all motors, and the present set-points of the others cannot be read.
         self._attached.begin()
         targets = list(self._targets or self._counts)
         torques = list(self._torques or (MOST,) * self._model.count)
         speeds = list(self._speeds or (MOST,) * self._model.count)
-        asked = reference.mask.tolist()
+        mask = reference.mask.tolist()
         for i, (motor, scale) in enumerate(zip(self._motors, self._scales, strict=True)):
-            if not asked[i]:
+            if not mask[i]:
                 continue
             most = self.spec.actuators[i].effort
-            # Without a limit in the model there is nothing that 255 could count as.
+            # Without an effort limit in the model, 255 has no known effort.
             limited = math.isfinite(most)
             torques[motor] = _share(float(reference.max_effort[i]) / most) if limited else MOST
             fastest = abs(scale.gain) * MOST / self.options.travel_time
@@ -256,7 +254,7 @@ class LinkerHandDriver(Driver):
         if not tables:
             return
         before, self._targets = self._targets, None
-        # What was sent counts as unknown until the hand has said that it has it.
+        # Limits count as unknown until the hand has confirmed them.
         self._torques = self._speeds = None
         await self.connection.link.write(tables)
         now = time.monotonic()
@@ -285,19 +283,19 @@ class LinkerHandDriver(Driver):
         self._targets = targets
 
     async def recover(self) -> None:
-        """Make motors that had a fault keep the pose they are in; whether it is gone, they tell."""
+        """Make motors that had a fault hold their position, and check that the fault is gone."""
         link = self.connection.link
         with link.unhurried():
             _, codes = await link.health()
             faulty = tuple(motor for motor in self._motors if codes[motor])
             if faulty or self._targets is None:
-                # No source says whether a motor goes on to its old set-point afterwards.
+                # No source says whether a motor continues to its old set-point afterwards.
                 await self._hold(faulty or self._motors)
             await self._examine()
         self._attached.begin(range(len(self._motors)))
 
 
 def _share(part: float) -> int:
-    """Return the count for a part of the largest speed or torque, which may be infinite."""
-    # 1 at least: no source says what 0 does.
+    """Return the count for a share of the largest speed or torque, which may be infinite."""
+    # At least 1: no source says what 0 does.
     return max(1, round(MOST * min(part, 1.0)))

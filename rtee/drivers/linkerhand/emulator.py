@@ -1,7 +1,7 @@
 """Emulates a LinkerHand: its registers over Modbus RTU, and its properties on CAN.
 
-What is not published is a property here: how fast it moves, and what it says about itself. It keeps
-its last set-points when the line falls silent, and answers wrong addresses with exception 2.
+What is not published is a property here: how fast it moves, and its version block. It keeps its
+last set-points when the line falls silent, and answers wrong addresses with exception 2.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _FAULTS = {
     "encoder": Fault.ENCODER,
     "supply": Fault.SUPPLY,
 }
-_INDEX = 2  # the motor that has them
+_INDEX = 2  # index of the motor that has these faults
 _WRITABLE = (Table.POSITION, Table.TORQUE, Table.SPEED)
 _BENDING = ("thumb_bend", "index", "middle", "ring", "little")
 _OPEN = {"index_roll": 128.0, "ring_roll": 128.0, "little_roll": 128.0}
-"""Where motors begin that are not stretched at 255."""
+"""Positions at power-up of motors that are not open at 255."""
 _RATING = 0.01
-"""Heating of a motor at its largest torque [K/s]: it feels warm after minutes."""
+"""Heating rate of a motor at its largest torque [K/s]: it becomes warm within minutes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,11 @@ class LinkerProperties:
     Attributes:
         model: ``o6`` or ``l10``.
         unit: Its number.
-        travel_time: Time for the whole way at speed 255 [s].
+        travel_time: Time for the whole travel at speed 255 [s].
         software: Version of its software, major and minor in a nibble each.
-        joint_reads: Several tables can be read in one frame.
+        joint_reads: Whether several tables can be read in one frame.
         turnaround: Time between a request and its answer [s].
-        haste: How much faster it moves than a real one.
+        haste: Factor by which it moves faster than a real one.
     """
 
     model: Literal["o6", "l10"] = "o6"
@@ -76,8 +76,8 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     Attributes:
         model: The kind of hand.
         axes: Its motors, in counts of position and of torque.
-        moves: Set-points of positions taken.
-        begun: Torque limits in force when the last motion began.
+        moves: Number of position set-points received.
+        begun: Torque limits when the last motion began.
     """
 
     FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_FAULTS) | {"silent"}
@@ -100,7 +100,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
                 max_effort=float(MOST),
                 resolution=0.5,
             )
-            # Worm gears: an object that was squeezed does not push a finger back.
+            # Worm gears are self-locking: a squeezed object does not push a finger back.
             axis.self_locking = axis.enabled = True
             axis.heating = _RATING
             self.axes.append(axis)
@@ -108,15 +108,13 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self.begun = [MOST] * self.model.count
         self._torques = [MOST] * self.model.count
         self._speeds = [MOST] * self.model.count
-        self._now: float | None = None
         self._limit()
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        names = ("model", "unit", "travel_time")
-        fitting = {name: options[name] for name in names if name in options}
-        return cls(read_properties(LinkerProperties, options, **fitting))
+        given = cls._given(options, "model", "unit", "travel_time")
+        return cls(read_properties(LinkerProperties, options, **given))
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors that bend the digits close."""
@@ -136,17 +134,16 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         self._limit()
 
     def on_faults(self) -> None:
-        """Stop the motor that has a fault; it goes on when the fault is gone."""
+        """Stop the motor that has a fault; it continues when the fault is gone."""
         for axis in self.axes:
             axis.stuck = "stuck" in self.faults
         self.axes[_INDEX].enabled = not self.faults & set(_FAULTS)
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        if self._now is not None:
-            for axis in self.axes:
-                axis.advance(max(0.0, now - self._now))
-        self._now = now
+        dt = self._elapsed(now)
+        for axis in self.axes:
+            axis.advance(dt)
 
     def _limit(self) -> None:
         fastest = MOST / self.properties.travel_time * self.properties.haste
@@ -173,7 +170,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         return codes
 
     def set_table(self, table: Table, first: int, values: Sequence[int]) -> None:
-        """Set values of some motors, from the one with number ``first`` on."""
+        """Set values of consecutive motors, beginning with the index ``first``."""
         for motor, value in enumerate(values, first):
             if table is Table.TORQUE:
                 self._torques[motor] = value
@@ -187,7 +184,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             self.begun = list(self._torques)
 
     def version(self) -> Version:
-        """Return what it says about itself."""
+        """Return its version block."""
         motors = self.model.count + (1 if "wrong_device" in self.faults else 0)
         side = "L" if self.unit == codec.LEFT else "R"
         return Version(motors, 1, 1, side, self.properties.software, 0x10)
@@ -219,7 +216,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             raise Refused(ILLEGAL_ADDRESS)
         if any(value > MOST for value in values):
             raise Refused(ILLEGAL_VALUE)
-        # From the last table to the first, so that limits are in force before the motion.
+        # From the last table to the first, so that limits apply before the motion.
         for table in reversed(_WRITABLE):
             first = self.model.registers[table]
             low, high = max(first, address), min(first + count, address + len(values))
@@ -251,6 +248,5 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
             return []
         values = self.table(table)[first : first + count]
         # Another kind of hand has another number of values.
-        return [
-            codec.told(self.unit, code, values[: 2 if "wrong_device" in self.faults else count])
-        ]
+        shown = values[:2] if "wrong_device" in self.faults else values
+        return [codec.property_frame(self.unit, code, shown)]

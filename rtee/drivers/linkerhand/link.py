@@ -6,45 +6,47 @@ import asyncio
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from typing import ClassVar
 
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_INPUT
 from rtee.buses.timing import silence, wire_time
-from rtee.drivers.connection import longer_deadline
+from rtee.drivers.deadlines import Unhurried
 from rtee.drivers.linkerhand import codec
 from rtee.drivers.linkerhand.codec import Fault, LinkerFrameError, Model, Table, Version
 from rtee.errors import FrameError
 
-PATIENCE = 1.0
-"""Longest time for an exchange that belongs to no cycle [s]."""
 _CAN_BITS = 130
-"""Bits of a CAN frame with eight bytes and its share of stuffing."""
+"""Bits of a CAN frame with eight bytes, stuffing bits included."""
 
 
-class LinkerLink(ABC):
+class LinkerLink(Unhurried, ABC):
     """Talks to one hand.
 
-    Attributes:
+    Args:
+        model: The kind of hand.
+        unit: Its number.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
+        spacing: Silence to leave between two frames [s].
     """
 
-    def __init__(self, model: Model, unit: int, deadline: float, retries: int) -> None:
+    PATIENCE: ClassVar[float] = 1.0
+
+    def __init__(
+        self, model: Model, unit: int, deadline: float, retries: int, spacing: float
+    ) -> None:
         self.model = model
         self.unit = unit
         self.deadline = deadline
         self.retries = retries
-
-    def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        return longer_deadline(self, PATIENCE)
+        self._spacing = spacing
 
     @abstractmethod
     async def version(self) -> Version | None:
-        """Return what the hand says about itself, if that is known; raises `BusError`."""
+        """Return the hand's version block, ``None`` if it has none; raises `BusError`."""
 
     @abstractmethod
     async def read(self, table: Table) -> tuple[int, ...]:
@@ -66,13 +68,7 @@ class LinkerLink(ABC):
 class ModbusLink(LinkerLink):
     """Modbus RTU on RS-485; several hands may share a line.
 
-    Args:
-        bus: The line.
-        model: The kind of hand.
-        unit: Its number.
-        deadline: Longest time for one exchange, retries included [s].
-        retries: How often a request is sent again within that time.
-        spacing: Silence to leave between two frames [s].
+    Arguments are the line and those of `LinkerLink`.
     """
 
     def __init__(
@@ -84,16 +80,15 @@ class ModbusLink(LinkerLink):
         retries: int,
         spacing: float,
     ) -> None:
-        super().__init__(model, unit, deadline, retries)
+        super().__init__(model, unit, deadline, retries, spacing)
         self._bus = bus
-        self._spacing = spacing
         self._both = True
-        # A played line that takes no time needs no silence, either.
+        # An emulated line without wire time needs no silence, either.
         if bus.gap:
             bus.gap = max(bus.gap, spacing)
 
     async def version(self) -> Version | None:
-        """Return what the hand says about itself; raises `BusError`."""
+        """Return the hand's version block; raises `BusError`."""
         registers = await self._read(self.model.version, codec.VERSION_COUNT)
         try:
             return Version.from_registers(registers)
@@ -117,8 +112,8 @@ class ModbusLink(LinkerLink):
     async def health(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return temperatures [°C] and fault codes of all motors; raises `BusError`.
 
-        An answer does not name the registers that it tells. Of another length than that for the
-        positions, a late one cannot be taken for it; so both tables are asked for at once.
+        Both tables are read at once: a Modbus answer does not name its registers, and only by its
+        length can a late answer be distinguished from one with positions.
         """
         count = self.model.count
         if self._both:
@@ -138,7 +133,7 @@ class ModbusLink(LinkerLink):
             raise FrameError(self._bus.name, str(error)) from error
 
     def _codes(self, registers: Sequence[int]) -> tuple[int, ...]:
-        # Other codes are not published, and more likely the late answer to another question.
+        # Other codes are not published, and more likely the late answer to another request.
         if not set(registers) <= set(Fault):
             raise FrameError(self._bus.name, f"no fault codes of a LinkerHand: {list(registers)}")
         return tuple(registers)
@@ -146,10 +141,9 @@ class ModbusLink(LinkerLink):
     async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
         """Set values of all motors, torques and speeds before positions; raises `BusError`."""
         if self.model.joint_write and len(tables) == len(Table) - 2:
-            # One frame for all three: each costs the hand's pause.
-            await self._write(
-                Table.POSITION, [v for table in sorted(tables) for v in tables[table]]
-            )
+            # One frame for all three: each frame costs a pause.
+            values = [v for table in sorted(tables) for v in tables[table]]
+            await self._write(Table.POSITION, values)
             return
         for table in sorted(tables, reverse=True):
             await self._write(table, tables[table])
@@ -165,33 +159,32 @@ class ModbusLink(LinkerLink):
 
     def cycle_time(self) -> float:
         """Return the shortest time to read the positions and to set them [s]."""
-        # Frames of 8, 5 + n, 9 + n and 8 bytes, n of them values; pauses before both requests, and
-        # the silences after them by which the hand knows their end.
+        # Frames of 8, 5 + 2n, 9 + 2n and 8 bytes for n values; pauses before both requests, and the
+        # silences after them that mark their end.
         rate = self._bus.line.baudrate
         count = 30 + 2 * 2 * self.model.count
         return wire_time(count, rate) + 2 * (self._spacing + silence(rate))
 
 
 class CanLink(LinkerLink):
-    """Classic CAN, identifiers of 11 bits; other nodes may share the bus.
+    """Classic CAN with 11-bit identifiers; other nodes may share the bus.
 
-    Arguments are those of `ModbusLink`, with a CAN bus.
+    Arguments are the bus and those of `LinkerLink`.
     """
 
     def __init__(
         self, bus: CanBus, model: Model, unit: int, deadline: float, retries: int, spacing: float
     ) -> None:
-        super().__init__(model, unit, deadline, retries)
+        super().__init__(model, unit, deadline, retries, spacing)
         self._bus = bus
-        self._spacing = spacing
         self._sent = 0.0
 
     async def version(self) -> Version | None:
-        """Return ``None``: what a hand answers to the question on CAN is not published."""
+        """Return ``None``: the version block on CAN is not published."""
         return None
 
     async def _pause(self) -> None:
-        """Leave the hand its time since the frame before."""
+        """Wait for the pause after the previous frame."""
         wait = self._sent + self._spacing - time.monotonic()
         if wait > 0.0:
             await asyncio.sleep(wait)
@@ -217,7 +210,8 @@ class CanLink(LinkerLink):
         for table in sorted(tables, reverse=True):
             parts, at = [], 0
             for code, count in self.model.properties[table]:
-                parts.append(codec.told(self.unit, code, tables[table][at : at + count]))
+                values = tables[table][at : at + count]
+                parts.append(codec.property_frame(self.unit, code, values))
                 at += count
             for frame in reversed(parts):
                 await self._pause()
@@ -226,6 +220,6 @@ class CanLink(LinkerLink):
     def cycle_time(self) -> float:
         """Return the shortest time to read the positions and to set them [s]."""
         parts = len(self.model.properties[Table.POSITION])
-        # A question and its answer, or a setting; each waits for the pause after the one before.
+        # A request and its answer, and a write; each waits for the pause after the previous frame.
         wire = 3 * parts * _CAN_BITS / codec.BITRATE
         return max(wire, 2 * parts * self._spacing)

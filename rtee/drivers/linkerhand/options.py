@@ -19,11 +19,11 @@ Motor = Literal[
 ]  # fmt: skip
 
 CAN_SPACING = 0.005
-"""Pause between two frames on CAN [s]; an assumption: no source has one."""
+"""Pause between two frames on CAN [s]; an assumption, as no source gives one."""
 
 _YAWS = ("yaw", "rot", "oppos")
 _ROLLS = ("roll", "abduct", "spread")
-"""Parts of names by which motors that do not bend a finger are recognised."""
+"""Parts of names that identify motors which do not bend a finger."""
 
 
 class LinkerHandOptions(DeviceOptions):
@@ -84,12 +84,12 @@ class LinkerHandOptions(DeviceOptions):
 
     @property
     def where(self) -> str:
-        """Where it is looked for, for messages."""
+        """The port or CAN channel, for messages."""
         return self.port if self.channel is None else f"CAN channel {self.channel}"
 
 
 def motors_of(spec: DeviceSpec, options: LinkerHandOptions) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its place in the tables.
+    """Return the motor of each actuator, by its index in the tables.
 
     Raises:
         ConfigError: if an actuator has none, or two have the same.
@@ -98,7 +98,7 @@ def motors_of(spec: DeviceSpec, options: LinkerHandOptions) -> tuple[int, ...]:
 
 
 def _motor_of(name: str) -> str:
-    """Return the motor that an actuator's name speaks of; empty if it speaks of none."""
+    """Return the motor that an actuator's name suggests; empty if it suggests none."""
     lowered = name.lower().replace("pinky", "little")
     rolls = any(word in lowered for word in _ROLLS)
     if "thumb" in lowered:

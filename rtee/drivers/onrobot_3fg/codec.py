@@ -52,7 +52,7 @@ class GripType(IntEnum):
 
     @property
     def sign(self) -> int:
-        """-1 where the fingertips' surfaces are nearer together than their centres, else +1."""
+        """-1 where the fingertips' surfaces are closer together than their centres, else +1."""
         return -1 if self is GripType.EXTERNAL else 1
 
 
@@ -94,10 +94,10 @@ class Status:
     """The gripper's state: registers 0100 to 0103.
 
     Attributes:
-        busy: It moves or builds up force.
-        grip_detected: It met an object.
-        force_grip: It holds with the force asked for.
-        calibrated: Its calibration is valid.
+        busy: Whether it moves or builds up force.
+        grip_detected: Whether it has met an object.
+        force_grip: Whether it holds with the target force.
+        calibrated: Whether its calibration is valid.
         raw_diameter: Between the fingertips' centres [0.1 mm].
         diameter: With the fingertips' offset, signed [0.1 mm].
         force: Force applied [0.1 %].
@@ -167,7 +167,7 @@ class Fingers:
         )
 
     def angle(self, raw_diameter: float) -> float:
-        """Return the angle of the pivots for a raw diameter [rad]; ends where the levers end."""
+        """Return the angle of the pivots for a raw diameter [rad], within the levers' reach."""
         radius = raw_diameter / 2.0
         cosine = (radius**2 - _PIVOT**2 - self.lever**2) / (2.0 * _PIVOT * self.lever)
         # Rounding, or a diameter beyond the levers, must not leave the range of the arc cosine.
@@ -176,15 +176,15 @@ class Fingers:
     def leverage(self, raw_diameter: float) -> float:
         """Return the share of the largest force that the fingers give at a raw diameter.
 
-        The manual draws the total force over the angle of the fingers: the lower the angle, the
-        more force, and an external grip begins at 30°. A motor of constant torque does that by
-        virtual work on the lever, which is assumed here; the manual gives no numbers.
+        The manual plots the total force over the angle of the fingers: the lower the angle, the
+        greater the force, and an external grip begins at 30°. A motor of constant torque acts like
+        that by virtual work on the lever, which is assumed here; the manual gives no numbers.
         """
         angle = max(self.angle(raw_diameter), _LOWEST)
         return min(1.0, self._way(_LOWEST) / max(self._way(angle), 1e-9))
 
     def _way(self, angle: float) -> float:
-        """Return how much the radius loses by a turn of the pivots [m/rad]."""
+        """Return the decrease of the radius by the angle of the pivots [m/rad]."""
         radius = self.raw_diameter(angle) / 2.0
         return _PIVOT * self.lever * math.sin(angle) / max(radius, 1e-9)
 
@@ -193,7 +193,7 @@ class Fingers:
         return raw_diameter + grip_type.sign * 2.0 * self.offset
 
 
-_PIVOT = 0.037  # radius on which the fingers turn [m], of published geometry; no manual gives it
+_PIVOT = 0.037  # radius of the fingers' pivots [m], from published geometry; no manual gives it
 
 _LOWEST = math.radians(30.0)
 """Lowest angle of the fingers in an external grip; the manual's range is 30° to 165°."""

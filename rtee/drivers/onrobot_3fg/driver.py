@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -29,7 +29,7 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import read_options
-from rtee.errors import ConfigError, DeviceFault, HandshakeError
+from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -43,7 +43,7 @@ _REACHED = 3
 """A diameter this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
 
 _STUCK_BUSY = 0.5
-"""Busy without moving for this long, it is stopped before it is asked to grip [s]."""
+"""Time of being busy without motion after which it is stopped before the next grip [s]."""
 
 _GRIP_POINTS = 33
 """Diameters at which the force is computed: linear interpolation between them is off by 1 %."""
@@ -70,15 +70,16 @@ class OnRobot3FGOptions(OnRobotOptions):
 class OnRobot3FGDriver(OnRobotDriver[Status]):
     """A 3FG15 or 3FG25.
 
-    The gripper accepts no speed, and force only with the command *grip*, which it ignores while it
-    is busy. So a reference that changes is followed by *move*; one that rests is gripped at, with
-    its effort, as soon as the gripper is free.
+    The gripper accepts no speed, and a force only with the command *grip*, which it ignores while
+    it is busy. So the driver follows a changing reference by *move*, and grips with the effort
+    limit at one that rests, as soon as the gripper is free.
     """
 
     Options: ClassVar[type[BaseModel] | None] = OnRobot3FGOptions
 
     MODEL: ClassVar[str] = "an OnRobot 3FG"
     EMULATOR: ClassVar[str] = "onrobot_3fg"
+    STATUS_TYPE: ClassVar[type[Any]] = Status
     SOURCE: ClassVar[int] = STATUS
     COUNT: ClassVar[int] = STATUS_COUNT
     SENT: ClassVar[int] = len(Command(0, 0).to_registers())
@@ -125,14 +126,11 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     # --- life --------------------------------------------------------------------------------
 
-    def _decoded(self, block: Sequence[int]) -> Status:
-        return Status.from_registers(block, self._settings.address) if block else Status()
-
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
         smallest, largest = await bus.read(unit, LIMITS, 2, deadline=CONNECTING)
         length, _, hole, offset = await bus.read(unit, GEOMETRY, 4, deadline=CONNECTING)
-        # Other tools of the vendor answer these registers with other contents.
+        # Other tools of the vendor have other contents in these registers.
         if hole not in (1, 2, 3) or not smallest < largest:
             raise HandshakeError(
                 self.spec.name,
@@ -195,23 +193,23 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
                 return None
             if not self._status.busy:
                 return self._command(force, diameter, Control.GRIP)
-            # Some obstacle keeps the motion from ending, and grip is ignored while it is busy.
+            # An obstacle keeps the motion from ending, and *grip* is ignored while it is busy.
             if now - self._moved_at > _STUCK_BUSY:
                 return self._command(force, diameter, Control.STOP)
         return self._motion(diameter, force)
 
     def _stays(self, diameter: int) -> bool:
-        """Return whether a target is where it is, with nothing sent yet or an object held."""
+        """Return whether a target asks for no motion: it is near, and nothing was sent, or held."""
         near = abs(diameter - self._status.raw_diameter) <= _SAME
         return near and (self._sent is None or self._status.grip_detected)
 
     def _may_grip(self, diameter: int, now: float) -> bool:
-        """Return whether the target rests and is one to grip at; one reached by a move is not."""
+        """Return whether to grip at a target: it rests, and no *move* has reached it already."""
         rests = now - self._wanted_since >= self.options.settle
         return rests and self._tightens(diameter) and (self._gripping or not self._at(diameter))
 
     def _motion(self, diameter: int, force: int) -> Command | None:
-        """Return the command that moves to a target; a grip under way has to be stopped before."""
+        """Return the command that moves to a target; a grip under way is stopped first."""
         busy, asked = self._status.busy, self._sent is not None and self._sent.diameter == diameter
         if asked and (self._at(diameter) or busy or self._gripping):
             return None
@@ -236,7 +234,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         return Command(force, diameter, self._kind, control)
 
     def _registers(self, command: Command) -> Sequence[int]:
-        """Return what goes over the wire for a command whose diameter is raw."""
+        """Return the registers to send for a command with a raw diameter."""
         wanted = max(command.diameter + self._tips, 0)
         return replace(command, diameter=wanted).to_registers()
 
@@ -255,10 +253,6 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     def _refuse(self, status: Status) -> None:
         if not status.calibrated:
-            self._active = False
-            raise DeviceFault(
-                self.spec.name,
-                3,
-                "calibration lost",
-                hint="restart the tool from the Compute Box's web page, then recover",
-            )
+            # The code is the number of the bit in the status.
+            hint = "restart the tool from the Compute Box's web page, then recover"
+            raise self._fault(3, "calibration lost", hint)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
@@ -20,17 +21,14 @@ from rtee.drivers.onrobot_emulator import (
     OnRobotEmulator,
     OnRobotProperties,
     Window,
-    fitting,
     identity,
 )
 from rtee.drivers.properties import Duration, Positive, read_properties
 
 _SETTINGS = 0x0401
-"""First register of the settings of the fingers; the targets are those from 0 on."""
-_THERE = 2e-4
-"""Two counts of the diameter register [m]: what the fingers can resolve."""
+"""First register of the fingers' settings; the targets begin at 0."""
 _APPROACH_FORCE = 50.0
-"""Force until the contact [N]; the connectivity guide says about 50."""
+"""Force before the contact [N]; the connectivity guide says about 50."""
 _FLEXIBLE_FORCE = 140.0
 """Greatest force of a flexible grip [N]; connectivity guide, register 3."""
 
@@ -44,7 +42,6 @@ class OnRobot3FGProperties(OnRobotProperties):
         smallest: Smallest raw diameter [m].
         largest: Largest raw diameter [m].
         speed: Of the diameter [m/s].
-        force_time: Time to build up the force after the contact [s].
         busy_ignores: While busy it ignores only ``grip``, or ``all`` commands but stop.
         target: Whether a target diameter is ``raw``, between the fingertips' centres, or between
             their surfaces, the ``tips``.
@@ -85,6 +82,8 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         IDENTITY,
     )
     WRITABLE: ClassVar[Sequence[Window]] = ((0x0000, 0x0003), (0x0401, 0x0404))
+    CONTROL: ClassVar[type[IntEnum]] = Control
+    NEAR: ClassVar[float] = 2e-4  # two counts of the diameter register [m], its resolution
 
     def __init__(self, properties: OnRobot3FGProperties | None = None) -> None:
         made = self.properties = properties or OnRobot3FGProperties()
@@ -109,24 +108,21 @@ class OnRobot3FGEmulator(OnRobotEmulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        found = fitting(options, "unit", "baudrate", "grip")
+        found = cls._fitting(options, "unit", "baudrate", "grip")
         return cls(read_properties(OnRobot3FGProperties, options, **found))
 
     def power_cycle(self, now: float) -> None:
-        """Forget the targets; encoders are absolute and the gears hold the fingers."""
-        self.line_reset()
-        self._targets = [0, round(self.axis.position * 1e4), 0, 0]
+        """Stop, and forget targets and contact; encoders are absolute and the gears hold."""
+        super().power_cycle(now)
         self._control = Control.NONE
-        self._busy = False
-        self._contact = False
-        self._reached = False
-        self._building = 0.0
-        self.axis.target = self.axis.position
         self.axis.max_effort = _APPROACH_FORCE
+
+    def _idle_targets(self) -> list[int]:
+        return [0, round(self.axis.position * 1e4), 0, 0]
 
     @property
     def _ends(self) -> tuple[float, float]:
-        """The raw diameters when open and when closed [m]."""
+        """Raw diameters of the open and of the closed gripper [m]."""
         made = self.properties
         inwards = made.grip == "external"
         return (made.largest, made.smallest) if inwards else (made.smallest, made.largest)
@@ -146,30 +142,24 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         self.axis.obstacle = VirtualObject(diameter, stiffness, closing=-1.0)
         self._targets = [force, round(self.properties.smallest * 1e4), 0, Control.GRIP]
         self._start(Control.GRIP)
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance_by(0.1)
-        self.moves = 0
+        self._settle()
 
     # --- registers -------------------------------------------------------------------------------
 
     def _set(self, address: int, values: Sequence[int]) -> None:
-        if address >= _SETTINGS:
-            start = address - _SETTINGS
-            settings = [*self._settings]
-            settings[start : start + len(values)] = values
-            if settings[2] not in (1, 2, 3):
-                raise Refused(ILLEGAL_VALUE)
-            self._settings = settings
-            self.fingers = Fingers(settings[0] * 1e-4, settings[2], settings[3] * 1e-5)
+        if address < _SETTINGS:
+            super()._set(address, values)
             return
-        self._targets[address : address + len(values)] = values
-        # Only a write that includes the control register starts anything, as on the device.
-        if address + len(values) == len(self._targets):
-            self._command(values[-1])
+        start = address - _SETTINGS
+        settings = [*self._settings]
+        settings[start : start + len(values)] = values
+        if settings[2] not in (1, 2, 3):
+            raise Refused(ILLEGAL_VALUE)
+        self._settings = settings
+        self.fingers = Fingers(settings[0] * 1e-4, settings[2], settings[3] * 1e-5)
 
     def registers(self) -> Mapping[int, int]:
-        """Return what is in the registers."""
+        """Return the values of the registers."""
         status = self.status()
         raw = status.raw_diameter * 1e-4
         known = dict(enumerate(self._targets))
@@ -193,7 +183,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         return Status(
             busy=self._busy,
             grip_detected=self._contact,
-            force_grip=self._contact and self._reached,
+            force_grip=self._contact and self._built_up == 1.0,
             calibrated="calibration_lost" not in self.faults,
             raw_diameter=round(raw * 1e4),
             diameter=round(self.fingers.diameter(raw, kind) * 1e4),
@@ -202,13 +192,9 @@ class OnRobot3FGEmulator(OnRobotEmulator):
 
     # --- behaviour -------------------------------------------------------------------------------
 
-    def _command(self, value: int) -> None:
-        try:
-            control = Control(value)
-        except ValueError:
-            raise Refused(ILLEGAL_VALUE) from None
+    def _command(self, control: Control) -> None:
         if control is Control.STOP:
-            self.axis.target = self.axis.position
+            self._halt()
             self._busy = False
             self._control = control
         elif control is not Control.NONE and "calibration_lost" not in self.faults:
@@ -219,11 +205,9 @@ class OnRobot3FGEmulator(OnRobotEmulator):
     def _start(self, control: Control) -> None:
         self._control = control
         self._busy = True
-        self._contact = self._reached = False
+        self._contact = False
         self._building = 0.0
-        self.axis.max_effort = (
-            min(_APPROACH_FORCE, self._force()) if self._grips else _APPROACH_FORCE
-        )
+        self.axis.max_effort = self._effort(0.0) if self._can_grip else _APPROACH_FORCE
         wanted = self._targets[1] * 1e-4
         if self.properties.target == "tips":
             wanted -= GripType(self._targets[2] & 1).sign * 2.0 * self.fingers.offset
@@ -232,26 +216,13 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         self.begun = self._targets[0]
 
     @property
-    def _grips(self) -> bool:
+    def _can_grip(self) -> bool:
         return self._control in (Control.GRIP, Control.FLEXIBLE_GRIP)
 
     def _force(self) -> float:
         most = _FLEXIBLE_FORCE if self._control is Control.FLEXIBLE_GRIP else self.properties.force
         return min(self._targets[0], 1000) / 1000 * most
 
-    def _advance_by(self, dt: float) -> None:
-        self.axis.advance(dt)
-        if not self._busy or self.axis.velocity != 0.0:
-            return
-        there = abs(self.axis.target - self.axis.position) < _THERE
-        if there or not self._grips or self.axis.stuck:
-            self._busy = False
-            return
-        self._contact = True
-        self._building += dt
-        part = min(self._building / max(self.properties.force_time, 1e-6), 1.0)
+    def _effort(self, part: float) -> float:
         low = min(_APPROACH_FORCE, self._force())
-        self.axis.max_effort = low + (self._force() - low) * part
-        if part >= 1.0:
-            self._reached = True
-            self._busy = False
+        return low + (self._force() - low) * part

@@ -20,7 +20,7 @@ OFFSET = 0x0102
 """Fingertip offset, signed [0.1 mm]."""
 
 STATE = 0x010B
-"""Width without the fingertips' offset; the status follows."""
+"""Width without the fingertips' offset [0.1 mm]; the status is in the next register."""
 
 TIPS_WIDTH = 0x0113
 """Width with the fingertips' offset [0.1 mm]."""
@@ -52,9 +52,9 @@ class Model:
         stroke: Largest width without fingertips [m].
         force: Largest force [N].
         link: Length of a finger's links, from pivot to pivot [m].
-        rise: How far the outer pivot is out of line with the link's frame [m].
-        gap: Width between the faces of the outer links' carriers where the links are upright [m].
-        speed: Of the links [rad/s].
+        rise: Offset of the outer pivot from the axis of the link's frame [m].
+        gap: Width between the faces of the outer links' carriers with upright links [m].
+        speed: Largest speed of the links [rad/s].
     """
 
     name: str
@@ -95,19 +95,19 @@ MODELS: dict[str, Model] = {
 """The models by the name in the options.
 
 The vendor's model gives gaps of -3.9 and -1.6 mm, with which neither gripper could open to its
-stroke: its links would have to be longer. They are taken to be those between fingertips of
-`FINGERTIP`; without them both models open to their stroke at about 1.3 rad.
+stroke: its links would have to be longer. They are assumed to be measured between fingertips of
+`FINGERTIP`; without fingertips both models then open to their stroke at about 1.3 rad.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the host asks for: registers 0 to 2, best written in one frame.
+    """A command: registers 0 to 2, best written in one frame.
 
     Attributes:
         force: Target force [0.1 N].
         width: Target width [0.1 mm].
-        control: What to do.
+        control: The kind of command.
     """
 
     force: int
@@ -120,10 +120,10 @@ class Command:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from three registers.
+        """Read a command from three registers.
 
         Raises:
-            FrameError: if control has no such value.
+            FrameError: if the third register has an unknown value.
         """
         try:
             return cls(registers[0], registers[1], Control(registers[2]))
@@ -136,12 +136,12 @@ class Status:
     """The gripper's state: registers 010B and 010C.
 
     Attributes:
-        width: Without the fingertips' offset [0.1 mm].
-        busy: It moves or builds up force, and ignores commands but *stop*.
-        grip_detected: It holds something, from outside or from inside.
-        pushed: Whether safety switch 1 and 2 are pushed.
+        width: Width without the fingertips' offset [0.1 mm].
+        busy: Whether it moves or builds up force, and ignores all commands but *stop*.
+        grip_detected: Whether it holds something, from outside or from inside.
+        pushed: Whether safety switches 1 and 2 are pushed.
         triggered: Whether they were pushed during a motion.
-        safety_error: One of them was pushed at power-up.
+        safety_error: Whether one of them was pushed at power-up.
     """
 
     width: int = 0
@@ -161,12 +161,13 @@ class Status:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from two registers.
+        """Read a state from two registers.
 
         Raises:
             FrameError: if bits without a meaning are set.
         """
         width, bits = registers[:2]
+        # Set reserved bits mean that these are not the registers of an RG.
         if bits & _RESERVED:
             raise FrameError(bus, f"no status of an RG: {bits:#06x}", bits.to_bytes(2, "big"))
         return cls(
@@ -182,9 +183,9 @@ class Status:
 class Scale:
     """Converts between registers and the actuator's units.
 
-    The actuator is the angle of a finger's links, as in `Model.angle`. The gripper regulates its
-    force at the fingertips itself, at any width; so effort is proportional to force, by the virtual
-    work of the whole way.
+    The position of the actuator is the angle of a finger's links, as in `Model.angle`. The gripper
+    controls the force at the fingertips, at any width; so effort is proportional to force, with the
+    factor from the virtual work over the whole stroke.
 
     Args:
         model: The gripper.
@@ -192,11 +193,12 @@ class Scale:
         upper: Its upper limit, open [rad].
 
     Attributes:
-        effort: Force [0.1 N] to [N·m].
+        effort: Scale between the force [0.1 N] and the effort [N·m].
     """
 
     def __init__(self, model: Model, lower: float, upper: float) -> None:
         self._model = model
+        # Virtual work: effort times the change of the angle is force times that of the width.
         most = model.force * (model.width(upper) - model.width(lower)) / (upper - lower)
         self.effort = LinearScale((0.0, model.force / _TENTH_NEWTON), (0.0, most))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
@@ -24,21 +24,23 @@ from rtee.drivers.onrobot_rg.codec import (
 )
 from rtee.drivers.options import read_options
 from rtee.drivers.step_follower import Order, StepFollower
-from rtee.errors import DeviceFault, HandshakeError
+from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _REACHED = 3
-"""A width this near to the measured one counts as reached [0.1 mm]: resolution and rounding."""
+"""Difference to the measured width within which a target counts as reached [0.1 mm]: resolution and
+rounding."""
 
 _SAME = 10
-"""A width this near to the measured one asks for no motion of a gripper just attached to [0.1 mm].
+"""Difference to the measured width within which a target commands no motion just after connecting
+[0.1 mm].
 
-It is ten times the resolution: a held object yields by some of that.
+It is ten times the resolution, since a held object yields a little.
 """
 
 _EMPTY = 10
-"""Fingertips this near to where they meet hold nothing [0.1 mm]: they press on each other."""
+"""Fingertips within this distance of each other hold nothing [0.1 mm]: they press on each other."""
 
 
 class OnRobotRGOptions(OnRobotOptions):
@@ -69,6 +71,7 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
     MODEL: ClassVar[str] = "an OnRobot RG"
     EMULATOR: ClassVar[str] = "onrobot_rg"
+    STATUS_TYPE: ClassVar[type[Any]] = Status
     SOURCE: ClassVar[int] = STATE
     COUNT: ClassVar[int] = len(Status().to_registers())
     SENT: ClassVar[int] = len(Command(0, 0).to_registers())
@@ -98,9 +101,6 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     # --- life --------------------------------------------------------------------------------
 
-    def _decoded(self, block: Sequence[int]) -> Status:
-        return Status.from_registers(block, self._settings.address) if block else Status()
-
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
         [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
@@ -123,12 +123,13 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         return signed(offset)
 
     async def activate(self) -> None:
-        """See that no safety switch keeps it from moving; set the fingertips' offset if given."""
+        """Check that no safety switch prevents motion; set the fingertips' offset if given."""
         await super().activate()
         wanted = self.options.fingertip_offset
         if wanted is None:
             return
         bus, tenths = self.connection.link.bus, round(wanted / TENTH_MM)
+        # Only if it differs, so that connecting changes no setting without need.
         if await self._offset(bus) != tenths:
             await bus.write(self.options.unit, SET_OFFSET, (tenths,), deadline=CONNECTING)
 
@@ -170,11 +171,11 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
 
     def _stopping(self) -> Sequence[int]:
         force = round(self._follower.force or 0.0)
-        # A measured width may be negative, and the register of the target has no sign.
+        # Stop needs a target, too. A measured width may be negative, but the register is unsigned.
         return Command(force, max(self._status.width, 0), Control.STOP).to_registers()
 
     async def recover(self) -> None:
-        """Stop, and see that no safety switch is pushed and none keeps it from moving."""
+        """Stop, and check that no safety switch is pushed or has tripped."""
         await super().recover()
         for i, pushed in enumerate(self._status.pushed):
             if pushed:
@@ -190,8 +191,3 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         if status.safety_error:
             name = "a safety switch was pushed at power-up"
             raise self._fault(6, name, f"free the switches, {restart}")
-
-    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
-        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
-        return DeviceFault(self.spec.name, code, name, hint=hint)

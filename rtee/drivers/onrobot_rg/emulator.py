@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self
 
-from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TARGETS, TENTH_MM, signed
@@ -20,7 +20,6 @@ from rtee.drivers.onrobot_emulator import (
     OnRobotEmulator,
     OnRobotProperties,
     Window,
-    fitting,
     identity,
 )
 from rtee.drivers.onrobot_rg.codec import (
@@ -38,20 +37,19 @@ from rtee.drivers.properties import Duration, read_properties
 _PUSHED_1, _PUSHED_2 = "safety_1", "safety_2"
 _SAFETY_ERROR = "safety_error"
 _NEAR = 1e-4
-"""Part of the largest force within which the force counts as built up, and of a radian within which
-a target counts as reached."""
+"""Error within which the force counts as built up [fraction of the largest force], and a target as
+reached [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class OnRobotRGProperties(OnRobotProperties):
-    """Properties of the emulated gripper besides those that all of them have.
+    """Properties of the emulated gripper in addition to those of all OnRobot grippers.
 
     Attributes:
         model: ``rg2`` or ``rg6``.
-        fingertip: Thickness of the fingertips mounted [m].
+        fingertip: Thickness of the mounted fingertips [m].
         offset: Fingertip offset in its registers at power-up [m].
         position: Width without fingertips at power-up [m]; by default open.
-        force_time: Time to build up the force after the contact [s].
         empty_grip: Whether fingertips that meet each other count as a grip.
         serial: Its serial number.
     """
@@ -60,7 +58,6 @@ class OnRobotRGProperties(OnRobotProperties):
     fingertip: Duration = FINGERTIP
     offset: Duration = FINGERTIP
     position: float | None = None
-    force_time: Duration = 0.1
     empty_grip: bool = True
     serial: str = "RG-EMULATED"
 
@@ -68,13 +65,13 @@ class OnRobotRGProperties(OnRobotProperties):
 class OnRobotRGEmulator(OnRobotEmulator):
     """An RG2 or RG6.
 
-    A safety switch that is pushed during a motion, or is pushed when a motion is asked for, stops
-    it until the switch is released and the tool is restarted.
+    A safety switch that is pushed during a motion, or when a motion is commanded, stops the motion
+    until the switch is released and the tool is restarted.
 
     Attributes:
         axis: Its links; position is their angle [rad], effort the force [N].
         begun: The force register when the last motion started.
-        stopped: Motions that a stop has ended.
+        stopped: Number of motions ended by a stop.
     """
 
     FAULTS: ClassVar[frozenset[str]] = OnRobotEmulator.FAULTS | {
@@ -89,6 +86,8 @@ class OnRobotRGEmulator(OnRobotEmulator):
         IDENTITY,
     )
     WRITABLE: ClassVar[Sequence[Window]] = ((TARGETS, TARGETS + 2), (SET_OFFSET, SET_OFFSET))
+    CONTROL: ClassVar[type[IntEnum]] = Control
+    NEAR: ClassVar[float] = _NEAR
 
     def __init__(self, properties: OnRobotRGProperties | None = None) -> None:
         made = self.properties = properties or OnRobotRGProperties()
@@ -102,7 +101,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
             upper=self._opened,
             max_velocity=model.speed,
             max_effort=0.0,
-            time_constant=0.01,
+            time_constant=0.01,  # short compared with a motion
             resolution=1e-4,
         )
         self.axis.rating = model.force
@@ -118,22 +117,17 @@ class OnRobotRGEmulator(OnRobotEmulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        found = fitting(options, "unit", "baudrate", "model")
+        found = cls._fitting(options, "unit", "baudrate", "model")
         return cls(read_properties(OnRobotRGProperties, options, **found))
 
     def power_cycle(self, now: float) -> None:
-        """Forget targets and safety stops; the encoder is absolute and the gear holds."""
-        self.line_reset()
-        self._targets = [0, round(self._width * 1e4), 0]
-        self._busy = False
-        self._contact = False
-        self._building = 0.0
+        """Stop, forget targets and safety stops; the encoder is absolute and the gear holds."""
+        super().power_cycle(now)
         self._triggered = [False, False]
         self._error = any(self._pushed)
-        self._halt()
 
-    def _halt(self) -> None:
-        self.axis.target = self.axis.position
+    def _idle_targets(self) -> list[int]:
+        return [0, round(self._width * 1e4), 0]
 
     @property
     def _width(self) -> float:
@@ -152,7 +146,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         """Return how far the fingers are closed at a width between the fingertips [m]."""
         reach = self.model.stroke - 2.0 * self.properties.fingertip
         if width > reach:
-            # Not a part of the way, so the caller refuses the object.
+            # Outside 0 to 1, so the caller refuses the object.
             return -1.0
         angle = self.model.angle(width + 2.0 * self.properties.fingertip)
         return (angle - self._opened) / (self._closed - self._opened)
@@ -161,25 +155,22 @@ class OnRobotRGEmulator(OnRobotEmulator):
         """Grip an object, as if another program had done so before.
 
         Args:
-            width: Of the object [m].
-            force: In the register [0.1 N].
-            stiffness: Of the object [N/rad of the links].
+            width: Width of the object [m].
+            force: Value of the force register [0.1 N].
+            stiffness: Stiffness of the object [N/rad of the links].
         """
         angle = self.model.angle(width + 2.0 * self.properties.fingertip)
         self.axis.obstacle = VirtualObject(angle, stiffness, closing=-1.0)
         self._targets = [force, 0, Control.GRIP]
         self._start(0.0)
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance_by(0.1)
-        self.moves = 0
+        self._settle()
 
     def on_faults(self) -> None:
-        """Push the safety switches and block the motor, as the faults say."""
+        """Push the safety switches and block the motor, according to the faults."""
         super().on_faults()
         for i, pushed in enumerate(self._pushed):
             if not pushed:
-                # Clearing the fault is releasing the switch and restarting the tool.
+                # Clearing the fault stands for releasing the switch and restarting the tool.
                 self._triggered[i] = False
             elif self._busy:
                 self._trip(i)
@@ -195,14 +186,11 @@ class OnRobotRGEmulator(OnRobotEmulator):
     def _set(self, address: int, values: Sequence[int]) -> None:
         if address == SET_OFFSET:
             self._offset = signed(values[0])
-            return
-        self._targets[address : address + len(values)] = values
-        # Only a write that includes the control register starts anything, as on the device.
-        if address + len(values) == len(self._targets):
-            self._command(values[-1])
+        else:
+            super()._set(address, values)
 
     def registers(self) -> Mapping[int, int]:
-        """Return what is in the registers."""
+        """Return the values of the registers."""
         status = self.status()
         known = {TARGETS + i: value for i, value in enumerate(self._targets)}
         known |= {OFFSET: self._offset, SET_OFFSET: self._offset}
@@ -227,11 +215,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
 
     # --- behaviour -------------------------------------------------------------------------------
 
-    def _command(self, value: int) -> None:
-        try:
-            control = Control(value)
-        except ValueError:
-            raise Refused(ILLEGAL_VALUE) from None
+    def _command(self, control: Control) -> None:
         if control is Control.STOP:
             self.stopped += self._busy
             self._busy = False
@@ -241,7 +225,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
             self._start((self._targets[1] + tips) * TENTH_MM)
 
     def _locked(self) -> bool:
-        """Return whether a safety switch keeps it from moving; one that is pushed now trips."""
+        """Return whether a safety switch prevents motion; one that is pushed now trips."""
         for i, pushed in enumerate(self._pushed):
             if pushed:
                 self._trip(i)
@@ -252,27 +236,21 @@ class OnRobotRGEmulator(OnRobotEmulator):
         self._busy = True
         self._contact = False
         self._building = 0.0
-        self.axis.max_effort = self._force() * _NEAR
+        # Almost no force until the contact; the gripper builds it up afterwards.
+        self.axis.max_effort = self._effort(0.0)
         angle = self.model.angle(min(max(width, 0.0), self.model.stroke))
         self.axis.target = min(max(angle, 0.0), self._opened)
         self.moves += 1
         self.begun = self._targets[0]
 
     def _force(self) -> float:
-        """Return the force asked for, within the model's [N]."""
+        """Return the target force, limited to the model's [N]."""
         return min(self._targets[0] / 10.0, self.model.force)
 
-    def _advance_by(self, dt: float) -> None:
-        self.axis.advance(dt)
-        if not self._busy or self.axis.velocity != 0.0:
-            return
+    @property
+    def _can_grip(self) -> bool:
         meet = math.isclose(self.axis.position, self._closed, abs_tol=_NEAR)
-        there = abs(self.axis.target - self.axis.position) < _NEAR
-        if there or self.axis.stuck or (meet and not self.properties.empty_grip):
-            self._busy = False
-            return
-        self._contact = True
-        self._building += dt
-        part = min(self._building / max(self.properties.force_time, 1e-6), 1.0)
-        self.axis.max_effort = self._force() * max(part, _NEAR)
-        self._busy = part < 1.0
+        return not meet or self.properties.empty_grip
+
+    def _effort(self, part: float) -> float:
+        return self._force() * max(part, _NEAR)

@@ -1,7 +1,7 @@
-"""The frames of the ORCA hand's touch board, and what is in them; no I/O.
+"""The frames of the ORCA hand's touch board and their data; no I/O.
 
-Source: framing, registers and data as the hand's open-source client has them. The board answers
-requests and, once told to, sends frames by itself; frames of joint encoders may come on the same
+Source: framing, registers and data from the hand's open-source client. The board answers requests
+and, once its stream is started, sends frames by itself; frames of joint encoders may share the
 line. Every frame ends with the two's complement of the sum of all bytes before it.
 """
 
@@ -21,7 +21,7 @@ from rtee.buses.parser import FramedParser
 from rtee.sample import FloatArray
 
 BAUDRATES = (921_600, 2_000_000)
-"""Rates of the board's own adapter, and of the line that it shares with the encoders [baud]."""
+"""Rates of the board's own adapter and of the line shared with the encoders [baud]."""
 
 NEWTONS = 0.1
 """Force of one count [N]."""
@@ -35,19 +35,19 @@ ENCODERS = 17
 _REQUEST, _REPLY, _STREAM, _ENCODER = b"\x55\xaa", b"\xaa\x55", b"\xaa\x56", b"\xaa\xa9"
 _HEAD = struct.Struct("<BBHH")  # 0, function, address, count
 _OVERHEAD = 9  # of a request or reply: header, the four above, and the check
-_AROUND = 6  # of a frame that comes unasked: header, 0, length, and the check
+_AROUND = 6  # of a streamed frame: header, 0, length, and the check
 _LARGEST = 512
-"""Bytes of registers that one exchange may have: more than the largest table, 168."""
+"""Largest number of register bytes in an exchange: more than the largest table, 168."""
 _ANGLE = 0x3FFF
 _TURN = 2.0 * math.pi / (_ANGLE + 1)  # of one count of an encoder [rad]
 
 
 class OrcaFrameError(ValueError):
-    """Bytes that are not a frame of the board, or not the content of one."""
+    """Bytes that are not a frame of the board, or not the data of one."""
 
 
 class Function(IntEnum):
-    """What a request asks for."""
+    """Functions of requests."""
 
     READ = 0x03
     WRITE = 0x10
@@ -64,7 +64,7 @@ class Register(IntEnum):
 
 
 class Content(IntFlag):
-    """What the frames hold that the board sends by itself."""
+    """Contents of streamed frames."""
 
     RESULTANTS = 1
     TAXELS = 2
@@ -86,7 +86,7 @@ _SLOTS: Mapping[str, tuple[int, int]] = {
 
 _PER_SLOT = 4  # modules of a slot; the third is the fingertip
 _TIP = 2
-_NORMAL = 2  # axis of a resultant that presses on the sensor, and so is never negative
+_NORMAL = 2  # axis of a resultant normal to the sensor, which is never negative
 _TAXEL, _RESULTANT = 3, 6  # bytes of each
 
 
@@ -102,8 +102,8 @@ class Request:
     Attributes:
         function: Read or write.
         address: First register.
-        count: Bytes of registers that are meant.
-        data: What is written.
+        count: Number of register bytes.
+        data: The bytes to write.
     """
 
     function: int
@@ -128,8 +128,8 @@ class Reply:
     Attributes:
         function: Read or write.
         address: First register.
-        count: Bytes of registers that are meant.
-        data: What was read; of a write one byte, 0 if it was done.
+        count: Number of register bytes.
+        data: The bytes that were read; after a write one byte, 0 for success.
     """
 
     function: int
@@ -147,7 +147,7 @@ class Stream:
     """A frame that the board sends by itself.
 
     Attributes:
-        error: 0 for none; the meaning of others is not published.
+        error: 0 for none; the meaning of other values is not published.
         data: Resultants and taxels of the connected fingers.
     """
 
@@ -156,7 +156,7 @@ class Stream:
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent."""
-        return _unasked(_STREAM, self.error, self.data)
+        return _streamed(_STREAM, self.error, self.data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +173,13 @@ class Encoders:
 
     def to_bytes(self) -> bytes:
         """Return the frame as sent."""
-        return _unasked(_ENCODER, self.error, self.data)
+        return _streamed(_ENCODER, self.error, self.data)
 
     def angles(self) -> FloatArray:
         """Return the joints' angles ``(17,)`` [rad]; ``NaN`` where an encoder reports an error."""
         found = np.frombuffer(self.data, dtype="<u2").astype(np.int64)
         ones = np.array([bin(word).count("1") for word in found.tolist()])
-        # Bit 14 tells an error of the encoder, bit 15 makes the number of ones even.
+        # Bit 14 is an error of the encoder, bit 15 makes the number of ones even.
         bad = (found & 0x4000 != 0) | (ones % 2 != 0)
         return np.where(bad, math.nan, (found & _ANGLE) * _TURN)
 
@@ -192,7 +192,7 @@ def _framed(header: bytes, function: int, address: int, count: int, data: bytes)
     return raw + bytes([check_of(raw)])
 
 
-def _unasked(header: bytes, error: int, data: bytes) -> bytes:
+def _streamed(header: bytes, error: int, data: bytes) -> bytes:
     raw = header + struct.pack("<BHB", 0, 1 + len(data), error) + data
     return raw + bytes([check_of(raw)])
 
@@ -226,7 +226,7 @@ class RequestParser(FramedParser[Request]):
 
 
 class AnswerParser(FramedParser[Answer]):
-    """Finds replies and frames that come unasked, for a host."""
+    """Finds replies and streamed frames, for a host."""
 
     HEADER: ClassVar[bytes] = b"\xaa"
     HEAD = 8
@@ -261,7 +261,7 @@ def connected(data: bytes) -> tuple[str, ...]:
     """Return the fingers whose tips are connected.
 
     Raises:
-        OrcaFrameError: if no board can say that.
+        OrcaFrameError: if it has another length, or names slots that do not exist.
     """
     known = bytearray(CONNECTED_SIZE)
     for byte, bit in _SLOTS.values():
@@ -309,7 +309,7 @@ def data_size(content: Content, counts: Sequence[int]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Forces:
-    """What a frame tells.
+    """The forces in a frame.
 
     Attributes:
         resultants: Forces on the connected fingertips ``(k, 3)`` [N]; z is the pressing force;
@@ -338,7 +338,7 @@ class Forces:
         taxels, at = [np.zeros((0, 3))], 0
         for finger, count in enumerate(counts):
             if content & Content.RESULTANTS:
-                # The high byte only extends the sign, and of z not even that is certain.
+                # The high byte only extends the sign, and for z not even that is certain.
                 raw = np.frombuffer(data, np.uint8, _RESULTANT, at)[::2]
                 resultants[finger] = _newtons(raw.reshape(1, 3))[0]
                 at += _RESULTANT

@@ -47,13 +47,13 @@ from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
 
 _WITHIN = 0.5
-"""Longest time for a reply [s], with two retries: what the hand's own client allows."""
+"""Longest time for a reply [s], with two retries, as in the hand's own client."""
 
 _SILENT = 2.0
 """Without a frame for this long [s] the stream is started again: a reset of the board ends it."""
 
 _AGAIN = 5.0
-"""That is done at most this often [s]."""
+"""Shortest time between two such starts [s]."""
 
 _CONTENT: Mapping[str, Content] = {
     "taxels": Content.TAXELS,
@@ -79,9 +79,9 @@ class OrcaTouchOptions(DeviceOptions):
 class OrcaTouchDriver(Driver):
     """The board with the touch sensors of up to five fingertips.
 
-    It sends frames by itself, as fast as its line carries them. A reading has the pressing force of
-    every taxel, or of every tip where taxels are not asked for. What pulls sideways, and the angles
-    of the joint encoders where these share the line, are further channels.
+    It sends frames by itself, as fast as its line carries them. A reading has the normal force of
+    every taxel, or of every tip if the board sends no taxels. The resultants, and the angles of
+    joint encoders on the same line, are further channels.
     """
 
     Options: ClassVar[type[BaseModel] | None] = OrcaTouchOptions
@@ -109,7 +109,7 @@ class OrcaTouchDriver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the line, ask which fingertips are connected, and have the board send frames."""
+        """Open the line, read which fingertips are connected, and start the stream of frames."""
         options = self.options
         bus = await self.connection.open(
             self.buses.serial(
@@ -159,7 +159,7 @@ class OrcaTouchDriver(Driver):
             },
             touch=sensors,
         )
-        # The rest of a frame of the connection before would spoil the first one of this.
+        # The rest of a frame from the previous connection would spoil the first new frame.
         self._stream.reset()
         bus.listen(self._hear)
         await self._arm(bus)
@@ -190,7 +190,7 @@ class OrcaTouchDriver(Driver):
             wanted = (request.function, request.address)
             return isinstance(answer, Reply) and (answer.function, answer.address) == wanted
 
-        # A parser of its own: bytes of the stream must not be lost to the other one's buffer.
+        # A separate parser: bytes of the stream must not end up in the buffer of this one.
         reply = await bus.transact(
             request.to_bytes(), AnswerParser(), _WITHIN, self.options.retries, accept=answers
         )
@@ -199,7 +199,7 @@ class OrcaTouchDriver(Driver):
 
     async def _arm(self, bus: SerialBus) -> None:
         """Start the stream, as the hand's own client does it; raises `BusError`."""
-        # First, so that a failure, too, is not repeated before its time.
+        # Before the writes, so that a failed start, too, is repeated only after `_AGAIN`.
         self._armed = time.monotonic()
         await self._write(bus, Register.STREAM, 0)
         await self._write(bus, Register.CONTENT, int(self._content))
@@ -246,20 +246,20 @@ class OrcaTouchDriver(Driver):
         )
 
     def _take(self) -> None:
-        """Make a reading of the newest frame, unless one was made lately."""
+        """Make a reading of the newest frame, at most at the option's rate."""
         if self._newest is None:
             return
         frame, stamp = self._newest
-        # A tenth less than the period: frames do not come at its multiples.
+        # A tenth less than the period, since frames do not arrive at multiples of it.
         if stamp - self._taken < 0.9 / self.options.touch_rate:
             return
         self._newest, self._taken, self._error = None, stamp, frame.error
         if frame.error:
-            return  # what it holds is not to be trusted; the last reading becomes stale
+            return  # its forces cannot be trusted; the last reading becomes stale
         try:
             forces = Forces.from_bytes(frame.data, self._content, self._counts)
         except OrcaFrameError:
-            # The board has no such code: the frame does not fit what it told when it was connected.
+            # A code of the driver's own: the frame does not match the fingertips at connection.
             self._error = 0xFF
             return
         if self._content & Content.RESULTANTS:

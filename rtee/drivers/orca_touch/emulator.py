@@ -30,7 +30,7 @@ _PERIOD = 1e-3
 """Time between two frames where the line carries them [s]."""
 
 _SPARE = 0.9
-"""Share of the line's time that frames take: replies have to pass, too."""
+"""Largest share of the line's capacity for frames: replies need the rest."""
 
 
 _Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
@@ -47,8 +47,8 @@ class OrcaTouchProperties:
 
     Attributes:
         taxels: Taxels of each fingertip that is connected.
-        encoders: Joint encoders share its line.
-        period: Time between two frames [s]; 0: as the line allows.
+        encoders: Whether joint encoders share its line.
+        period: Time between two frames [s]; 0: the shortest that the line allows.
     """
 
     taxels: dict[_Finger, _Taxels] = field(default_factory=_taxels)
@@ -61,7 +61,7 @@ class OrcaTouchEmulator(Emulator):
 
     Attributes:
         forces: Forces on the taxels of each finger ``(n, 3)`` [N].
-        content: What its frames hold.
+        content: Content of its frames.
         streaming: Whether it sends them.
         angles: Counts of the joint encoders ``(17,)``.
     """
@@ -108,7 +108,7 @@ class OrcaTouchEmulator(Emulator):
         self.period = self.properties.period or max(_PERIOD, carried)
 
     def power_cycle(self, now: float) -> None:
-        """Restart; it does not stream until it is told to."""
+        """Restart; it does not stream until the stream is started."""
         self._parser.reset()
         self.content, self.streaming = Content.RESULTANTS, False
         self._pace()
@@ -128,7 +128,7 @@ class OrcaTouchEmulator(Emulator):
         """Return the frame that is due, if one is."""
         if not self.streaming or "silent" in self.faults or now < self._due:
             return []
-        # From now on, not from when it was due: what was missed is never made up for.
+        # From now, not from the due time: missed frames are not sent later.
         self._due = now + self.period
         frames = [self._frame().to_bytes()]
         if self.properties.encoders:

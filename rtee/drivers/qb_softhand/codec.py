@@ -11,22 +11,22 @@ from typing import Self
 
 from rtee.buses.parser import FramedParser
 
-BAUDRATE = 2_000_000  # as from the factory [baud]
+BAUDRATE = 2_000_000  # the setting from the factory [baud]
 BAUDRATES = (BAUDRATE, 460_800)
 """Rates that a hand can be set to [baud]."""
 HEADER = b"\x3a\x3a"
-BROADCAST = 0  # every device answers to it, by its own number
+BROADCAST = 0  # every device answers it, with its own number
 LONGEST = 128
-"""Largest length byte that a device takes."""
+"""Largest length byte that a device accepts."""
 OVERHEAD = 4
 """Bytes of a frame that its length byte does not count."""
 _SHORTEST = 2
 """Smallest length byte: command and checksum."""
 TURNAROUND = 1e-3
-"""Latency of a USB adapter: time from a request to its answer beyond the wire's [s]."""
+"""Time from a request to its answer beside that on the wire: the latency of a USB adapter [s]."""
 
 _INT16 = tuple(struct.Struct(f">{count}h") for count in range(LONGEST // 2 + 1))
-"""Packed forms of 0 to 64 16-bit integers, the most that a frame can carry."""
+"""Formats of 0 to 64 16-bit integers, the largest number in a frame."""
 
 
 class QbFrameError(ValueError):
@@ -57,11 +57,11 @@ class Command(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame, either way; a legacy acknowledgement looks like a command without data.
+    """A request or an answer; a legacy acknowledgement looks like a command without data.
 
     Attributes:
         device: Number of the device that is addressed, or that answers.
-        command: What it is about.
+        command: Its command.
         data: Its data.
     """
 
@@ -113,7 +113,7 @@ class Parser(FramedParser[Frame]):
 def pack_int16(*values: float) -> bytes:
     """Return values as big-endian 16-bit integers, clamped into their range."""
     counts = [round(value) for value in values]
-    # Clamped only where packing fails: almost all values fit, and this runs every cycle.
+    # Clamped only if packing fails, since almost all values fit and this runs in every cycle.
     try:
         return _INT16[len(counts)].pack(*counts)
     except struct.error:
@@ -158,11 +158,11 @@ def activation(data: bytes) -> int:
 
 
 def acknowledged(frame: Frame, command: int) -> bool | None:
-    """Return what an acknowledgement of a command says, in either generation's form.
+    """Return whether a frame acknowledges a command as successful, in either generation's form.
 
-    ``None`` when the frame acknowledges something else.
+    ``None``: the frame acknowledges something else.
     """
-    # Legacy firmware: the command byte itself says whether it worked.
+    # In legacy firmware, the command byte itself is the result.
     if not frame.data and frame.command in {0, 1}:
         return frame.command == 1
     if frame.command == command and len(frame.data) == 1:

@@ -31,7 +31,7 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 INACTIVE = 1
-"""Code of the only detectable fault, inactive motors; the hand itself has no codes."""
+"""Code of the only detectable fault, inactive motors; the hand itself has no fault codes."""
 
 _CURRENT_LIMIT = 1.5
 """Current limit of a hand that does not report its own [A], as from the factory."""
@@ -39,31 +39,32 @@ _CURRENT_LIMIT = 1.5
 _ACTIVATION = 0.5
 """Longest time from ACTIVATE until the motors are active [s]."""
 
-# What published hosts send, also to a hand with one motor.
 _BOTH = b"\x03"
+"""Mask to activate both motors; published hosts send it to a hand with one motor, too."""
 
 
 class QbSoftHandOptions(DeviceOptions):
     """Options of a qb SoftHand.
 
     Attributes:
-        port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
+        port: A tty, ``socket://host:port`` or ``rfc2217://host:port``.
         device: Its number on the line.
         motors: 1 (SoftHand) or 2 (SoftHand 2).
-        baudrate: Rate the hand is set to [baud].
-        closure_ticks: Travel of a motor from open to closed [ticks]; else as the hand says, or
-            19000 if it does not.
-        effort_per_ampere: Effort per motor current; else the current limit counts as the actuator's
-            effort limit.
-        watchdog: The hand deactivates after this time of silence [s]; only firmware that has a
-            watchdog does; 0: off.
-        status_every: Number of exchanges after which it is checked that the motors are active.
+        baudrate: Rate that the hand is set to [baud].
+        closure_ticks: Travel of a motor from open to closed [ticks]; by default as the hand
+            reports, or 19000.
+        effort_per_ampere: Effort per motor current; by default such that the current limit is the
+            actuator's effort limit.
+        watchdog: Silence after which the hand deactivates [s], if its firmware has a watchdog;
+            0: off.
+        status_every: Number of exchanges after which the driver checks that the motors are active.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        turnaround: Time between a request and its answer that the wire does not explain [s].
+        turnaround: Time between a request and its answer beside that on the wire [s].
     """
 
     port: str = "/dev/ttyUSB0"
+    # 0 is the broadcast number.
     device: Annotated[int, Field(ge=1, le=127)] = 1
     motors: Literal[1, 2] = 1
     baudrate: Literal[2_000_000, 460_800] = 2_000_000
@@ -79,13 +80,13 @@ class QbSoftHandOptions(DeviceOptions):
 class QbSoftHandDriver(Driver):
     """A qb SoftHand on its serial line.
 
-    Currents and positions come in one exchange (two with two motors, whose combined answer older
-    firmware gets wrong); a reference is sent without an answer. The protocol has no set-points for
-    effort and speed, and no fault codes: what can be seen is that the motors are inactive. A hand
-    that is active stays so when the connection is closed.
+    Currents and positions are read in one exchange (two with two motors, for which the combined
+    answer of older firmware is wrong); a reference is sent without an answer. The protocol has no
+    set-points for effort and speed, and no fault codes: the only visible fault is that the motors
+    are inactive. An active hand stays active when the connection is closed.
 
     Attributes:
-        mapping: Between the actuators and the motors' ticks.
+        mapping: Mapping between the actuators and the motors' ticks.
     """
 
     Options: ClassVar[type[QbSoftHandOptions]] = QbSoftHandOptions
@@ -119,8 +120,7 @@ class QbSoftHandDriver(Driver):
         )
 
     def _exchange_time(self) -> float:
-        # Bytes on the wire: requests are six bytes; answers and the reference follow. Each byte
-        # takes ten bits.
+        # Bytes of requests (six each) with their answers, and of the reference; ten bits per byte.
         sizes = [6 + 16, 10] if self.options.motors == 1 else [6 + 14, 6 + 10, 10]
         wire = sum(sizes) * 10.0 / self.options.baudrate
         return wire + self.options.turnaround * (len(sizes) - 1)
@@ -138,7 +138,7 @@ class QbSoftHandDriver(Driver):
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
         )
         if not await link.ping():
-            # By broadcast: a hand with another number can then be named in the message.
+            # By broadcast, so that the message can name a hand with another number.
             found = await link.anybody()
             if found is not None:
                 raise HandshakeError(
@@ -179,22 +179,21 @@ class QbSoftHandDriver(Driver):
             self.mapping = OneMotor(ticks)
         else:
             lower = reported[0].lower if reported else TwoMotors().lower
-            # The second synergy needs a range below 0; where a hand reports none, the factory's
-            # counts.
+            # The second synergy needs a range below 0; if a hand reports none, use the factory's.
             if lower >= 0:
                 lower = TwoMotors().lower
             upper = reported[0].upper if reported else TwoMotors().upper
             if options.closure_ticks is not None:
-                # The common travel, upper + lower, is then the one that was given.
+                # Such that the common travel, upper + lower, is the given one.
                 upper = options.closure_ticks - lower
             self.mapping = TwoMotors(lower, upper)
 
     async def activate(self) -> None:
-        """Activate the motors where they are; leaves a hand that is active alone."""
+        """Activate the motors at their positions; an active hand is left as it is."""
         self.connection.link.patient = True
         if self.options.watchdog > 0.0:
             byte = codec.watchdog_byte(self.options.watchdog)
-            # Before the motors are active, so that they are never active without it.
+            # Before the motors, so that they are never active without a watchdog.
             await self.connection.link.send(Command.SET_WATCHDOG, bytes([byte]))
         held = await self._all_active()
         if not held:
@@ -202,13 +201,13 @@ class QbSoftHandDriver(Driver):
             await self._confirm()
         self._attached.begin(range(self.options.motors) if held else ())
         self._active = True
-        # An actuator that is not commanded keeps this reference.
+        # Actuators without a reference keep this one.
         self._closure = await self._measured()
         self.connection.link.patient = False
 
     async def _all_active(self) -> bool:
         every = (1 << self.options.motors) - 1
-        # Firmware differs: with one motor, some reports both bits and some the true mask.
+        # With one motor, some firmware reports both bits and some the true mask.
         return await self.connection.link.active() & every == every
 
     async def _confirm(self) -> None:
@@ -226,8 +225,9 @@ class QbSoftHandDriver(Driver):
         return self.mapping.to_closure(await link.integers(Command.GET_MEASUREMENTS, least))
 
     async def sense(self) -> ActuatorState:
-        """Return closure and motor currents."""
+        """Return closures and motor currents."""
         self._count += 1
+        # Not in every cycle, since the check takes another exchange.
         if self._active and self._count % self.options.status_every == 0:
             await self._check()
         currents: tuple[int, ...]
@@ -246,7 +246,7 @@ class QbSoftHandDriver(Driver):
         )
 
     def _efforts(self, current_limit: float) -> list[float]:
-        """Return the effort of each actuator per milliampere, ``NaN`` where it is not known."""
+        """Return the effort of each actuator per motor current [N·m/mA]; ``NaN``: unknown."""
         given = self.options.effort_per_ampere
         if given is not None:
             return [given * 1e-3] * self.options.motors
@@ -271,9 +271,10 @@ class QbSoftHandDriver(Driver):
             if len(self._attached.left(reference, self._here)) == self.options.motors:
                 return
             self._attached.begin()
-        wanted, asked = reference.position.tolist(), reference.mask.tolist()
-        if not all(asked):
-            both = zip(wanted, asked, self._closure, strict=True)
+        wanted, mask = reference.position.tolist(), reference.mask.tolist()
+        if not all(mask):
+            # A frame always has the references of both motors, so the others keep their last one.
+            both = zip(wanted, mask, self._closure, strict=True)
             wanted = [new if commanded else kept for new, commanded, kept in both]
         self._closure = tuple(wanted)
         await self._send(self._closure)
@@ -283,19 +284,19 @@ class QbSoftHandDriver(Driver):
         return self.connection.link.send(Command.SET_INPUTS, data)
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
             self._closure = await patiently(self._measured)
             await self._send(self._closure)
 
     async def disable(self) -> None:
-        """Deactivate the motors; the hand relaxes as far as friction lets it."""
+        """Deactivate the motors; the hand relaxes as far as friction allows."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Activate the motors again, where they are."""
+        """Activate the motors again at their positions."""
         self.connection.link.patient = True
         await self.connection.link.send(Command.ACTIVATE, _BOTH)
         await self._confirm()

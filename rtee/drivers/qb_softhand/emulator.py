@@ -1,6 +1,6 @@
 """Emulates a qb SoftHand on the wire.
 
-What differs between generations of firmware, or is not known, is an option here: the form of
+What differs between generations of firmware, or is not known, is a property here: the form of
 acknowledgements and long packets, the watchdog, the answer to GET_ACTIVATE, SET_INPUTS_ACK.
 """
 
@@ -23,8 +23,8 @@ from rtee.drivers.qb_softhand.parameters import SLOT, Parameter
 _LOWEST = -4_000
 """Lower limit of the motors of a hand with two [ticks]."""
 _RATES = {13: 460_800}
-"""Parameters of the baud rate's command and what they set [baud]; others set the factory's."""
-_TEXT_REQUEST = b"?\r\n"  # asks for the information text without a frame
+"""Rates by the parameter of SET_BAUDRATE [baud]; other parameters set the factory's rate."""
+_TEXT_REQUEST = b"?\r\n"  # requests the information text without a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +36,17 @@ class QbOptions:
         motors: 1 (SoftHand) or 2 (SoftHand 2).
         generation: Form of acknowledgements and long packets.
         limit: Upper limit of a motor [ticks]; the lower one is 0, or -4000 with two motors.
-        activation_mask: GET_ACTIVATE answers the true mask with one motor, too, as some firmware
-            does; else 3 or 0, as the vendor's library wants it.
-        watchdog: SET_WATCHDOG is implemented: silence deactivates the motors.
-        inputs_ack: SET_INPUTS_ACK is implemented.
-        startup_active: The motors are active after power-up, as from the factory.
-        boot_time: Time for which it is silent after power-up [s].
-        speed: Of a motor [ticks/s].
-        current_limit_ma: Of a motor [mA].
+        activation_mask: Whether GET_ACTIVATE returns the true mask with one motor, too, as in some
+            firmware; else 3 or 0, as the vendor's library expects.
+        watchdog: Whether SET_WATCHDOG is implemented: silence deactivates the motors.
+        inputs_ack: Whether SET_INPUTS_ACK is implemented.
+        startup_active: Whether the motors are active after power-up, as from the factory.
+        boot_time: Silence after power-up [s].
+        speed: Speed of a motor [ticks/s].
+        current_limit_ma: Current limit of a motor [mA].
         friction_ma: Current of a motor that moves freely [mA].
-        gain_ma: Current per tick between reference and position [mA]; no document gives it.
-        turnaround: Time between a request and its answer [s]; a USB adapter's latency, mostly.
+        gain_ma: Current per position error [mA/tick]; no document gives it.
+        turnaround: Time between a request and its answer [s], mostly a USB adapter's latency.
         text: The information text that it reports.
     """
 
@@ -83,9 +83,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
     Attributes:
         options: Its properties.
         axes: Its motors.
-        baudrate: Rate the line is set to [baud].
-        watchdog: Period of the watchdog [s], 0 when it is off.
-        frames: Frames taken, by command.
+        baudrate: Rate that the line is set to [baud].
+        watchdog: Period of the watchdog [s]; 0: off.
+        frames: Number of frames received, by command.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "low_supply"}
@@ -110,16 +110,14 @@ class QbSoftHandEmulator(Emulator, Grasps):
             for _ in range(made.motors)
         ]
         self.frames: dict[int, int] = {}
-        self._stepped: float | None = None
         self._accelerations = [0.0] * made.motors
         self.power_cycle(0.0)
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        names = ("device", "motors", "turnaround")
-        fitting = {name: options[name] for name in names if name in options}
-        return cls(read_properties(QbOptions, options, **fitting))
+        given = cls._given(options, "device", "motors", "turnaround")
+        return cls(read_properties(QbOptions, options, **given))
 
     def power_cycle(self, now: float) -> None:
         """Restart; the fingers stay where they are."""
@@ -130,7 +128,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self.watchdog = 0.0
         self._references = [0.0, 0.0]
         self._text = bytearray()
-        # Off first: only a motor that becomes active takes its position for its reference.
+        # First off, since only a motor that becomes active makes its position the reference.
         self._activate(0)
         self._activate(0x03 if self.options.startup_active else 0)
 
@@ -139,7 +137,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         self._parser.reset()
 
     def on_faults(self) -> None:
-        """Block the motors while they are stuck; a low supply takes their power."""
+        """Block the motors while they are stuck; a low supply deactivates them."""
         if "low_supply" in self.faults:
             self._activate(0)
         for axis in self.axes:
@@ -159,7 +157,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         for index, axis in enumerate(self.axes):
             active = bool(mask >> index & 1) and "low_supply" not in self.faults
             if active and not axis.enabled:
-                # On activation the firmware takes the present position for its reference: no jump.
+                # On activation the firmware makes the present position the reference: no jump.
                 axis.target = axis.position
                 self._references[index] = axis.position
             axis.enabled = active
@@ -171,8 +169,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; the hand sends nothing without a request."""
-        passed = 0.0 if self._stepped is None else now - self._stepped
-        self._stepped = now
+        passed = self._elapsed(now)
         for index, axis in enumerate(self.axes):
             before = axis.velocity
             axis.step(now)
@@ -183,7 +180,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes from the host and return the hand's replies."""
+        """Receive bytes from the host and return the hand's replies."""
         self.step(now)
         if "silent" in self.faults or now - self._boot < self.options.boot_time:
             return []
@@ -226,7 +223,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return self._obey(frame.command, frame.data)
 
     def _query(self, command: int) -> bytes | None:
-        """Return the data of the answer to a short query; ``None`` if the command is none."""
+        """Return the data of the answer to a short query; ``None``: not a query."""
         currents = [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
         positions = self._by_encoder([axis.position for axis in self.axes])
         match command:
@@ -251,7 +248,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         return None
 
     def _obey(self, command: int, data: bytes) -> bytes | None:
-        """Do what a command asks for; return the acknowledgement, where it has one."""
+        """Carry out a command; return its acknowledgement, ``None`` if it has none."""
         match command:
             case Command.ACTIVATE if data:
                 self._activate(data[0])
@@ -276,7 +273,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
 
     @staticmethod
     def _by_encoder(values: Sequence[float]) -> list[float]:
-        """Return the motors' values in the places of the encoders."""
+        """Return the motors' values in the order of the encoders."""
         # Three encoders with one motor and four with two, as the firmware reports them.
         if len(values) == 1:
             return [values[0], 0.0, 0.0]
@@ -304,6 +301,6 @@ class QbSoftHandEmulator(Emulator, Grasps):
             body += b"\x00" * (-(len(body) + 1) % 32)
             length = (len(body) + 1) // 32
         else:
-            # Longer than a byte can say: the real one is cut off the same way.
+            # Longer than a byte can hold; the real hand truncates it in the same way.
             length = (len(body) + 1) & 0xFF
         return HEADER + bytes([self._number, length]) + body + bytes([reduce(xor, body)])

@@ -1,4 +1,4 @@
-"""The SoftHand's commands over a bus, with and without an answer."""
+"""The SoftHand's commands on a bus, with and without an answer."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rtee.errors import BusTimeout, FrameError
 T = TypeVar("T")
 
 _LIST_DEADLINE = 0.4
-"""Longest time for the list of parameters, 700 bytes and more in one packet [s]."""
+"""Longest time for the list of parameters, a packet of 700 bytes or more [s]."""
 
 PATIENCE = 0.5
-"""Longest time for an exchange that belongs to no cycle [s]."""
+"""Longest time for an exchange outside the cycle [s]."""
 
 
 class QbLink:
@@ -29,7 +29,7 @@ class QbLink:
         device: The hand's number on it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        patient: Exchanges may take `PATIENCE`: during set-up there is no cycle to keep.
+        patient: Whether exchanges may take `PATIENCE`: during set-up there is no cycle to keep.
     """
 
     def __init__(self, bus: SerialBus, device: int, deadline: float, retries: int) -> None:
@@ -69,31 +69,32 @@ class QbLink:
         return True
 
     async def anybody(self) -> int | None:
-        """Return the number of the hand that answers, or ``None``; several garble each other."""
-        ping = Frame(BROADCAST, Command.PING).to_bytes()
+        """Return the number of the hand that answers, or ``None``; answers of several collide."""
         try:
-            # Without `accept`: which number answers is the question.
-            reply: Frame = await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+            return (await self._ping_all()).device
         except (BusTimeout, FrameError):
             return None
-        return reply.device
 
     async def hears_any(self) -> bool:
-        """Return whether any hand answers; several garble each other, which is an answer, too."""
-        ping = Frame(BROADCAST, Command.PING).to_bytes()
+        """Return whether any hand answers; a collision of several is an answer, too."""
         try:
-            await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+            await self._ping_all()
         except BusTimeout:
             return False
         except FrameError:
             return True
         return True
 
+    async def _ping_all(self) -> Frame:
+        ping = Frame(BROADCAST, Command.PING).to_bytes()
+        # Without `accept`, since any number may answer.
+        return await self.bus.transact(ping, self._parser, self.deadline, self.retries)
+
     async def parameters(self) -> dict[int, Parameter]:
-        """Return the hand's parameters by index, or nothing where it does not answer."""
+        """Return the hand's parameters by index; none if it does not answer."""
         request = Frame(self.device, Command.GET_PARAM_LIST, b"\x00\x00").to_bytes()
         try:
-            # One retry only: the whole list is sent again, and its defaults are known.
+            # Only one retry: the whole list is sent again, and defaults are known.
             return await self.bus.transact(
                 request, ListParser(self.device), _LIST_DEADLINE, retries=1
             )
@@ -105,7 +106,7 @@ class QbLink:
         return self._decoded(codec.activation, await self.request(Command.GET_ACTIVATE))
 
     async def integers(self, command: Command, least: int) -> tuple[int, ...]:
-        """Return the 16-bit values that a command answers; raises `BusError`."""
+        """Return the 16-bit values in the answer to a command; raises `BusError`."""
         return self._decoded(partial(codec.read_int16, least=least), await self.request(command))
 
     async def currents_and_positions(self) -> codec.CurrentsAndPositions:
@@ -122,5 +123,5 @@ class QbLink:
 
 @lru_cache(64)
 def _asking(device: int, command: Command, data: bytes) -> bytes:
-    """Return a request; there are few, and some are sent in every cycle."""
+    """Return a request, cached: there are few, and some are sent in every cycle."""
     return Frame(device, command, data).to_bytes()

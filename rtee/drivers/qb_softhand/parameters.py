@@ -1,4 +1,4 @@
-"""The qb devices' list of parameters: fifty bytes each, in a packet longer than any frame."""
+"""The list of parameters of qb devices: fifty bytes each, in a packet longer than any frame."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rtee.drivers.qb_softhand.codec import HEADER, Command, QbFrameError
 
 SLOT = 50  # bytes of a parameter
 MOST = 64
-"""Most parameters a list may have; more means that the bytes are something else."""
+"""Largest plausible number of parameters in a list."""
 
 _HEAD = 6
-"""Bytes ahead of the first parameter: header, device, length, command and number."""
+"""Bytes before the first parameter: header, device, length, command and number."""
 _SIGN = 0x8000
-"""A current limit from here on is a negative number in 16 bits."""
+"""Current limits from here on are negative 16-bit numbers."""
 _SIGNED = frozenset({3, 5})
 """Types of signed integers, of 16 and 32 bits, as limits are."""
 # Type byte to the form of a value (big-endian).
@@ -78,9 +78,9 @@ class Parameter:
 
 
 class ListParser:
-    """Reads a parameter list, by counting slots: the length byte of its packet says too little.
+    """Reads a parameter list by counting slots, since its length does not fit into a length byte.
 
-    What follows the slots (menus, padding, checksum) differs between generations and is left alone.
+    The bytes after the slots (menus, padding, checksum) differ between generations and are ignored.
 
     Attributes:
         errors: Packets that were not a parameter list.
@@ -103,7 +103,7 @@ class ListParser:
         self._buffer.clear()
 
     def feed(self, data: bytes) -> list[dict[int, Parameter]]:
-        """Take bytes and return the list completed by them, by index counted from 1."""
+        """Receive bytes and return the list that they complete, by index counted from 1."""
         buffer = self._buffer
         buffer += data[: self.LIMIT]
         del buffer[self.LIMIT :]
@@ -132,9 +132,9 @@ class ListParser:
 
     @staticmethod
     def _read(slots: bytes) -> dict[int, Parameter]:
-        """Return the parameters in the slots that are whole; raises `QbFrameError`."""
+        """Return the parameters in the complete slots; raises `QbFrameError`."""
         whole = len(slots) - len(slots) % SLOT
-        # Refused early: after a false header, slots would be waited for that never come.
+        # Refused early: after a false header, the parser would wait for slots that never come.
         if whole < len(slots) and slots[whole] not in _FORMS:
             raise QbFrameError("a parameter begins with its type")
         return {
@@ -152,7 +152,7 @@ class Limits:
 
 
 def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
-    """Return the motors' limits from a list, or nothing where it has none that make sense."""
+    """Return the motors' limits from a list; empty if it has no plausible ones."""
     found = parameters.get(Index.LIMITS)
     if found is None or len(found.values) < 2 or found.kind not in _SIGNED:
         return ()
@@ -162,7 +162,7 @@ def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
 
 
 def current_limit(parameters: Mapping[int, Parameter]) -> float | None:
-    """Return the current limit [A] from a list, or ``None`` where it has none."""
+    """Return the current limit [A] from a list, ``None`` if it has none."""
     found = parameters.get(Index.CURRENT_LIMIT)
     if found is None or not found.values or not 0 < found.values[0] < _SIGN:
         return None

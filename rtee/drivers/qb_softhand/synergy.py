@@ -1,4 +1,4 @@
-"""From closure to motor ticks: one motor, or the two motors and two synergies of a SoftHand 2."""
+"""Conversion between closures and motor ticks, for a SoftHand and for the two synergies of a 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MANIPULATION_TICKS = -4_000
 
 
 class Mapping(Protocol):
-    """Between the hand's actuators and its motors, both ways."""
+    """Conversion between the hand's actuators and its motors."""
 
     def to_ticks(self, closure: tuple[float, ...]) -> tuple[float, float]:
         """Return the references of both motors [ticks]."""
@@ -74,10 +74,10 @@ class TwoMotors:
 
     def to_closure(self, positions: tuple[int, ...]) -> tuple[float, ...]:
         """Return synergy and manipulation from the encoders [ticks]."""
-        # The motors' sum is 2 s R and their difference m (2 s R - 2 L), which gives s and m.
+        # The motors' sum is 2 s R and their difference m (2 s R - 2 L); solved for s and m.
         first, second = positions[0], positions[2]
         total = first + second
-        # Where both stand at their lower limit no manipulation is possible, and none is measured.
+        # At the lower limit of both motors, no manipulation is possible, and none is measured.
         reach = total - 2.0 * self.lower
         return (
             total / (2.0 * self.half),

@@ -1,4 +1,4 @@
-"""The replay driver: it measures the states of a recording; references change nothing."""
+"""The replay driver: it returns the states of a recording and ignores references."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from rtee.touch import TouchReading, TouchState
 from rtee.types import DeviceSpec, Reference
 
 _PATIENCE = 0.02
-"""Longest time that an exchange waits for the file [s]; longer, it would count as unanswered."""
+"""Longest time that `sense` waits for the file [s]; if it took longer, the supervisor would count a
+timeout."""
 
 _WORDS: dict[int, bool | None] = {-1: None, 0: False, 1: True}  # recorded values of `grasped`
 
@@ -40,14 +41,14 @@ class ReplayOptions(BaseModel):
 
 
 class ReplayDriver(Driver):
-    """Plays back the states of a recording, from the moment it is first activated.
+    """Plays back the states of a recording, starting when it is first activated.
 
-    Disabling it does not interrupt that, nor does activating it again.
+    Neither disabling nor activating it again interrupts the playback.
 
     Attributes:
-        now: The clock that it follows [s].
+        now: Clock of the playback [s].
         ended: Whether the recording has been played to its end.
-        behind: Whether the state that is due is still being read; the last one is kept.
+        behind: Whether the state that is due is still being read; `sense` repeats the last one.
     """
 
     Options = ReplayOptions
@@ -94,7 +95,7 @@ class ReplayDriver(Driver):
 
     async def activate(self) -> None:
         """See `Driver.activate`."""
-        # Begun once: the blocks before the present one are read no more.
+        # Only once, since the playback cannot go back to blocks that were read before.
         if self._begin is None:
             self._begin = self.now()
 
@@ -106,7 +107,7 @@ class ReplayDriver(Driver):
         self._patience = asyncio.get_running_loop().time() + _PATIENCE
         await self._advance(passed * self._options.speed)
         block, row = self._block, self._row
-        # The loop may ask more often than the recording has states.
+        # The loop may run faster than the recording was made.
         fresh, self._shown = row != self._shown, row
         words = block.grasped[row].tolist()
         return ActuatorState(
@@ -119,12 +120,12 @@ class ReplayDriver(Driver):
         )
 
     def _reading(self, states: Mapping[str, TouchState]) -> TouchReading | None:
-        """Return what touch sensors measured, of all recorded devices together."""
-        # The same mapping means that no message came since, and the reading stands.
+        """Return the joint reading of the touch sensors of all recorded devices."""
+        # The same mapping means that there was no new message, so the reading is unchanged.
         if states is not self._felt:
             self._felt = states
             current = {name: state.values for name, state in states.items() if not state.stale}
-            # Of a device that has measured nothing, or nothing lately, the values are not known.
+            # The values of a device without a recent measurement are NaN.
             values = [current.get(name, blank) for name, blank in self._blank.items()]
             if not self._blank.keys().isdisjoint(current):
                 self._touch = TouchReading(np.concatenate(values), self.now())
@@ -139,7 +140,7 @@ class ReplayDriver(Driver):
         self._beginning = self._following = None
         for task in reading:
             task.cancel()
-            # The thread may still be reading; the file is closed when it is done.
+            # The thread may still be reading, and the file must not be closed before it is done.
             await asyncio.wait([task])
         states, self._states = self._states, None
         self._block = self._next = None
@@ -154,31 +155,30 @@ class ReplayDriver(Driver):
         self._next = None
         self._row, self._shown = 0, -1
         self._first = 0.0 if self._block is None else float(self._block.stamp[0])
-        # In advance: the file is read while the present block is shown.
         self._fetch()
 
     def _fetch(self) -> None:
-        """Begin to read the block after this one."""
+        """Begin to read the next block in a thread, while the current one is played."""
         self._following = asyncio.ensure_future(anyio.to_thread.run_sync(next, self._blocks, None))
 
     async def _advance(self, played: float) -> None:
-        """Go to the last state that is not later than a time since the first one [s]."""
+        """Go to the last state that is not later than a time after the first one [s]."""
         if self._beginning is not None:
-            if not await self._there(self._beginning):
+            if not await self._has_read(self._beginning):
                 return
             beginning, self._beginning = self._beginning, None
             beginning.result()
-            # Time starts when the first block has been read, so that nothing of it is skipped.
+            # Time starts when the first block has been read, so that no state of it is skipped.
             self._begin, played = self.now(), 0.0
         wanted = self._first + played
         while self._block is not None:
             stamps = self._block.stamp
-            # Before the first stamp, too, there must be a state to show.
+            # Before the first time stamp, the first state is returned.
             self._row = max(0, int(np.searchsorted(stamps, wanted, side="right")) - 1)
             if self._row < len(stamps) - 1 or self.ended:
                 return
             if self._next is None and self._following is not None:
-                if not await self._there(self._following):
+                if not await self._has_read(self._following):
                     return
                 self._next, self._following = self._following.result(), None
             if self._next is not None:
@@ -194,8 +194,8 @@ class ReplayDriver(Driver):
             else:
                 self.ended = True
 
-    async def _there(self, reading: asyncio.Future[Any]) -> bool:
-        """Wait a moment for what is being read; return whether it has been read."""
+    async def _has_read(self, reading: asyncio.Future[Any]) -> bool:
+        """Wait for a reading thread until `sense` has to return; return whether it is done."""
         left = self._patience - asyncio.get_running_loop().time()
         done, _ = await asyncio.wait([reading], timeout=max(0.0, left))
         self.behind = not done

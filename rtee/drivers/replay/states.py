@@ -38,20 +38,20 @@ from rtee.touch import TouchSensor, TouchState
 Extras = Mapping[str, FloatArray]
 
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, EOFError, RuntimeError)
-"""What the mcap package raises for damaged bytes: its own, and what decompression raises; that of
-LZ4 is a `RuntimeError`."""
+"""Exceptions of the mcap package for damaged bytes: its own and those of decompression; LZ4 raises
+a `RuntimeError`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Some consecutive states.
+    """A block of ``k`` consecutive states of ``n`` actuators.
 
     Attributes:
-        stamp: When they were measured ``(k,)`` [s].
-        values: The quantities of `rtee.sample.MEASURED`, in its order ``(k, m, n)``.
-        grasped: The device's own report ``(k, n)``: 1 holding, 0 not holding, -1 no report.
-        extras: Further channels at each of them, such as pressure.
-        touch: The newest readings of touch sensors by device at each of them.
+        stamp: Times of measurement ``(k,)`` [s].
+        values: The ``m`` quantities of `rtee.sample.MEASURED`, in its order ``(k, m, n)``.
+        grasped: The devices' grasp detection ``(k, n)``: 1 holding, 0 not holding, -1 unknown.
+        extras: Further channels such as pressure, for each state.
+        touch: The newest readings of the touch sensors by device, for each state.
     """
 
     stamp: FloatArray
@@ -64,12 +64,13 @@ class Block:
 class RecordedStates:
     """Reads the states of some actuators from a recording; all methods may block.
 
-    Whatever is read where the file is damaged raises `LogError`.
+    Reading a damaged part of the file raises `LogError`.
 
     Args:
         path: The recording.
-        hand: The hand; a recording of one other hand will do, if it has the actuators.
-        actuators: The actuators, in the order wanted.
+        hand: Name of the hand; a recording of a single other hand is accepted, too, if it has the
+            actuators.
+        actuators: Names of the actuators, in the order of the states' columns.
 
     Raises:
         LogError: if the file cannot be read, or has no states of these actuators.
@@ -82,7 +83,7 @@ class RecordedStates:
         except OSError as error:
             raise LogError(f"cannot be opened: {error.strerror}", path=path) from error
         try:
-            # What was damaged may well be decompressed, to other numbers.
+            # Damaged data may decompress without an error, to wrong numbers.
             self._reader = make_reader(self._file, validate_crcs=True)
             self._topic = self._choose(hand)
             before = self._topic.removesuffix(ACTUATOR_STATES)
@@ -108,13 +109,13 @@ class RecordedStates:
         wanted = log_topic(hand, ACTUATOR_STATES)
         if wanted in topics:
             return wanted
-        # A recording of one other hand will do; of several, none can be chosen for the user.
+        # With several other hands in the recording, there is no reason to choose one.
         if len(topics) != 1:
             raise LogError(f"holds no states of the hand '{hand}'", path=self.path)
         return topics[0]
 
     def _find(self, actuators: tuple[str, ...]) -> list[int]:
-        # A channel may be declared without messages, and only a message names its actuators.
+        # A channel may have no messages, and only a message holds the names of the actuators.
         first = next(self._messages(), None)
         if first is None:
             raise LogError(f"holds no states in {self._topic}", path=self.path)
@@ -125,7 +126,7 @@ class RecordedStates:
         return [names.index(name) for name in actuators]
 
     def _stored(self, topics: Sequence[str]) -> Iterator[tuple[Schema | None, Channel, Message]]:
-        """Yield the messages of some topics as they are stored; raises `LogError`."""
+        """Yield the encoded messages of some topics; raises `LogError`."""
         try:
             yield from self._reader.iter_messages(topics=topics)
         except (*_DAMAGE, OSError) as error:
@@ -133,7 +134,7 @@ class RecordedStates:
             raise LogError(text, path=self.path) from error
 
     def _messages(self) -> Iterator[tuple[dict[str, Any], Extras, Mapping[str, TouchState]]]:
-        """Yield every state, with further channels and readings of touch as they were last."""
+        """Yield every state, with the latest further channels and touch readings."""
         extras: Extras = {}
         channels: Extras = {}
         sensors: dict[str, tuple[TouchSensor, ...]] = {}
@@ -153,14 +154,14 @@ class RecordedStates:
                         sensors |= sensors_of(fields)
                     else:
                         state = touch_of(fields, sensors)
-                        # A new mapping, since states that were yielded before hold the old one.
+                        # A new mapping, since states yielded before refer to the old one.
                         touch = {**touch, state.device: state}
             else:
-                channels = {**channels, **_channels(fields)}  # a message holds those that changed
+                channels = {**channels, **_channels(fields)}  # a message has only changed channels
                 extras = _short(channels)
 
     def blocks(self, size: int = 500) -> Iterator[Block]:
-        """Read the states from the beginning, in blocks of at most this many."""
+        """Read the states from the beginning, in blocks of at most ``size``."""
         messages = self._messages()
         while found := list(islice(messages, size)):
             rows = [row for row, *_ in found]
@@ -173,16 +174,16 @@ class RecordedStates:
             )
 
     def _column(self, row: dict[str, Any], name: str) -> NDArray[Any]:
-        """Return a quantity of the actuators; a recording may be older than the quantity."""
+        """Return a quantity of the actuators, or its default if the recording lacks it."""
         if name in row:
             values: NDArray[Any] = row[name][self._columns]
             return values
         return np.full(len(self._columns), COLUMNS[name].default)
 
     def touch_sensors(self) -> dict[str, tuple[TouchSensor, ...]]:
-        """Return the touch sensors by device, as they were first known."""
+        """Return the touch sensors by device, as first recorded."""
         found: dict[str, tuple[TouchSensor, ...]] = {}
-        # All messages: there is another one when a further device has measured for the first time.
+        # All messages, since each device adds one when it measures for the first time.
         for schema, _, message in self._stored([self._touch_topics[1]]):
             with contextlib.suppress(MessageError):
                 kind = _recorded(TYPES[TOUCH_SENSORS], schema)
@@ -190,7 +191,7 @@ class RecordedStates:
         return found
 
     def object_description(self) -> ObjectDescription | None:
-        """Return what a simulated device grasped, if it did."""
+        """Return the shape of the object that a simulated device grasped, if it is recorded."""
         topic = f"{self._topic.removesuffix(ACTUATOR_STATES)}{OBJECT}"
         found = next(self._stored([topic]), None)
         return None if found is None else convert.OBJECT.decode(found[2].data)
@@ -201,7 +202,7 @@ class RecordedStates:
 
 
 def _recorded(name: str, schema: Schema | None) -> MessageType:
-    """Return a type by the recording's own schema, which may be of another version."""
+    """Return a message type by the schema in the recording, which may be of another version."""
     text = schema.data.decode("utf-8", "replace") if schema else ""
     return recorded_type(name, text) if text else message_type(name)
 
@@ -214,6 +215,6 @@ def _channels(fields: dict[str, Any]) -> Extras:
 
 
 def _short(found: Extras) -> Extras:
-    """Return further channels by name, without the device's in front where they stay distinct."""
+    """Return further channels without the prefix ``DEVICE/``, if the names remain distinct."""
     short = {name.rpartition("/")[2]: values for name, values in found.items()}
     return short if len(short) == len(found) else found

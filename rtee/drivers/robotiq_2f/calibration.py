@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.errors import CalibrationError
-from rtee.hand.files import make_folder, write_atomically
 
 _LEAST_RANGE = 100
-"""Counts between the ends, at least; a gripper whose way is free has about 227."""
+"""Smallest plausible travel [counts]; a gripper that moves freely has about 227."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ def checked(stops: EndStops, device: str) -> EndStops:
     """Return a calibration unchanged.
 
     Raises:
-        CalibrationError: if the gripper cannot have moved the whole way.
+        CalibrationError: if the gripper cannot have moved over its whole range.
     """
     found = stops.closed_count - stops.open_count
     if found < _LEAST_RANGE:
@@ -55,14 +54,7 @@ def read_end_stops(path: Path, device: str, model: str, unit: int) -> EndStops:
     Raises:
         CalibrationError: if it is missing, of another gripper, or no calibration.
     """
-    try:
-        stops = EndStops(**json.loads(path.read_text("utf-8")))
-    except FileNotFoundError:
-        raise CalibrationError(
-            device, f"there is no calibration at {path}; `rtee calibrate` makes one"
-        ) from None
-    except (OSError, ValueError, TypeError) as error:
-        raise CalibrationError(device, f"{path} is not a calibration: {error}") from error
+    stops = read_calibration_file(path, device, lambda stored: EndStops(**stored))
     if (stops.model, stops.unit) != (model, unit):
         raise CalibrationError(
             device,
@@ -74,5 +66,4 @@ def read_end_stops(path: Path, device: str, model: str, unit: int) -> EndStops:
 
 def write_end_stops(path: Path, stops: EndStops) -> None:
     """Store a calibration; raises `ConfigError` if the file cannot be written."""
-    make_folder(path.parent)
-    write_atomically(path, json.dumps(asdict(stops), indent=2) + "\n")
+    write_json(path, asdict(stops))

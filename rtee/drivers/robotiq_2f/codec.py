@@ -56,9 +56,9 @@ class Model:
     Attributes:
         name: Its name.
         stroke: Distance of the fingertips when open [m].
-        speed: Slowest and fastest closing, of one fingertip against the other [m/s].
+        speed: Slowest and fastest closing, of one fingertip relative to the other [m/s].
         force: Weakest and strongest grip [N].
-        gap: Silence that its coupling needs between frames [s]; ``None``: what the line asks for.
+        gap: Silence that its coupling needs between frames [s]; ``None``: the line's default.
     """
 
     name: str

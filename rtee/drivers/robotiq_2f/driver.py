@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import GripForce
+from rtee.drivers.deadlines import time_limit
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
 from rtee.drivers.robotiq_2f.calibration import (
@@ -32,7 +32,7 @@ from rtee.drivers.robotiq_2f.codec import (
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import BusError, BusTimeout, CalibrationError, HandshakeError
+from rtee.errors import BusError, CalibrationError, HandshakeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -64,7 +64,7 @@ class Robotiq2FOptions(RobotiqOptions):
 class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     """A 2F-85, 2F-140 or Hand-E.
 
-    A gripper that holds an object and is asked to stay where it is keeps its grip.
+    A gripper that holds an object keeps its grip as long as the reference is the measured position.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
@@ -122,7 +122,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
                 options.unit, INPUT, _MORE, deadline=PATIENT, function=self._places()[2]
             )
         except BusError:
-            return  # it answers no more than its own registers
+            return  # it has no further registers
         second, third = block[3] & 0xFF, block[5] >> 8
         if second and third:
             raise HandshakeError(
@@ -139,7 +139,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base
         places = (OUTPUT, INPUT) if base is None else (base, base)
-        # At one place, function 3 reads what was written, function 4 what is measured.
+        # With one common base, function 3 reads what was written and function 4 what is measured.
         return *places, self.options.function or (3 if base is None else 4)
 
     def _gap(self) -> float | None:
@@ -165,10 +165,10 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         )
 
     def _grasped(self, status: Status) -> bool:
-        """Return whether something is held: by gOBJ and by the position.
+        """Return whether something is held, judged by gOBJ and by the position.
 
         Contact is not reported for thin objects: then the fingers stop short of a request that they
-        could have reached. Right after a new request, gOBJ may still be about the one before.
+        could have reached. Right after a new request, gOBJ may still be that of the previous one.
         """
         before, self._requested = self._requested, status.requested
         contact = False
@@ -199,8 +199,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         if abs(command.position - status.position) <= SAME:
             if self._sent is None:
                 return None
-            # The request beyond the object is what presses on it; the measured position would let
-            # go.
+            # The request beyond the object presses on it; the measured position would release it.
             if _holds(status):
                 command = replace(command, position=self._sent.position)
         self._sent = command
@@ -246,24 +245,21 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         return stops
 
     async def _end_stop(self, request: int) -> int:
-        """Go to an end slowly and weakly; return the count where the gripper stops."""
+        """Move to an end slowly and with little force; return the count where it stops."""
         # A quarter of the speed range and the least force: gentle on whatever is in the way.
         command = Command(activate=True, go=True, position=request, speed=64, force=0)
 
         def arrived(status: Status) -> bool:
-            # Right after the write, the status may still be about the request before.
+            # Right after the write, the status may still be that of the previous request.
             there = status.requested == request and status.going
             return there and status.grasp is not Grasp.MOVING
 
-        try:
-            async with asyncio.timeout(self.options.activation_timeout):
-                await self._write(command.to_registers())
-                await self._until(arrived)
-        # It is a `TimeoutError` too, but means a lost gripper and not a blocked one.
-        except BusTimeout:
-            raise
-        except TimeoutError:
-            raise CalibrationError(self.spec.name, "the fingers did not come to an end") from None
+        def blocked() -> CalibrationError:
+            return CalibrationError(self.spec.name, "the fingers did not come to an end")
+
+        async with time_limit(self.options.activation_timeout, blocked):
+            await self._write(command.to_registers())
+            await self._until(arrived)
         return self._status.position
 
 

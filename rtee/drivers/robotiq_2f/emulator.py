@@ -16,7 +16,7 @@ from rtee.drivers.properties import Byte, Duration, read_properties
 from rtee.drivers.robotiq_2f.codec import FAULTS as FAULTS_BY_CODE
 from rtee.drivers.robotiq_2f.codec import MODELS, Command, Grasp, Status
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
-from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties, fitting
+from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
 _SILENT = 0x09  # gFLT: no communication for at least a second
@@ -30,13 +30,13 @@ class Robotiq2FProperties(RobotiqProperties):
 
     Attributes:
         model: ``2f_85``, ``2f_140``, ``hand_e`` or ``hand_e_c10``.
-        position: Where the fingers are at power-up [counts].
+        position: Position of the fingers at power-up [counts].
         open_count: gPO when fully open.
         closed_count: gPO when fully closed.
-        output: First register of the output block; on TCP it lies at 0, too, as with Robotiq's
+        output: First register of the output block; on TCP it is at 0, too, as in Robotiq's
             universal controller, whose clients read by function 4.
         input: First register of the input block; likewise.
-        release_opens: Which way the automatic release goes; ``None``: as rARD says, 1 is opening.
+        release_opens: Whether the automatic release opens; ``None``: if the bit rARD is set.
         watch: Silence after which it reports lost communication [s].
     """
 
@@ -96,7 +96,7 @@ class Robotiq2FEmulator(RobotiqEmulator):
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
         names = ("unit", "baudrate", "model", "open_count", "closed_count")
-        found = fitting(options, *names)
+        found = cls._fitting(options, *names)
         if options.get("register_base") is not None:
             found |= {"output": options["register_base"], "input": options["register_base"]}
         return cls(read_properties(Robotiq2FProperties, options, **found))

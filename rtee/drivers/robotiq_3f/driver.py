@@ -36,13 +36,13 @@ _PRESSING = (Contact.OPENING, Contact.CLOSING)
 _OPEN, _CLOSED = 10, 250
 """A contact beyond these positions [count] is the end stop itself."""
 _SIMPLE = 3
-"""Registers that are enough for all fingers together: action, and the request of finger a."""
+"""Registers that command all fingers together: the action, and the request of finger a."""
 
 
 class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     """The three-finger gripper: all fingers together or each for itself, and the scissor.
 
-    A motor that presses on an object and is asked to stay where it is keeps pressing.
+    A motor that presses on an object keeps pressing while its reference is the measured position.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
@@ -81,7 +81,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     async def configure(self) -> None:
         """Open the line and check that such a gripper answers; moves nothing."""
         await super().configure()
-        # All fingers by one actuator: what presses on one side is what the other one takes.
+        # All fingers by one actuator: the force of one side is balanced by the other side.
         grip = GripForce(SCALES["fingers"].effort.si, FORCE[:1], FORCE[1:])
         fingers = [
             a.name
@@ -150,7 +150,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         return sum(axis.position for axis in axes) / len(axes)
 
     def _current(self, role: str) -> float:
-        # The largest of the three motors: heat and overload are a matter of one motor.
+        # The largest of the three motors: each motor heats and overloads for itself.
         return max(axis.raw_current for axis in self._axes(role)) * self.options.current_per_count
 
     def _grasped(self, role: str) -> bool | None:
@@ -158,7 +158,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         if role == "scissor" and self._status.mode is not Mode.SCISSOR:
             return None
         if role == "fingers":
-            touching = [self._touches(at) for at in (0, 1, 2)]  # each is asked every time
+            touching = [self._touches(at) for at in (0, 1, 2)]  # all, since each has a memory
             return any(touching)
         return self._touches(AXES.index(role))
 
@@ -169,7 +169,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
             (axis.contact is Contact.CLOSING and axis.position < _CLOSED)
             or (axis.contact is Contact.OPENING and axis.position > _OPEN)
         )
-        # Motors that are not commanded each for itself echo no request of their own.
+        # Motors without individual commands echo no request of their own.
         requested = axis.requested if self._sent is None else self._sent.axes[at].position
         moving = going and axis.contact is Contact.MOVING
         return self._grips[at].steady(contact, moving, axis.position, requested)

@@ -28,7 +28,7 @@ from rtee.drivers.robotiq_3f.codec import (
     Status,
 )
 from rtee.drivers.robotiq_common import COUNTS, INPUT, OUTPUT, Fault, Progress
-from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties, fitting
+from rtee.drivers.robotiq_emulator import RobotiqEmulator, RobotiqProperties
 from rtee.drivers.scale import LinearScale
 
 _SCISSOR_OF = {Mode.BASIC: 0x89, Mode.PINCH: 0xDC, Mode.WIDE: 0x19, Mode.SCISSOR: 0x19}
@@ -42,7 +42,7 @@ _FORCE = LinearScale(COUNTS, FORCE)
 """rFRx to [N]."""
 
 _OPEN = 6
-"""Count of a finger that is fully open, as in the manual's frames."""
+"""Position of a finger that is fully open [counts], as in the manual's frames."""
 
 _OBSTRUCTED, _MODE_FAILED = 0x0A, 0x0E  # gFLT: codes of the scissor
 
@@ -81,7 +81,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        found = fitting(options, "unit", "baudrate")
+        found = cls._fitting(options, "unit", "baudrate")
         return cls(read_properties(Robotiq3FProperties, options, **found))
 
     def _power_up(self, activated: bool) -> None:
@@ -89,7 +89,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
         super()._power_up(activated)
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close; the scissor meets nothing."""
+        """Return how the fingers close; the scissor does not close on an object."""
         return [Closing(axis, _OPEN, axis.upper, FORCE[1]) for axis in self.axes[:3]]
 
     # --- registers ---------------------------------------------------------------------------
@@ -173,7 +173,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
             return
         self._mode = mode
         self._progress, self._left = Progress.CHANGING, self.properties.mode_time
-        # The scissor's whole way and some more, within the time of a change.
+        # The scissor's whole range, 255 counts, with a margin, within the time of a change.
         self.axes[3].max_velocity = 300.0 / max(self.properties.mode_time, 1e-3)
         self.axes[3].target = _SCISSOR_OF[mode]
 
@@ -184,19 +184,16 @@ class Robotiq3FEmulator(RobotiqEmulator):
         if self._progress is Progress.ACTIVATING and scissor.target == scissor.lower:
             scissor.target = _SCISSOR_OF[Mode.BASIC]
 
-    def advance(self, now: float) -> None:
-        """Let time pass up to ``now``."""
-        before = self._now
-        super().advance(now)
+    def _progress_by(self, dt: float) -> None:
+        super()._progress_by(dt)
         if self._progress is Progress.CHANGING and self._fault not in (_OBSTRUCTED, _MODE_FAILED):
-            passed = 0.0 if before is None else max(0.0, now - before)
-            self._left -= passed * self.properties.haste
+            self._left -= dt
             self._finish()
 
 
 def _axis(position: float, lower: int) -> Axis:
     axis = Axis(position, lower=lower, upper=255, time_constant=0.01, friction=2.0, resolution=0.3)
-    # Currents are reported relative to the strongest grip, whatever force is asked for.
+    # Currents are reported relative to the strongest grip, independent of the commanded force.
     axis.rating = FORCE[1]
     return axis
 

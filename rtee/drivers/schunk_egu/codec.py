@@ -1,8 +1,8 @@
 """Parameters, cyclic images and error codes of SCHUNK's EGU and EGK on Modbus RTU; no I/O.
 
 Sources: the maker's own ROS 2 library, simulator and Python tools, which agree on parameters,
-images and bits. A parameter's number less one is its first register; its bytes follow each other in
-the registers in the order of the device's memory, numbers with the low byte first.
+images and bits. The first register of a parameter is its number minus one; the registers hold its
+bytes in the order of the device's memory, numbers with the low byte first.
 """
 
 from __future__ import annotations
@@ -59,21 +59,21 @@ MODULES: dict[int, str] = {
     **{17 + i: f"EGK {size} M-B" for i, size in enumerate((25, 40, 50))},
     **{20 + i: "EGU or EGK, SD" for i in range(8)},
 }
-"""Module types by their number; M: it maintains force and position without power."""
+"""Module types by their number; those with M maintain force and position without power."""
 
 
 class Control(IntFlag):
     """Bits of the control word."""
 
     RUN = 1 << 0
-    """Clear, it is a fast stop."""
+    """A cleared bit is a fast stop."""
     STOP = 1 << 1
     ACKNOWLEDGE = 1 << 2
     SHUTDOWN = 1 << 3
     SOFT_RESET = 1 << 4
     EMERGENCY_RELEASE = 1 << 5
     REPEAT = 1 << 6
-    """Toggled, the same command is given again."""
+    """Toggling it repeats the same command."""
     OUTWARD = 1 << 7
     JOG_MINUS = 1 << 8
     JOG_PLUS = 1 << 9
@@ -95,7 +95,7 @@ class Status(IntFlag):
     NOT_FEASIBLE = 1 << 3
     SUCCESS = 1 << 4
     RECEIVED = 1 << 5
-    """Toggles with every command that is taken."""
+    """Toggles with every accepted command."""
     WARNING = 1 << 6
     ERROR = 1 << 7
     RELEASED = 1 << 8
@@ -120,7 +120,7 @@ RESULTS = (
     | Status.LOST
     | Status.WRONG_WORKPIECE
 )
-"""Bits of which one at least tells that a command has ended."""
+"""Bits of which at least one is set when a command has ended."""
 
 FAST_STOP, SILENT, UNHEARD = 0xD9, 0xEF, 0xF7
 """Errors that are normal after power-up and after a pause: fast stop, and communication lost."""
@@ -177,10 +177,10 @@ class Output:
     """What the host writes in one frame.
 
     Attributes:
-        control: Control word; one command bit at most.
+        control: Control word with at most one command bit.
         position: Target [µm].
-        speed: Of a motion [µm/s]; 0 in a grip: the gripper's own.
-        force: Of a grip [%].
+        speed: Speed of a motion [µm/s]; 0 in a grip: the gripper's default.
+        force: Force of a grip [%].
     """
 
     control: Control = Control.RUN

@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
@@ -50,12 +51,12 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
-_UM = 1e-6  # m in the images' unit of lengths
+_UM = 1e-6  # unit of lengths in the images [m]
 _SAME, _REACHED = 500.0, 100.0
-"""Positions this near to the measured one ask for no motion of a gripper just attached to, and
-count as reached [µm]."""
+"""Difference to the measured position within which a target commands no motion just after
+connecting, and within which it counts as reached [µm]."""
 _TAKEN = 0.3
-"""Longest time until a command is taken [s]; the maker's tools wait as long."""
+"""Longest time until a command is accepted [s]; the maker's tools wait as long."""
 _READY = 1.0
 """Longest time until it is ready after an acknowledgement [s]."""
 _BRAKE_TEST = 5.0
@@ -63,11 +64,11 @@ _BRAKE_TEST = 5.0
 _POLL = 0.01
 """Time between two readings while waiting [s]."""
 _WRITE_GAP = 0.1
-"""Pause after an acknowledgement that was there already is withdrawn [s]; the maker's tools."""
+"""Pause between withdrawing an acknowledgement and the next one [s], as in the maker's tools."""
 _MISFIT = 1e-3
-"""How far the actuator's range may exceed the gripper's stroke [m]: rounding of models."""
+"""How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
 _EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
-_BRAKE = 0x28  # error: brake test
+_BRAKE = 0x28  # error code of a failed brake test
 
 
 class SchunkEguOptions(DeviceOptions):
@@ -99,10 +100,10 @@ class SchunkEguOptions(DeviceOptions):
 class SchunkEguDriver(BlocksDriver):
     """An EGU or EGK.
 
-    Each command is given by the rise of its bit, and taken when a bit of the status toggles. A
-    motion that meets something is an error, so the gripper closes by *grip*, with the force
-    asked for, and is stopped where the reference is; it opens by *release* and by motions to a
-    position. A reference that moves is followed in steps: see `StepFollower`.
+    A command is given by the rising edge of its bit; the gripper toggles a bit of the status when
+    it accepts it. A motion that meets an object is an error, so the gripper closes by *grip*, with
+    the effort limit, and is stopped at the reference; it opens by *release* and by motions to a
+    position. A moving reference is followed in steps: see `StepFollower`.
     """
 
     Options: ClassVar[type[BaseModel] | None] = SchunkEguOptions
@@ -128,16 +129,16 @@ class SchunkEguDriver(BlocksDriver):
     def _adopt(
         self, least: float, most: float, force: float, identity: Mapping[str, str], best_rate: float
     ) -> Capabilities:
-        """Take over the gripper's own limits: positions [µm], force [N]."""
+        """Derive scales and capabilities from the gripper's limits: positions [µm], force [N]."""
         actuator = self.spec.actuators[0]
-        opened = most if self.options.opens == "up" else least
-        closed = least if self.options.opens == "up" else most
-        # A finger's way in metres, from open at the lower limit.
+        opened, closed = (most, least) if self.options.opens == "up" else (least, most)
+        # The position of the actuator is the travel of a finger [m], open at its lower limit.
         end = opened + math.copysign(self._range / _UM, closed - opened)
         self.position = LinearScale(
             (opened, end), (actuator.lower, actuator.upper), ends=(least, most)
         )
-        # Both fingers move by it: a newton between the fingertips is two at one finger's slide.
+        # The smallest force is 1 %, the resolution of the register. The actuator moves both
+        # fingers, so a grip force of 1 N takes an effort of 2 N.
         weakest = force / 100.0
         self.effort = LinearScale((1.0, 100.0), (2.0 * weakest, 2.0 * force))
         return Capabilities(
@@ -153,7 +154,7 @@ class SchunkEguDriver(BlocksDriver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Open the line and ask what gripper it is; moves nothing."""
+        """Open the line and identify the gripper; moves nothing."""
         options = self.options
         blocks = await self.connection.open(
             self.buses.modbus(
@@ -170,7 +171,7 @@ class SchunkEguDriver(BlocksDriver):
                 source=Parameter.INPUT.register,
                 count=IMAGE,
                 deadline=PATIENT,
-                # The gripper has no function that does both.
+                # The gripper has no function that writes and reads at once.
                 kind="separate",
                 refresh=0.0,
             ),
@@ -189,6 +190,7 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _identify(self, blocks: Blocks) -> None:
         bus = blocks.bus
+        # The bytes of the register are in the gripper's order, low byte first.
         module = (await self._parameter(bus, Parameter.MODULE, 1))[0].to_bytes(2, "big")
         name = MODULES.get(int.from_bytes(module, "little"))
         if name is None:
@@ -246,7 +248,7 @@ class SchunkEguDriver(BlocksDriver):
         return await bus.read(self.options.unit, what.register, count, deadline=PATIENT)
 
     async def activate(self) -> None:
-        """Attach to a gripper that is ready; acknowledge what is normal after power-up."""
+        """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
         link = self.connection.link
         with link.unhurried():
             now = self._input = await self._read()
@@ -292,26 +294,23 @@ class SchunkEguDriver(BlocksDriver):
         finally:
             self.doing = ""
         if self._input.status & Status.NOT_FEASIBLE:
-            raise self._fault(_BRAKE, "brake test not feasible; has this model a brake?")
+            raise self._error(_BRAKE, "brake test not feasible; has this model a brake?")
         await self._write(Output(Control.RUN))
 
     async def _until(self, done: Callable[[Input], bool], within: float) -> None:
-        """Read until something is so; raises `DeviceFault` when that takes too long [s]."""
-        try:
-            async with asyncio.timeout(within):
-                while True:
-                    if done(await self._read_on()):
-                        return
-                    await asyncio.sleep(_POLL)
-        # A `BusTimeout` is a `TimeoutError` too, but means a lost gripper and not a slow one.
-        except BusTimeout:
-            raise
-        except TimeoutError:
-            what = self.doing or "becoming ready"
-            raise self._fault(self._input.error, f"{what} took too long") from None
+        """Read until a condition holds; raises `DeviceFault` when that takes too long [s]."""
+
+        def too_slow() -> DeviceFault:
+            return self._error(self._input.error, f"{self.doing or 'becoming ready'} took too long")
+
+        async with time_limit(within, too_slow):
+            while True:
+                if done(await self._read_on()):
+                    return
+                await asyncio.sleep(_POLL)
 
     async def examine(self) -> str:
-        """Raise the error that it reports, unless it is one that activation acknowledges."""
+        """Raise the error that it reports, unless activation acknowledges it."""
         now = await self._read()
         if now.error not in _EXPECTED:
             self._refuse(now)
@@ -352,7 +351,7 @@ class SchunkEguDriver(BlocksDriver):
         now = self._input
         here, held = float(now.position), bool(now.status & Status.GRIPPED)
         if self._gripping and self._running:
-            # A grip goes on to the end of its way, unless it is stopped where it should be.
+            # A grip closes fully unless it is stopped at the reference.
             if not self._closes(here, target) or force < (self._follower.force or 0.0):
                 await self._command(Control.STOP)
                 self._follower.halted(here)
@@ -362,7 +361,7 @@ class SchunkEguDriver(BlocksDriver):
             await self._command(Control.STOP)
             self._follower.sent()
         elif order is Order.GO and self._word != Control.RUN:
-            # In a cycle of its own: with the command it would take longer than a cycle has.
+            # In a separate cycle: together with the command it would take longer than a cycle.
             await self._write(Output(Control.RUN))
         elif order is Order.GO:
             await self._go(here, target, force, float(reference.max_velocity[0]), held)
@@ -371,7 +370,7 @@ class SchunkEguDriver(BlocksDriver):
         if self._closes(here, target) or (held and here == target):
             await self._command(Control.GRIP, force=force)
         elif held:
-            # It opens by a way of its own; the motion to the target follows when it has.
+            # It opens by its own release distance; the motion to the target follows.
             await self._command(Control.RELEASE)
             self._follower.forget()
             return
@@ -382,24 +381,24 @@ class SchunkEguDriver(BlocksDriver):
         self._follower.sent()
 
     def _closes(self, here: float, target: float) -> bool:
-        """Return whether a position [µm] is further closed than where it is."""
+        """Return whether a target [µm] is further closed than the present position."""
         further = target - here if self.options.opens == "down" else here - target
         return further > _REACHED
 
     async def _command(
         self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
     ) -> None:
-        """Give a command: by the rise of its bit, so without any command before."""
+        """Give a command by the rising edge of its bit, which needs a write without it before."""
         if self._word != Control.RUN:
             await self._write(Output(Control.RUN))
-        # Noted before it is written: an answer that is lost may leave it begun.
+        # Before the write: if only the answer is lost, the command has begun.
         self._gripping = control is Control.GRIP
         self._running = True
         self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
         await self._write(Output(Control.RUN | control, position, speed, force))
 
     def _waits(self) -> bool:
-        """Return whether the last command is still to be taken; one never taken is given up."""
+        """Return whether the last command is not accepted yet; after a while it is given up."""
         if self._asked is None:
             return False
         if time.monotonic() - self._asked[1] > _TAKEN:
@@ -420,6 +419,7 @@ class SchunkEguDriver(BlocksDriver):
         if not self.connection.is_open:
             return
         if self._input.status & Status.GRIPPED and not self._running:
+            # A stop is not needed, and might end the grip.
             self._forget()
             return
         await self._insist(Output(Control.RUN).to_registers())
@@ -427,7 +427,7 @@ class SchunkEguDriver(BlocksDriver):
             self._forget()
 
     async def recover(self) -> None:
-        """Acknowledge the error; what it was doing is not gone on with."""
+        """Acknowledge the error; the interrupted command is not continued."""
         with self.connection.link.unhurried():
             await self._read_on()
             if not self._ready(self._input):
@@ -437,14 +437,12 @@ class SchunkEguDriver(BlocksDriver):
 
     def _refuse(self, now: Input) -> None:
         if now.status & Status.ERROR:
-            name = ERRORS.get(now.error, "an error that no document names")
-            raise self._fault(now.error, name)
+            raise self._error(now.error, ERRORS.get(now.error, "an error that no document names"))
 
-    def _fault(self, code: int, name: str) -> DeviceFault:
-        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
-        hint = "remove the cause, then `rtee recover`, which acknowledges it"
-        return DeviceFault(self.spec.name, code, name, hint=hint)
+    def _error(self, code: int, name: str) -> DeviceFault:
+        return self._fault(
+            code, name, "remove the cause, then `rtee recover`, which acknowledges it"
+        )
 
     # --- the wire ----------------------------------------------------------------------------
 
@@ -452,7 +450,7 @@ class SchunkEguDriver(BlocksDriver):
         return Input.from_registers(await self.connection.link.read(), self.options.port)
 
     async def _read_on(self) -> Input:
-        """Read the image and see how far the last command is."""
+        """Read the image and update the progress of the last command."""
         now = self._input = await self._read()
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
             self._asked = None
@@ -461,7 +459,7 @@ class SchunkEguDriver(BlocksDriver):
         return now
 
     async def _write(self, output: Output) -> None:
-        # Not known as long as nothing has answered.
+        # Unknown until the gripper has answered.
         self._word = None
         await self.connection.link.write(output.to_registers())
         self._word = output.control

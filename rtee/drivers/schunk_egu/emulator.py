@@ -42,7 +42,7 @@ _COMMANDS = (
 _MOVE_FORCE = 0.3
 """Force of a motion that is not a grip, as a share of the largest; no document states it."""
 _NEAR = 0.02
-"""Position within which a target counts as reached [mm]."""
+"""Distance below which a target counts as reached [mm]."""
 _ERRORS: Mapping[str, int] = {
     "motor_hot": 0x6D,
     "motor_supply_low": 0x74,
@@ -58,19 +58,19 @@ class SchunkEguProperties:
 
     Attributes:
         unit: Its number on the line.
-        baudrate: Bits per second.
+        baudrate: Bit rate of the line [bit/s].
         module: Its module type.
-        stroke: Largest position, of one finger [mm]; the least is 0.
+        stroke: Largest position of one finger [mm]; the smallest is 0.
         position: Position of a finger at power-up [mm].
         force: Largest grip force [N].
-        speed: Fastest motion [mm/s].
-        grip_speed: Speed of a grip that names none [mm/s].
-        release: Way by which it opens on release [mm].
+        speed: Largest speed [mm/s].
+        grip_speed: Speed of a grip whose command gives no speed [mm/s].
+        release: Distance by which it opens on release [mm].
         force_time: Time to build up the force after the contact [s].
         watch: Silence after which it stops with an error [s].
-        ready: It is ready at power-up, as after an earlier connection.
+        ready: Whether it is ready at power-up, as after an earlier connection.
         serial: Its serial number.
-        haste: How much faster than the real one it moves.
+        haste: Factor by which it moves faster than the real one.
     """
 
     unit: Byte = 12
@@ -94,10 +94,10 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     Attributes:
         axis: One finger; position in mm, effort the force [N].
-        moves: Times a motion was started.
+        moves: Number of motions started.
         begun: Force of the last grip [%]; motions have none.
-        tests: Brake tests done.
-        taken: Commands that it took, newest last, for tests.
+        tests: Number of brake tests.
+        taken: Accepted commands, newest last, for tests.
     """
 
     FAULTS: ClassVar[frozenset[str]] = ModbusEmulator.FAULTS | frozenset(_ERRORS)
@@ -122,15 +122,13 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         self.begun = 0
         self.tests = 0
         self.taken: list[Control] = []
-        self._now: float | None = None
         self._start(made.ready)
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        names = ("unit", "baudrate")
-        found = {name: options[name] for name in names if options.get(name) is not None}
-        return cls(read_properties(SchunkEguProperties, options, **found))
+        given = cls._given(options, "unit", "baudrate")
+        return cls(read_properties(SchunkEguProperties, options, **given))
 
     def _start(self, ready: bool) -> None:
         self._output = Output(Control.RUN if ready else Control(0))
@@ -158,17 +156,18 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width [m], of which each has half."""
+        """Return how far the fingers are closed at a width [m]; each moves by half of it."""
         return 1.0 - 1e3 * width / 2.0 / self.properties.stroke
 
     def grip_object(self, position: float = 15.0, stiffness: float = 200.0) -> None:
         """Grip an object, as if another program had done so before.
 
         Args:
-            position: Of a finger when it meets the object [mm].
-            stiffness: Of the object [N/mm].
+            position: Position of a finger when it meets the object [mm].
+            stiffness: Stiffness of the object [N/mm].
         """
         self._start(True)
+        # At least 5 mm open, so that the fingers close on the object.
         self.axis.position = max(self.axis.position, position + 5.0)
         self.axis.obstacle = VirtualObject(position, stiffness, closing=-1.0)
         self._obey(Output(Control.RUN | Control.GRIP, force=50))
@@ -201,7 +200,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         raise Refused(ILLEGAL_ADDRESS)
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Take an output image, whole."""
+        """Write the output image, always as a whole."""
         self._hear(now)
         if address != Parameter.OUTPUT.register:
             raise Refused(ILLEGAL_ADDRESS)
@@ -242,7 +241,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         """Return the input image."""
         ready = self._error == 0
         status = self._results
-        # As captured from a real one, which after power-up reports error and brake.
+        # As captured from a real gripper, which after power-up reports error and brake.
         status |= Status.READY if ready else Status.ERROR | Status.BRAKE
         status |= Status.RECEIVED if self._toggle else Status(0)
         return Input(status, round(1e3 * self.axis.position), self._error)
@@ -254,7 +253,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         if not output.control & Control.RUN:
             self._fail(FAST_STOP)
             return
-        # A command is given by the rise of its bit, or by a change of the repeat bit.
+        # A command is given by the rising edge of its bit, or by a change of the repeat bit.
         risen = output.control & ~before.control & _COMMANDS & ~Control.REPEAT
         if (output.control ^ before.control) & Control.REPEAT:
             risen = output.control & _COMMANDS & ~Control.REPEAT
@@ -322,8 +321,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""
-        dt = 0.0 if self._now is None else max(0.0, now - self._now)
-        self._now = now
+        dt = self._elapsed(now)
         silent = self._heard is not None and now - self._heard > self.properties.watch
         if silent and not self._error:
             # A break in the communication stops it; the brake holds what is gripped.

@@ -25,9 +25,9 @@ class Channel:
         max_offset: Upper soft limit relative to the stop [ticks].
         idle_offset: Where homing leaves it, relative to the stop [ticks].
         range: Travel between the soft limits [rad].
-        reset_factor: Part of the current limit at which the stop counts as reached.
-        force_slope: Force at the fingertip per current [N/mA]; 0 when it is not known.
-        force_offset: Force at no current [N].
+        reset_factor: Share of the current limit at which the stop counts as reached.
+        force_slope: Force at the fingertip per current [N/mA]; 0 if not known.
+        force_offset: Force at zero current [N].
         lever: Distance from the joint to the fingertip [m].
     """
 
@@ -58,7 +58,7 @@ class Channel:
         return stop + (self.max_offset if self.direction > 0 else self.min_offset)
 
     def idle(self, stop: int) -> int:
-        """Return where homing leaves the channel [ticks]: inside the limits, off the stop."""
+        """Return the position after homing [ticks]: inside the limits, off the stop."""
         return stop - self.direction * abs(self.idle_offset)
 
     def to_rad(self, ticks: float, zero: int) -> float:
@@ -74,15 +74,15 @@ class Channel:
         return abs(velocity / self.rad_per_tick)
 
     def to_effort(self, current_ma: float) -> float:
-        """Return the effort [N·m] of a current [mA]: positive closes; ``NaN`` when not known."""
+        """Return the effort [N·m] of a current [mA], positive if it closes; ``NaN``: not known."""
         if self.force_slope == 0.0:
             return math.nan
-        # The offset may be negative: below some current, friction leaves no force.
+        # The offset may be negative: small currents are used up by friction.
         size = max(0.0, self.force_slope * abs(current_ma) + self.force_offset) * self.lever
         return math.copysign(size, current_ma * -self.direction)
 
     def to_current(self, effort: float) -> float:
-        """Return the current [mA] that gives an effort [N·m]; ``NaN`` when not known."""
+        """Return the current [mA] for an effort [N·m]; ``NaN``: not known."""
         if self.force_slope == 0.0:
             return math.nan
         return max(0.0, (abs(effort) / self.lever - self.force_offset) / self.force_slope)
@@ -104,16 +104,16 @@ CHANNELS: tuple[Channel, ...] = (
 """The channels in the order of the wire, with the offsets built into the vendor's library."""
 
 HOMING_ORDER: tuple[int, ...] = (3, 5, 1, 0, 8, 4, 2, 6, 7)
-"""Channels in the order in which they are homed and enabled without their fingers colliding."""
+"""Channels in the order of homing and enabling in which the fingers do not collide."""
 
 HOMING_RATE = 0.2
-"""Part of the normal speed at which a channel looks for its stop: it hits the stop gently."""
+"""Share of the normal speed at which a channel approaches its stop, to hit it gently."""
 
 
 def channels_for(firmware: tuple[int, int]) -> tuple[Channel, ...]:
-    """Return the channels with the offsets that belong to a firmware version."""
+    """Return the channels with the offsets for a firmware version."""
     table = list(CHANNELS)
-    # A hand that reports no version, 0.0, is treated like 1.2.
+    # Version 0.0, which is none, is treated like 1.2.
     if firmware in {(0, 0), (1, 2)}:
         table[1] = replace(table[1], min_offset=-105_000)
         table[8] = replace(table[8], min_offset=-57_000)
@@ -153,10 +153,10 @@ def current_settings(channel: int) -> CurrentSettings:
 
 
 def channel_of(actuator: str) -> int:
-    """Return the channel that an actuator's name ends with, any prefix before it.
+    """Return the channel whose name is an actuator's name after any prefix.
 
     Raises:
-        KeyError: if it ends with no channel's name.
+        KeyError: if the actuator's name ends with no channel's name.
     """
     for channel in CHANNELS:
         if actuator == channel.name or actuator.endswith(f"_{channel.name}"):

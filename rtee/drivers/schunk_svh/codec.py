@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import astuple, dataclass
 from enum import IntEnum
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from rtee.buses.parser import FramedParser
 
@@ -13,15 +13,15 @@ BAUDRATE = 921_600  # [baud]; the hand has no other
 CHANNELS = 9  # motors of the hand
 SYNC = b"\x4c\xaa"  # begins every packet
 PAYLOAD = 64
-"""Bytes of data in every packet of the host, padded with zeros."""
+"""Data bytes in every packet of the host, padded with zeros."""
 _OVERHEAD = 8
 """Bytes of a packet besides its data: header of six, two checksums."""
 PACKET = PAYLOAD + _OVERHEAD
 """Bytes of a padded packet on the wire."""
 GAP = 782e-6
-"""Pause the hand needs after each packet of the host [s]."""
+"""Pause that the hand needs after each packet of the host [s]."""
 TURNAROUND = 5e-4
-"""Time from a request to its reply that the wire does not explain [s]; an assumption."""
+"""Time from a request to its reply beside that on the wire [s]; an assumption."""
 
 _HEADER = struct.Struct("<2sBBH")
 
@@ -50,7 +50,7 @@ class Command(IntEnum):
 
 def checksums(data: bytes | bytearray) -> tuple[int, int]:
     """Return the sum modulo 256 and the exclusive-or of the data bytes."""
-    folded = int.from_bytes(data, "little")  # whole words at once: this is done in every cycle
+    folded = int.from_bytes(data, "little")  # whole words at once, since every cycle needs it
     for bits in (256, 128, 64, 32, 16, 8):
         folded ^= folded >> bits
     return sum(data) & 0xFF, folded & 0xFF
@@ -58,12 +58,12 @@ def checksums(data: bytes | bytearray) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One packet, either way.
+    """A request or a reply.
 
     Attributes:
-        command: What it is about.
-        channel: The channel it is about, 0 where the command has none.
-        data: Its data as on the wire.
+        command: Its command.
+        channel: Its channel; 0 if the command has none.
+        data: Its data.
         index: The host's packet counter, 0 to 254; a reply carries that of its request.
     """
 
@@ -130,14 +130,14 @@ _ENCODERS = struct.Struct("<9I")
 _FIRMWARE = struct.Struct("<4sHH48s")
 
 
-def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[float, ...]:
+def _unpack(form: struct.Struct, packet: Packet, what: str) -> tuple[Any, ...]:
     if len(packet.data) < form.size:
         raise SvhFrameError(f"{what} needs {form.size} bytes, not {len(packet.data)}")
     return form.unpack_from(packet.data)
 
 
 def _clip(value: float, bits: int) -> int:
-    # Saturated: a value out of range must not wrap to the other end.
+    # Saturated, so that a value out of range does not wrap to the other end.
     edge = 1 << (bits - 1)
     return min(max(int(value), -edge), edge - 1)
 
@@ -152,8 +152,7 @@ class Feedback:
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
         """Read the answer to a single-channel command; raises `SvhFrameError`."""
-        position, current = _unpack(_FEEDBACK, packet, "a channel's feedback")
-        return cls(int(position), int(current))
+        return cls(*_unpack(_FEEDBACK, packet, "a channel's feedback"))
 
     def to_bytes(self) -> bytes:
         """Return the data of the answer."""
@@ -170,9 +169,7 @@ class FeedbackAll:
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
         """Read the answer to an all-channel command; raises `SvhFrameError`."""
-        if len(packet.data) < _FEEDBACK_ALL.size:
-            raise SvhFrameError(f"feedback of all channels needs {_FEEDBACK_ALL.size} bytes")
-        values = _FEEDBACK_ALL.unpack_from(packet.data)
+        values = _unpack(_FEEDBACK_ALL, packet, "feedback of all channels")
         return cls(values[:CHANNELS], values[CHANNELS:])
 
     def to_bytes(self) -> bytes:
@@ -183,10 +180,10 @@ class FeedbackAll:
 
 
 class Settings:
-    """Ten numbers that a controller is set to, the fields of a dataclass in their order.
+    """Base class of the ten settings of a controller, the fields of a dataclass in their order.
 
     Attributes:
-        WHAT: What they are, for messages.
+        WHAT: Their name in messages.
     """
 
     __slots__ = ()
@@ -275,8 +272,8 @@ class ControllerState:
         pwm_otw: Latched over-temperature warnings; written as 0x1F to clear them.
         pwm_reset: Power stages out of reset: bits 0 to 8 the channels, bit 9 the 12 V supply.
         pwm_active: Power stages on, the same bits.
-        position_control: 1 when the position controllers run.
-        current_control: 1 when the current controllers run.
+        position_control: 1 if the position controllers run.
+        current_control: 1 if the current controllers run.
     """
 
     CLEAR: ClassVar[int] = 0x1F  # clears all latched bits
@@ -297,7 +294,7 @@ class ControllerState:
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
         """Read the state from an answer; raises `SvhFrameError`."""
-        return cls(*(int(v) for v in _unpack(_STATE, packet, "the controller state")))
+        return cls(*_unpack(_STATE, packet, "the controller state"))
 
     def to_bytes(self) -> bytes:
         """Return the data of the state."""
@@ -324,15 +321,8 @@ class FirmwareInfo:
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
         """Read it from an answer; raises `SvhFrameError`."""
-        if len(packet.data) < _FIRMWARE.size:
-            raise SvhFrameError(f"firmware information needs {_FIRMWARE.size} bytes")
-        name, major, minor, text = _FIRMWARE.unpack_from(packet.data)
-        return cls(
-            name.split(b"\x00")[0].decode("ascii", "replace"),
-            major,
-            minor,
-            text.split(b"\x00")[0].decode("ascii", "replace"),
-        )
+        name, major, minor, text = _unpack(_FIRMWARE, packet, "firmware information")
+        return cls(_text(name), major, minor, _text(text))
 
     def to_bytes(self) -> bytes:
         """Return the data of the answer."""
@@ -341,9 +331,13 @@ class FirmwareInfo:
         )
 
 
+def _text(raw: bytes) -> str:
+    return raw.split(b"\x00")[0].decode("ascii", "replace")
+
+
 def targets(positions: tuple[int, ...] | list[int]) -> bytes:
     """Return the data that sets the targets [ticks] of all channels."""
-    # Clipped only where packing fails: almost all targets fit, and this runs every cycle.
+    # Clipped only if packing fails, since almost all targets fit and this runs in every cycle.
     try:
         return _TARGETS.pack(*positions)
     except struct.error:
@@ -352,7 +346,7 @@ def targets(positions: tuple[int, ...] | list[int]) -> bytes:
 
 def read_targets(packet: Packet) -> tuple[int, ...]:
     """Return the targets [ticks] of all channels; raises `SvhFrameError`."""
-    return tuple(int(v) for v in _unpack(_TARGETS, packet, "targets of all channels"))
+    return _unpack(_TARGETS, packet, "targets of all channels")
 
 
 def target(position: int) -> bytes:
@@ -372,4 +366,4 @@ def encoders(scalings: tuple[int, ...]) -> bytes:
 
 def read_encoders(packet: Packet) -> tuple[int, ...]:
     """Return the encoder scalings of all channels; raises `SvhFrameError`."""
-    return tuple(int(v) for v in _unpack(_ENCODERS, packet, "encoder scalings"))
+    return _unpack(_ENCODERS, packet, "encoder scalings")

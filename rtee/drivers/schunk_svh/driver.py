@@ -46,13 +46,13 @@ from rtee.types import DeviceSpec, Reference
 class SchunkSvhDriver(Driver):
     """A SCHUNK SVH on its serial line.
 
-    The answer to a command for all channels carries their positions and currents, so a cycle of
-    sense and move costs one exchange: `sense` returns the answer to the last `move`, and asks the
-    hand only when there was none. Limits of effort and speed are controller settings per
-    channel; a changed one is sent before the position of its channel, at most two in a cycle.
+    The reply to a command for all channels has their positions and currents, so a cycle of `sense`
+    and `move` takes one exchange: `sense` returns the reply to the last `move`, and reads the hand
+    only if there was none. Limits of effort and speed are controller settings of each channel; a
+    changed limit is sent before the position of its channel, at most two in a cycle.
 
-    Encoders are relative. Without homing there is no position, and a hand that lost its supply has
-    to be homed again; one that has stayed enabled keeps its zero.
+    Encoders are relative: without homing the positions are not known. A hand that lost its supply
+    has to be homed again; one that has stayed enabled keeps its zero.
 
     Attributes:
         stops: The stops found by homing [ticks], by channel.
@@ -87,7 +87,7 @@ class SchunkSvhDriver(Driver):
         )
 
     async def configure(self) -> None:
-        """Open the line, identify the hand and see whether it is still enabled; sends no motion."""
+        """Open the line, identify the hand and read whether it is enabled; moves nothing."""
         options = self.options
         link = await self.connection.open(
             self.buses.serial(
@@ -118,11 +118,11 @@ class SchunkSvhDriver(Driver):
         self._health.found(state)
         if not self.stops:
             self._adopt_stops(homing.read_stops(options.stops_file))
-        # A stored zero may be of an earlier power-up; a finger beyond its range proves that.
+        # A stored zero may be from before a power cycle; a finger beyond its range proves that.
         if self.stops and not homing.plausible(self.stops, self._table, await link.feedback_all()):
             self._adopt_stops({})
         if not set(self._index) <= enabled:
-            # Switched off since: the supply may have been, too, and with it the encoders' zero.
+            # Disabled since: the supply may have been cut, too, which resets the encoders.
             self._adopt_stops({})
         self._scales = None
 
@@ -154,13 +154,13 @@ class SchunkSvhDriver(Driver):
         return [self._table[index] for index in self._index]
 
     async def activate(self) -> None:
-        """Enable the channels where they are; homes first if that is needed and allowed."""
+        """Enable the channels at their positions; homes first if that is needed and allowed."""
         self.connection.link.patient = True
         wanted = sum(1 << channel for channel in self._index)
         homed = set(self._index) <= set(self.stops)
         if homed and self._health.enabled & wanted == wanted:
             await self._seed()
-            # Enabled before, it may hold something that a reference to stay would let go.
+            # It may hold an object, which a reference at the measured position would release.
             self._attached.begin(range(len(self._index)))
             self.connection.link.patient = False
             return
@@ -178,7 +178,7 @@ class SchunkSvhDriver(Driver):
         return "" if set(self._index) <= set(self.stops) else "not homed"
 
     async def home(self) -> None:
-        """Look for every channel's stop, one after the other; this moves the fingers.
+        """Find the stops of all channels, one after the other; this moves the fingers.
 
         Raises:
             DeviceFault: if a channel does not find its stop.
@@ -186,10 +186,10 @@ class SchunkSvhDriver(Driver):
         """
         self._answer = None
         self._health.off()
-        # The old zeros end here, so that homing that fails does not leave them behind.
+        # The old zeros end here, so that a failed homing does not leave them behind.
         self._adopt_stops({})
         await power.disable(self.connection.link)
-        # Homing needs the current limits: against the stop they are all that protects the gears.
+        # Homing needs the current limits: at the stop, only they protect the gears.
         await self._limits.write(self.connection.link, self._index)
         stops: dict[int, int] = {}
         order = [channel for channel in HOMING_ORDER if channel in self._index]
@@ -210,7 +210,7 @@ class SchunkSvhDriver(Driver):
         homing.write_stops(self.options.stops_file, stops)
 
     async def _enable(self) -> None:
-        # Settings and targets first: when the power comes, nothing may be left of an earlier run.
+        # Settings and targets before the power, so that none of an earlier run takes effect.
         await self._limits.write(self.connection.link, self._index)
         await self._seed()
         await self.connection.link.set_targets(self._targets)
@@ -219,14 +219,14 @@ class SchunkSvhDriver(Driver):
         self._check(state)
 
     async def _seed(self) -> None:
-        """Take the measured positions for targets, so that switching power on moves nothing."""
+        """Make the measured positions the targets, so that enabling moves nothing."""
         self._answer = self._last = None
         self._attached.begin()
         feedback = await self.connection.link.feedback_all()
         self._targets = list(feedback.positions)
 
     async def sense(self) -> ActuatorState:
-        """Return the measured state: the answer to the last move, if there was one."""
+        """Return the reply to the last `move`, if there was one, or read the hand."""
         self._count += 1
         if self._count % self.options.status_every == 0:
             self._check(await self.connection.link.state())
@@ -238,7 +238,7 @@ class SchunkSvhDriver(Driver):
         units = self._units
         before, self._last = self._last, (feedback, stamp)
         if before is not None and units.jumped(before[0], feedback, stamp - before[1]):
-            # No finger is that fast: the encoders have restarted, as after a cut of the supply.
+            # No finger is that fast: the encoders were reset, as by a power cycle.
             self._check(await self.connection.link.state())
             units = self._units
         position, effort, current = units.measured(feedback)
@@ -252,15 +252,15 @@ class SchunkSvhDriver(Driver):
             self._health.check(state, self._table)
         except DeviceFault as fault:
             if fault.code == power.LOST_POWER:
-                # Without its supply the hand forgets where its fingers are.
+                # Without its supply the hand loses the positions.
                 self._adopt_stops({})
             raise
 
     async def move(self, reference: Reference) -> None:
-        """Send changed limits, then the targets of all channels, which brings the state back."""
+        """Send changed limits, then the targets of all channels; keep the reply for `sense`."""
         if self._attached:
-            # One packet sets the targets of all channels, and what those were cannot be read.
-            # Nor are its limits touched: a smaller current would loosen what it holds.
+            # One packet sets the targets of all channels, and the present ones cannot be read.
+            # The limits are not changed either: a smaller current would loosen the grip.
             if len(self._attached.left(reference, self._here)) == len(self._index):
                 return
             self._attached.begin()
@@ -269,50 +269,50 @@ class SchunkSvhDriver(Driver):
             waiting = await self._limits.update(self.connection.link, self._used(), reference)
         units = self._units
         targets, homed = units.targets(reference.position), units.homed
-        for index, target, known, asked in zip(
+        for index, target, known, commanded in zip(
             self._index, targets, homed, reference.mask.tolist(), strict=True
         ):
-            if asked and known and index not in waiting:
+            if commanded and known and index not in waiting:
                 self._targets[index] = target
         feedback = await self.connection.link.set_targets(self._targets)
         self._answer = feedback, time.monotonic()
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self._seed)
             await patiently(lambda: self.connection.link.set_targets(self._targets))
 
     async def disable(self) -> None:
-        """Switch every channel off; the fingers go limp."""
+        """Disable every channel; the fingers go limp."""
         with contextlib.suppress(RteeError, OSError):
             await patiently(self.deactivate)
 
     async def recover(self) -> None:
-        """Clear latched faults; enable the channels where they are, if that is known.
+        """Clear latched faults; enable the channels at their positions, if these are known.
 
-        Where it isn't, the next `activate` homes the hand, which moves it.
+        Otherwise the next `activate` homes the hand, which moves it.
         """
         self.connection.link.patient = True
         await power.disable(self.connection.link)
-        # Switched off on purpose: channels without power are no fault now.
+        # Disabled on purpose, so channels without power are not a fault now.
         self._health.off()
         state = await self.connection.link.state()
         self._health.cleared(state)
         self._check(state)
-        # The user asked for recovery, which is the consent to the motion of homing.
+        # By asking for recovery the user agrees to the motion of homing.
         self._home_asked = not set(self._index) <= set(self.stops)
         if not self._home_asked:
             await self._enable()
 
     async def deactivate(self) -> None:
-        """Switch every channel off."""
+        """Disable every channel."""
         self._answer = None
         if self.connection.is_open:
             self._health.off()
             await power.disable(self.connection.link)
 
     async def close(self) -> None:
-        """Give the line back; enabled channels stay enabled."""
+        """Detach from the line; enabled channels stay enabled."""
         self._answer = None
         await super().close()

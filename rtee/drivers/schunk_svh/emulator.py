@@ -1,7 +1,8 @@
 """Emulates an SVH on the wire.
 
-Unknown behaviour of the real hand is an option here: the length of replies, whether they echo the
-request's index, what a packet that comes too early does, which channels need the 12 V supply.
+Unknown behaviour of the real hand is a property here: the length of replies, whether they echo the
+request's index, the effect of a packet that comes too early, and which channels need the 12 V
+supply.
 """
 
 from __future__ import annotations
@@ -31,19 +32,19 @@ class SvhOptions:
     """Properties of the emulated hand.
 
     Attributes:
-        name: Name in its firmware information; a genuine hand says ``SVH``.
+        name: Name in its firmware information; that of a genuine hand is ``SVH``.
         firmware: Major and minor version.
         text: Free text in its firmware information.
         start: Closure at power-up, 0 (open) to 1; encoders read 0 there.
-        padded: Replies carry 64 bytes of data like requests; else their natural length.
-        echo_index: Replies carry the index of their request; else 0.
+        padded: Whether replies have 64 bytes of data like requests, or only those needed.
+        echo_index: Whether replies carry the index of their request, or 0.
         turnaround: Time between a request and its reply [s]; not known of the real hand.
-        strict_gap: A packet sooner than `codec.GAP` after the previous one is lost.
+        strict_gap: Whether a packet sooner than `codec.GAP` after the previous one is lost.
         supply_mask: Channels that move only while the 12 V supply is on.
         friction_ma: Current of a channel that moves freely [mA].
         hot: Temperature at which the over-temperature warning latches [°C].
-        haste: Factor by which the fingers are faster than real ones, homing included.
-        latch_echo: The state answers the bits written to clear faults, too.
+        haste: Factor by which it moves and homes faster than a real one.
+        latch_echo: Whether the state also returns the bits written to clear faults.
     """
 
     name: str = "SVH"
@@ -100,8 +101,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        fitting = {name: options[name] for name in ("turnaround",) if name in options}
-        return cls(read_properties(SvhOptions, options, **fitting))
+        return cls(read_properties(SvhOptions, options, **cls._given(options, "turnaround")))
 
     def power_cycle(self, now: float) -> None:
         """Restart: everything off, encoders at 0 where the fingers are."""
@@ -112,7 +112,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         for old, new in zip(before, self.channels, strict=False):
             thing = old.axis.obstacle
             if thing is not None:
-                # The object stays in place while the encoders start again from 0.
+                # The object stays in its place, but the encoders start again from 0.
                 new.axis.obstacle = replace(thing, contact=thing.contact - old.axis.position)
         self._state = ControllerState()
         self._fault = 0
@@ -161,18 +161,18 @@ class SchunkSvhEmulator(Emulator, Grasps):
         return _Channel(axis, position, current)
 
     def stop_of(self, channel: int) -> int:
-        """Return where the stop is that homing meets [ticks]."""
+        """Return the position of the stop that homing finds [ticks]."""
         axis = self.channels[channel].axis
         return round(axis.upper if self.table[channel].direction > 0 else axis.lower)
 
     def closure(self, channel: int) -> float:
-        """Return how far a channel is closed: 0 at the open soft limit, 1 at the other."""
+        """Return the closure of a channel: 0 at the open soft limit, 1 at the other."""
         spec = self.table[channel]
         zero = spec.zero(self.stop_of(channel))
         return spec.to_rad(self.channels[channel].axis.position, zero) / spec.range
 
     def closings(self) -> Sequence[Closing]:
-        """Return how the fingers close; spread and opposition meet nothing."""
+        """Return how the fingers close; spread and opposition do not close on an object."""
         return [
             Closing(
                 channel.axis, self._at(index, 0.0), self._at(index, 1.0), channel.current.maximum
@@ -182,7 +182,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         ]
 
     def _at(self, channel: int, closure: float) -> float:
-        """Return where a channel is at a closure [ticks]."""
+        """Return the position of a channel at a closure [ticks]."""
         spec = self.table[channel]
         return spec.zero(self.stop_of(channel)) + closure * spec.range / spec.rad_per_tick
 
@@ -202,7 +202,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
         return []
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take bytes from the host and return the hand's replies."""
+        """Receive bytes from the host and return the hand's replies."""
         self.step(now)
         replies = []
         for packet in self._parser.feed(data):
@@ -256,7 +256,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
             self._target(packet.channel, codec.read_target(packet))
         elif command is Command.SET_POSITION_SETTINGS:
             position = codec.PositionSettings.from_bytes(packet)
-            # No motor can be driven by what is no number: such settings are not taken.
+            # Settings of NaN or infinity cannot drive a motor and are ignored.
             if all(map(math.isfinite, astuple(position))):
                 channel.position = position
                 channel.axis.max_velocity = position.max_rate * self.options.haste

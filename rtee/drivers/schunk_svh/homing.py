@@ -1,4 +1,4 @@
-"""Homing of the SVH's channels, and the file that keeps the stops found."""
+"""Homing of the SVH's channels, and the file with the stops found."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rtee.drivers.json_files import write_json
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import HOMING_RATE, Channel
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.power import disable, enable
 from rtee.errors import DeviceFault
-from rtee.hand.files import make_folder, write_atomically
 
 HOMING_FAILED = 2
-"""Code of the fault that a channel does not find its stop, the driver's own."""
+"""Code of the fault that a channel does not find its stop; a code of the driver's own."""
 
 _HITS = 10
-"""Times that the current must reach its threshold at the stop, as in the vendor's library."""
+"""Number of times that the current must reach its threshold at the stop, as in the vendor's
+library."""
 
 _FAR = 1_000_000
 """Target beyond every stop [ticks]: the largest reference of the position controllers."""
 
 _NEAR = 1_000
-"""Distance at which a channel has come back from its stop, as in the vendor's library [ticks]."""
+"""Distance to its goal at which a channel has left its stop, as in the vendor's library [ticks]."""
 
 _MOVED = 50
-"""Change of the position that is motion and not noise [ticks]: some 0.1 % of a channel's range."""
+"""Smallest change of the position that is not noise [ticks]: about 0.1 % of a channel's range."""
 
 _POLL = 0.005
 """Pause between two exchanges with a channel that homes [s]."""
@@ -44,36 +45,36 @@ async def home(
     *,
     timeout: float,
 ) -> int:
-    """Look for a channel's stop, slowly; leave it off the stop, switched off.
+    """Move a channel slowly to its stop, then off the stop; leave it disabled.
 
     Returns:
         The position of the stop [ticks].
 
     Raises:
-        DeviceFault: if it does not move for ``timeout`` [s] without meeting a stop, or does not
+        DeviceFault: if it does not move for ``timeout`` [s] without reaching its stop, or does not
             come back from it.
         BusError: if an exchange fails.
     """
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
     await link.set_position_settings(channel.index, slow)
     here = (await link.feedback(channel.index)).position
-    # Before the power comes: with an old target the channel would run off at once.
+    # Before it is enabled, since it would move to an old target at once.
     await link.set_target(channel.index, here)
     try:
         await enable(link, [channel.index])
         stop = await _seek(link, device, channel, current, timeout)
         await _leave_stop(link, device, channel, channel.idle(stop), timeout)
     finally:
-        # Shielded: also when homing is cancelled, the channel must be switched off.
-        ending = asyncio.ensure_future(disable(link))
-        ending.add_done_callback(_ended)
-        await asyncio.shield(ending)
+        # Shielded, since the channel must be disabled even when homing is cancelled.
+        disabling = asyncio.ensure_future(disable(link))
+        disabling.add_done_callback(_retrieve_error)
+        await asyncio.shield(disabling)
     await link.set_position_settings(channel.index, position)
     return stop
 
 
-def _ended(task: asyncio.Future[None]) -> None:
-    """Retrieve the error of switching off after the caller was cancelled."""
+def _retrieve_error(task: asyncio.Future[None]) -> None:
+    """Retrieve the error of disabling, which nobody awaits after the caller was cancelled."""
     if not task.cancelled():
         task.exception()
 
@@ -91,7 +92,7 @@ async def _seek(
     while True:
         feedback = await link.set_target(channel.index, far)
         pressing = abs(feedback.current_ma) >= threshold
-        # One peak of the current is friction; only a lasting one is the stop.
+        # A short peak of the current is friction; only a lasting one is the stop.
         hits = hits + 1 if pressing else max(0, hits - 1)
         if hits >= _HITS:
             return feedback.position
@@ -126,34 +127,31 @@ async def _leave_stop(
 
 
 def read_stops(path: Path | None) -> dict[int, int]:
-    """Return the stops [ticks] by channel, or nothing without a file that makes sense."""
+    """Return the stops [ticks] by channel; none without a usable file."""
     if path is None:
         return {}
     try:
         stored = json.loads(path.read_text("utf-8"))
         found = {int(channel): int(ticks) for channel, ticks in stored["stops"].items()}
-    # Not an error: without a file that can be used, homing finds the stops.
+    # Not an error, since homing finds the stops without the file.
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
     return found if all(0 <= channel < codec.CHANNELS for channel in found) else {}
 
 
 def write_stops(path: Path | None, stops: dict[int, int]) -> None:
-    """Keep the stops [ticks] by channel; raises `ConfigError` if the file cannot be written."""
+    """Store the stops [ticks] by channel; raises `ConfigError` if the file cannot be written."""
     if path is not None:
-        make_folder(path.parent)
-        text = json.dumps({"stops": {str(c): stops[c] for c in sorted(stops)}}, indent=2)
-        write_atomically(path, text + "\n")
+        write_json(path, {"stops": {str(c): stops[c] for c in sorted(stops)}})
 
 
 def plausible(
     stops: Mapping[int, int], table: Sequence[Channel], feedback: codec.FeedbackAll
 ) -> bool:
-    """Return whether every finger is where its stop allows."""
+    """Return whether every finger is within the range that its stop allows."""
     for index, stop in stops.items():
         low, high = table[index].soft_limits(stop)
-        # A finger may rest a little beyond its soft limits; a tenth of the range is not another
-        # zero.
+        # A finger may rest a little beyond its soft limits; a wrong zero is off by more than this.
         slack = (high - low) // 10
         if not low - slack <= feedback.positions[index] <= high + slack:
             return False

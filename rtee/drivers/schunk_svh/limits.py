@@ -1,4 +1,4 @@
-"""The controller settings of the SVH's channels, and the limits of effort and speed within them."""
+"""The controller settings of the SVH's channels, which include the limits of effort and speed."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from rtee.errors import HandshakeError
 from rtee.types import Reference
 
 _PER_CYCLE = 2
-"""Most changed limits sent in one cycle: each costs an exchange of about 2 ms."""
+"""Largest number of limits sent in one cycle: each takes an exchange of about 2 ms."""
 
 _TOLERANCE = 5e-3
-"""Relative change of a limit that is not worth an exchange: half a percent cannot be felt."""
+"""Relative change of a limit that is not sent: half a percent has no noticeable effect."""
 
 
 class Limits:
-    """Keeps the settings of each channel's controllers, and sends those that a reference changes.
+    """Stores the settings of each channel's controllers, and sends those that a reference changes.
 
     Attributes:
-        position: Position controllers as they are without limits of a reference, by channel.
-        current: Current controllers, likewise.
+        position: Position controllers without the limits of a reference, by channel.
+        current: Current controllers without the limits of a reference, by channel.
     """
 
     def __init__(self) -> None:
@@ -43,14 +43,14 @@ class Limits:
         *,
         device: bool,
     ) -> None:
-        """Take the controllers' settings from the table or from the device.
+        """Read the controllers' settings from the built-in table or from the device.
 
         Args:
             link: The hand.
             name: The device's name.
             channels: The channels in use.
-            options: What differs, by the channel's name.
-            device: Whether to ask the device.
+            options: Changes to the settings, by the channel's name.
+            device: Whether to read them from the device.
 
         Raises:
             HandshakeError: if the device has none.
@@ -79,7 +79,7 @@ class Limits:
 
     async def write(self, link: SvhLink, channels: Sequence[int]) -> None:
         """Write the settings of all channels; raises `BusError`."""
-        # What is written here replaces all limits sent before.
+        # These settings replace all limits sent before.
         self._sent.clear()
         self._settled = None
         for channel in channels:
@@ -87,21 +87,21 @@ class Limits:
             await link.set_current_settings(channel, self.current[channel])
 
     def settled(self, reference: Reference) -> bool:
-        """Return whether a reference asks for the limits that have been sent last."""
+        """Return whether a reference has the limits that were sent last."""
         return _asked(reference) == self._settled
 
     async def update(
         self, link: SvhLink, channels: Sequence[Channel], reference: Reference
     ) -> set[int]:
-        """Send limits that have changed, a few at a time, as each costs an exchange.
+        """Send limits that have changed, a few at a time, as each takes an exchange.
 
         Returns:
-            Channels whose limits are still to be sent; they must not get a new position yet.
+            Channels whose limits are still to be sent; they must not get a new target yet.
 
         Raises:
             BusError: if an exchange fails.
         """
-        # If an exchange below fails, the next cycle must not take the limits for sent.
+        # If an exchange below fails, the limits must not count as sent in the next cycle.
         self._settled = None
         waiting: set[int] = set()
         budget = _PER_CYCLE
@@ -113,7 +113,7 @@ class Limits:
                 "rate": self._rate_for(channel, float(reference.max_velocity[i])),
             }
             for what, value in wanted.items():
-                # NaN, which is close to nothing: a limit that was never sent is sent now.
+                # NaN is close to no value, so a limit that was never sent is sent now.
                 sent = self._sent.get((channel.index, what), math.nan)
                 if math.isclose(sent, value, rel_tol=_TOLERANCE):
                     continue
@@ -128,9 +128,9 @@ class Limits:
 
     def _current_for(self, channel: Channel, effort: float) -> float:
         most = self.current[channel.index].maximum
-        asked = channel.to_current(effort) if math.isfinite(effort) else math.nan
+        wanted = channel.to_current(effort) if math.isfinite(effort) else math.nan
         # At least 1 mA: a limit of 0 would switch the controller off.
-        return most if math.isnan(asked) else min(max(asked, 1.0), most)
+        return most if math.isnan(wanted) else min(max(wanted, 1.0), most)
 
     def _rate_for(self, channel: Channel, velocity: float) -> float:
         most = self.position[channel.index].max_rate

@@ -13,7 +13,7 @@ from rtee.errors import FrameError
 T = TypeVar("T")
 
 PATIENCE = 1.0
-"""Longest time for an exchange that belongs to no cycle [s]."""
+"""Longest time for an exchange outside the cycle [s]."""
 
 
 class SvhLink:
@@ -23,9 +23,9 @@ class SvhLink:
         bus: The line to it.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        patient: Exchanges may take `PATIENCE` and twice the retries: set-up and homing have no
-            cycle to keep, and must not fail for a lost packet.
-        echoes: The hand's replies carry the index of their request, so a late one is recognised.
+        patient: Whether exchanges may take `PATIENCE` and twice the retries: set-up and homing have
+            no cycle to keep, and must not fail because of a lost packet.
+        echoes: Whether replies carry the index of their request, which identifies late replies.
     """
 
     def __init__(self, bus: SerialBus, deadline: float, retries: int) -> None:
@@ -59,7 +59,13 @@ class SvhLink:
             request.to_bytes(), self._parser, deadline, retries, accept=answers
         )
 
-    def _read(self, reply: Packet, read: Callable[[Packet], T]) -> T:
+    async def _ask(
+        self, read: Callable[[Packet], T], command: Command, channel: int = 0, data: bytes = b""
+    ) -> T:
+        """Send one packet and return the content of the reply; raises `BusError`."""
+        return self._decoded(read, await self.exchange(command, channel, data))
+
+    def _decoded(self, read: Callable[[Packet], T], reply: Packet) -> T:
         try:
             return read(reply)
         except SvhFrameError as error:
@@ -67,51 +73,48 @@ class SvhLink:
 
     async def firmware(self) -> codec.FirmwareInfo:
         """Return the hand's identification; also finds out whether it echoes indices."""
-        # Until this is known, every reply to the command counts, whatever its index.
+        # Until this is known, a reply with any index is accepted.
         self.echoes = False
         reply = await self.exchange(Command.GET_FIRMWARE_INFO)
         self.echoes = reply.index == self._index
-        return self._read(reply, codec.FirmwareInfo.from_bytes)
+        return self._decoded(codec.FirmwareInfo.from_bytes, reply)
 
     async def state(self) -> ControllerState:
         """Return the controllers' state."""
-        reply = await self.exchange(Command.GET_CONTROLLER_STATE)
-        return self._read(reply, ControllerState.from_bytes)
+        return await self._ask(ControllerState.from_bytes, Command.GET_CONTROLLER_STATE)
 
     async def set_state(self, state: ControllerState) -> ControllerState:
-        """Set the controllers' state and return the state that results."""
-        reply = await self.exchange(Command.SET_CONTROLLER_STATE, 0, state.to_bytes())
-        return self._read(reply, ControllerState.from_bytes)
+        """Set the controllers' state and return the resulting one."""
+        set_state = Command.SET_CONTROLLER_STATE
+        return await self._ask(ControllerState.from_bytes, set_state, 0, state.to_bytes())
 
     async def feedback(self, channel: int) -> codec.Feedback:
         """Return position and current of one channel."""
-        reply = await self.exchange(Command.GET_CONTROL_FEEDBACK, channel)
-        return self._read(reply, codec.Feedback.from_bytes)
+        return await self._ask(codec.Feedback.from_bytes, Command.GET_CONTROL_FEEDBACK, channel)
 
     async def set_target(self, channel: int, ticks: int) -> codec.Feedback:
-        """Set the target of one channel; its position and current come back."""
-        reply = await self.exchange(Command.SET_CONTROL_COMMAND, channel, codec.target(ticks))
-        return self._read(reply, codec.Feedback.from_bytes)
+        """Set the target of one channel; return its position and current."""
+        command, data = Command.SET_CONTROL_COMMAND, codec.target(ticks)
+        return await self._ask(codec.Feedback.from_bytes, command, channel, data)
 
     async def feedback_all(self) -> codec.FeedbackAll:
         """Return positions and currents of all channels."""
-        reply = await self.exchange(Command.GET_CONTROL_FEEDBACK_ALL)
-        return self._read(reply, codec.FeedbackAll.from_bytes)
+        return await self._ask(codec.FeedbackAll.from_bytes, Command.GET_CONTROL_FEEDBACK_ALL)
 
     async def set_targets(self, ticks: list[int]) -> codec.FeedbackAll:
-        """Set the targets of all channels; their positions and currents come back."""
-        reply = await self.exchange(Command.SET_CONTROL_COMMAND_ALL, 0, codec.targets(ticks))
-        return self._read(reply, codec.FeedbackAll.from_bytes)
+        """Set the targets of all channels; return their positions and currents."""
+        command, data = Command.SET_CONTROL_COMMAND_ALL, codec.targets(ticks)
+        return await self._ask(codec.FeedbackAll.from_bytes, command, 0, data)
 
     async def position_settings(self, channel: int) -> codec.PositionSettings:
         """Return the position controller of a channel."""
-        reply = await self.exchange(Command.GET_POSITION_SETTINGS, channel)
-        return self._read(reply, codec.PositionSettings.from_bytes)
+        read = codec.PositionSettings.from_bytes
+        return await self._ask(read, Command.GET_POSITION_SETTINGS, channel)
 
     async def current_settings(self, channel: int) -> codec.CurrentSettings:
         """Return the current controller of a channel."""
-        reply = await self.exchange(Command.GET_CURRENT_SETTINGS, channel)
-        return self._read(reply, codec.CurrentSettings.from_bytes)
+        read = codec.CurrentSettings.from_bytes
+        return await self._ask(read, Command.GET_CURRENT_SETTINGS, channel)
 
     async def set_position_settings(self, channel: int, settings: codec.PositionSettings) -> None:
         """Set the position controller of a channel."""

@@ -20,9 +20,9 @@ class ChannelOptions(BaseModel):
         min_offset: Lower soft limit relative to the stop [ticks].
         max_offset: Upper soft limit relative to the stop [ticks].
         idle_offset: Where homing leaves it, relative to the stop [ticks].
-        reset_factor: Part of the current limit at which the stop counts as reached.
+        reset_factor: Share of the current limit at which the stop counts as reached.
         current_limit: Largest current [A].
-        effort_per_ampere: Effort per current [N·m/A], where the table has none.
+        effort_per_ampere: Effort per current [N·m/A], if the table has none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -35,11 +35,11 @@ class ChannelOptions(BaseModel):
     effort_per_ampere: Positive | None = None
 
     def applied_to(self, channel: Channel) -> Channel:
-        """Return the changed channel; the current limit is a setting of the controller instead."""
+        """Return the changed channel; the current limit is a controller setting instead."""
         changes = self.model_dump(exclude_none=True, exclude={"current_limit"})
         per_ampere = changes.pop("effort_per_ampere", None)
         if per_ampere is not None:
-            # With a lever of 1 m, force and effort are the same number.
+            # With a lever of 1 m, force and effort have the same value.
             changes |= {"force_slope": per_ampere / 1000.0, "force_offset": 0.0, "lever": 1.0}
         return replace(channel, **changes)
 
@@ -48,19 +48,19 @@ class SchunkSvhOptions(DeviceOptions):
     """Options of an SVH.
 
     Attributes:
-        port: Where it is: a tty, ``socket://host:port`` or ``rfc2217://host:port``.
-        home: When it may look for its stops, which moves every finger: ``on_connect`` at the
-            first activation, ``on_demand`` only after `recover`.
-        stops_file: File that keeps the stops found, so that a later program can attach to a hand
-            that has stayed enabled; empty: nowhere.
-        home_timeout: Longest time in which a channel may not move while homing [s].
-        settings: Controllers: ``library`` writes the table for firmware 1.x, ``device`` keeps what
-            the hand has, ``auto`` decides by firmware.
+        port: A tty, ``socket://host:port`` or ``rfc2217://host:port``.
+        home: When it may be homed, which moves every finger: ``on_connect`` at the first
+            activation, ``on_demand`` only after `recover`.
+        stops_file: File to store the stops in, so that a later program can attach to a hand that
+            has stayed enabled; empty: none.
+        home_timeout: Longest time without motion of a channel while homing [s].
+        settings: Controllers: ``library`` writes the table for firmware 1.x, ``device`` keeps the
+            settings of the hand, ``auto`` decides by firmware.
         channels: Changes to the table, by channel.
         status_every: Number of exchanges after which faults are read.
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
-        turnaround: Time between a request and its answer that the wire does not explain [s].
+        turnaround: Time between a request and its answer beside that on the wire [s].
     """
 
     port: str = "/dev/ttyUSB0"

@@ -1,4 +1,4 @@
-"""Power of the SVH's channels, and the faults, lost power and heat that its controllers report."""
+"""Enabling the SVH's channels, and the faults, lost power and heat that its controllers report."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ HOMING = (
 
 
 async def disable(link: SvhLink) -> None:
-    """Switch every channel off and clear latched faults."""
+    """Disable every channel and clear latched faults."""
     await link.set_state(ControllerState(_CLEAR, _CLEAR))
 
 
 async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) -> ControllerState:
-    """Switch channels on, one after the other, and return the hand's state.
+    """Enable channels one after the other, and return the hand's state.
 
     Args:
         link: The hand.
-        channels: Which, in any order.
-        already: Mask of those that are on and stay on.
+        channels: The channels, in any order.
+        already: Mask of the channels that are enabled and stay so.
     """
-    # In the vendor's steps: clear the latches, switch the 12 V on, start the controllers.
+    # The vendor's steps: clear the latches, switch the 12 V on, start the controllers.
     if not already:
         await link.set_state(ControllerState(_CLEAR, _CLEAR))
         await asyncio.sleep(_SETTLING)
@@ -75,17 +75,17 @@ class Health:
         self._baseline = ControllerState()
 
     def found(self, state: ControllerState) -> None:
-        """Take a hand as it is found: what is on must stay on."""
+        """Start with a hand as found: channels that are enabled must stay so."""
         self.enabled = state.enabled
         self._baseline = _latched(state)
 
     def begin(self, state: ControllerState, channels: Iterable[int]) -> None:
-        """Ignore the fault bits that are set now; these channels must stay on from now on."""
+        """Ignore the fault bits that are set now; the channels must stay enabled from now on."""
         self.enabled = sum(1 << channel for channel in channels)
         self._baseline = state
 
     def off(self) -> None:
-        """Expect no channel to be on."""
+        """Expect no channel to be enabled."""
         self.enabled = 0
 
     def cleared(self, state: ControllerState) -> None:
@@ -118,6 +118,6 @@ class Health:
 
 
 def _latched(state: ControllerState) -> ControllerState:
-    """Return the bits without meaning: those written to clear latches, if the hand echoes them."""
+    """Return the bits to ignore: those written to clear latches, if the hand echoes them."""
     echoed = state.pwm_fault == ControllerState.CLEAR
     return state if echoed else ControllerState()

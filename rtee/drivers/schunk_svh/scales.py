@@ -13,29 +13,29 @@ from rtee.drivers.schunk_svh.codec import FeedbackAll
 from rtee.sample import FloatArray
 
 _LEEWAY = 1000
-"""Change of a position that may be noise at any speed [ticks]: 1 to 3 % of a range."""
+"""Change of a position that is plausible at any speed [ticks]: 1 to 3 % of a range."""
 
 
 class Scales:
-    """The units of the channels in use, worked out once for a homed hand.
+    """The units of the channels in use, computed once for a homed hand.
 
     Args:
         channels: The channels in use, in the order of the actuators.
-        stops: Stops found by homing [ticks], by channel; without one a channel has no position.
-        rates: Fastest motion of each channel [ticks/s].
+        stops: Stops found by homing [ticks], by channel; a channel without one has no position.
+        rates: Largest speed of each channel [ticks/s].
 
     Attributes:
-        homed: Which channels have a position.
+        homed: Whether each channel has a position.
     """
 
     def __init__(
         self, channels: Sequence[Channel], stops: Mapping[int, int], rates: Sequence[float]
     ) -> None:
         self._index = [c.index for c in channels]
-        # Twice the commanded rate: a finger may be pushed, and packets are late at times.
+        # Twice the commanded rate, since a finger may be pushed and packets may be late.
         self._rate = [2.0 * rate for rate in rates]
         self.homed = [c.index in stops for c in channels]
-        # Numbers, not arrays: for so few, numpy's functions take longer, and it is every cycle.
+        # Numbers instead of arrays: for so few, numpy takes longer, and this runs in every cycle.
         self._measuring = [
             (
                 c.index,
@@ -43,7 +43,7 @@ class Scales:
                 c.rad_per_tick,
                 c.force_slope * c.lever,
                 c.force_offset * c.lever if c.force_slope * c.lever else math.nan,
-                -float(c.direction),  # no current has a sign, too
+                -float(c.direction),  # also the sign of a zero current
             )
             for c in channels
         ]
@@ -70,7 +70,7 @@ class Scales:
         )
 
     def targets(self, position: FloatArray) -> list[int]:
-        """Return the targets of positions [rad], within the soft limits [ticks]."""
+        """Return the targets [ticks] for positions [rad], within the soft limits."""
         return [
             min(max(round(q / slope) + zero, low), high)
             for q, (slope, zero, low, high) in zip(position.tolist(), self._moving, strict=True)
@@ -80,7 +80,7 @@ class Scales:
         """Return whether a position changed more than a finger can move in ``dt`` [s]."""
         moved = list(map(sub, after.positions, before.positions))
         if min(moved) >= -_LEEWAY and max(moved) <= _LEEWAY:
-            return False  # most often by far, and in every cycle
+            return False  # the usual case, decided quickly in every cycle
         return any(
             abs(moved[index]) > _LEEWAY + dt * rate
             for index, rate in zip(self._index, self._rate, strict=True)

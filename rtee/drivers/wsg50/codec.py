@@ -23,11 +23,11 @@ _HEAD = struct.Struct("<3sBH")  # preamble, command, length of the payload
 _CRC = struct.Struct("<H")
 _OVERHEAD = _HEAD.size + _CRC.size
 _LONGEST = 256
-"""Bytes of the longest payload that is taken for one: the device's tag is a text of free length."""
+"""Bytes of the longest payload that is accepted: the device's tag is a text of any length."""
 _STATUS = 2
 """Bytes of the status that every answer's payload begins with."""
 _POLYNOMIAL = 0x1021
-"""Of CRC-16-CCITT."""
+"""Polynomial of CRC-16-CCITT."""
 _ACKNOWLEDGE = b"ack"  # payload that clears a fast stop
 _RELATIVE, _STOP_ON_BLOCK = 0x01, 0x02  # flags of a pre-position
 
@@ -67,7 +67,7 @@ class Command(IntEnum):
 
 
 MOTIONS = frozenset({Command.HOME, Command.MOVE, Command.GRASP, Command.RELEASE})
-"""Commands that are answered twice: that they are pending, then with their result."""
+"""Commands that are answered twice: at once as pending, later with their result."""
 
 
 class Status(IntEnum):
@@ -157,10 +157,10 @@ _TABLE = _table()
 
 
 def crc(data: bytes) -> int:
-    """Return the checksum of bytes; 0 of a whole frame.
+    """Return the checksum of bytes; it is 0 for a whole frame.
 
-    The table is that of CRC-16-CCITT, most significant bit first, and yet the register is shifted
-    right, from 0xFFFF on: no standard form.
+    The table is that of CRC-16-CCITT, most significant bit first, but the register is shifted
+    right, with 0xFFFF as its initial value: not a standard form.
     """
     value = 0xFFFF
     for byte in data:
@@ -173,8 +173,8 @@ class Frame:
     """A request or an answer.
 
     Attributes:
-        command: What it is about.
-        payload: The rest.
+        command: The command it belongs to.
+        payload: Its data; in an answer, the status comes first.
     """
 
     command: int
@@ -232,7 +232,7 @@ class FrameParser(FramedParser[Frame]):
 
 
 def asking(command: Command) -> Frame:
-    """Return the request to answer once, for the commands that can also answer periodically."""
+    """Return the request for one answer, for commands that can also answer periodically."""
     return Frame(command, bytes(3))
 
 
@@ -258,7 +258,7 @@ def release(width: float, speed: float) -> Frame:
 
 
 def setting(command: Command, *values: float) -> Frame:
-    """Return the request to set one value or several, as an acceleration [mm/s²] or a force [N]."""
+    """Return the request to set values, such as an acceleration [mm/s²] or a force [N]."""
     return Frame(command, struct.pack(f"<{len(values)}f", *values))
 
 
@@ -281,7 +281,7 @@ def number(frame: Frame) -> float:
 
 
 def numbers(frame: Frame, count: int) -> tuple[float, ...]:
-    """Return the numbers of an answer; raises `WsgFrameError` if there are not so many, finite."""
+    """Return the numbers of an answer; raises `WsgFrameError` unless they are ``count`` finite."""
     data = frame.payload[2:]
     if len(data) != 4 * count:
         raise WsgFrameError(f"{len(data)} bytes of numbers instead of {4 * count}")
@@ -294,7 +294,7 @@ def numbers(frame: Frame, count: int) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What the gripper says about itself.
+    """The identity that the gripper reports.
 
     Attributes:
         kind: Kind of device.

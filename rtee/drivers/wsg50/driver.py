@@ -15,6 +15,7 @@ from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
+from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.scale import LinearScale
@@ -50,16 +51,16 @@ from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
 _TRIES = 3
-"""Attempts for what must arrive, as a stop."""
+"""Attempts to send a stop, which must arrive."""
 _POLL = 0.05
 """Time between two reports while it homes [s]; published programs ask no faster."""
 _SAME, _REACHED = 1.0, 0.3
-"""Widths this near to the measured one ask for no motion of a gripper just attached to, and count
-as reached [mm]; fingers that hold something yield by some of that."""
+"""Largest difference from the measured width [mm] of a target that asks a gripper just attached to
+for no motion, and of one that counts as reached; fingers on an object yield by some of it."""
 _EMPTY = 1.0
-"""Fingers this near to each other hold nothing [mm]."""
+"""Fingers within this distance of each other hold nothing [mm]."""
 _NOT_REFERENCED = 0
-"""Code of the fault; the others' codes are the numbers of their bits, too."""
+"""Code of this fault: like the others, the number of its bit in the state."""
 _HOME = "`rtee recover`, or `rtee run --home`, homes it: the fingers move all the way"
 _FAULTS: Mapping[State, tuple[str, str]] = {
     State.FAST_STOP: ("fast stop", "see what caused it, then `rtee recover`, which clears it"),
@@ -74,7 +75,8 @@ _WARNINGS: Mapping[State, str] = {
     State.SOFT_LIMIT_PLUS: "at its upper soft limit",
     State.SCRIPT_ERROR: "its script has failed",
 }
-_AT_WORK = frozenset({Grasping.CLOSING, Grasping.RELEASING, Grasping.POSITIONING})
+_GRASP_MOVES = frozenset({Grasping.CLOSING, Grasping.RELEASING, Grasping.POSITIONING})
+"""States of a grasp in which the gripper accepts no other motion."""
 
 
 class Wsg50Options(DeviceOptions):
@@ -101,8 +103,8 @@ class Wsg50Driver(Driver):
     """A WSG 50.
 
     A motion is one command, and another is refused until it has ended. So references are followed
-    in steps: see `StepFollower`. What blocks a closing motion is grasped, with the force asked for;
-    what is grasped is released before it opens. It attaches without writing anything.
+    in steps: see `StepFollower`. An object that blocks a closing motion is grasped with the effort
+    limit of the reference, and released before the fingers open. Connecting writes nothing.
     """
 
     Options: ClassVar[type[BaseModel] | None] = Wsg50Options
@@ -118,11 +120,11 @@ class Wsg50Driver(Driver):
         self._home_asked = False
         self._moving_to: float | None = None
         self._force = float("nan")
-        # The usual limits, until the gripper tells its own.
+        # The default limits, until the gripper reports its own.
         self._adopt(Limits(), {})
 
     def _adopt(self, limits: Limits, identity: Mapping[str, str]) -> None:
-        """Take over the gripper's own limits."""
+        """Derive scales and capabilities from the gripper's limits."""
         actuator = self.spec.actuators[0]
         self._limits = limits
         self.position = LinearScale((limits.stroke, 0.0), (actuator.lower, actuator.upper))
@@ -145,7 +147,7 @@ class Wsg50Driver(Driver):
     async def configure(self) -> None:
         """Connect and check that a WSG answers; moves nothing."""
         options = self.options
-        # Emulated, it is found referenced, as after an earlier run, unless it is to be homed.
+        # An emulated gripper starts referenced, as after an earlier run, unless it is to be homed.
         found = {"referenced": options.home == "on_demand", **options.emulator}
         link = await self.connection.open(
             self.buses.serial(
@@ -182,7 +184,7 @@ class Wsg50Driver(Driver):
         link.deadline = self.spec.deadline or max(1.5 * every / self.spec.rate, 0.1)
 
     async def activate(self) -> None:
-        """Attach to a gripper that is referenced; home one that is not where that was asked for."""
+        """Attach to a referenced gripper; home one that is not referenced where that is allowed."""
         link = self.connection.link
         with link.unhurried():
             self._report = await link.report()
@@ -196,9 +198,13 @@ class Wsg50Driver(Driver):
         self._active = True
 
     async def _homed(self, link: WsgLink) -> None:
+        def too_slow() -> DeviceFault:
+            hint = "free the fingers, then `rtee recover`"
+            return self._fault(_NOT_REFERENCED, "homing not done in time", hint)
+
         self.doing = "homing"
         try:
-            async with asyncio.timeout(self.options.home_timeout):
+            async with time_limit(self.options.home_timeout, too_slow, end=self.stop):
                 await link.begin(home())
                 while True:
                     await asyncio.sleep(_POLL)
@@ -206,17 +212,6 @@ class Wsg50Driver(Driver):
                     self._refuse(report)
                     if report.state & State.REFERENCED and not report.state & State.MOVING:
                         return
-        # It is a `TimeoutError` too, but means a lost gripper and not a slow one.
-        except BusTimeout:
-            raise
-        except TimeoutError:
-            await self.stop()
-            raise self._fault(
-                _NOT_REFERENCED, "homing not done in time", "free the fingers, then `rtee recover`"
-            ) from None
-        except asyncio.CancelledError:
-            await self.stop()
-            raise
         finally:
             self.doing = ""
 
@@ -254,7 +249,7 @@ class Wsg50Driver(Driver):
     @property
     def _busy(self) -> bool:
         # A grasp still builds up its force when the fingers have come to rest.
-        return bool(self._report.state & State.MOVING) or self._report.grasping in _AT_WORK
+        return bool(self._report.state & State.MOVING) or self._report.grasping in _GRASP_MOVES
 
     async def move(self, reference: Reference) -> None:
         """Follow a reference in steps."""
@@ -274,20 +269,20 @@ class Wsg50Driver(Driver):
                 await link.ask(Frame(Command.STOP))
                 self._follower.sent()
             elif order is Order.GO or self._meets(width):
-                # Before the motion, which takes over the limit as it begins.
+                # Before the motion, which applies the limit when it begins.
                 await self._limit_force(link, force)
                 motion = self._motion(width, speed)
                 if motion.command == Command.RELEASE:
-                    # Before it is sent: a stop that comes ahead of the next report must end it.
+                    # Before it is sent: a stop before the next report must end the release.
                     self._report = replace(self._report, grasping=Grasping.RELEASING)
                 if await link.begin(motion):
                     self._follower.sent()
         except WsgRefusal as refusal:
-            # Such as a width beyond the soft limits that were set on its page.
+            # For example a width beyond the soft limits that were set on its web page.
             raise CommandRejected(self.spec.name, refusal.message) from refusal
 
     def _meets(self, width: float) -> bool:
-        """Return whether a motion to a width has just met something, which is to be grasped."""
+        """Return whether a closing motion has just met an object, which is to be grasped."""
         report = self._report
         closes = self._moving_to is not None and width < report.width - _REACHED
         return closes and bool(report.state & State.BLOCKED_MINUS) and not self._busy
@@ -338,7 +333,7 @@ class Wsg50Driver(Driver):
                 await link.ask(acknowledge())
                 self._report = await link.report()
         self._refuse(self._report)
-        # The user asked for recovery, which is the consent to a motion that homing may need.
+        # By asking for recovery the user agrees to the motion that homing may need.
         self._home_asked = True
 
     def _refuse(self, report: Report) -> None:
@@ -350,7 +345,7 @@ class Wsg50Driver(Driver):
         return self._fault(_NOT_REFERENCED, "not homed", _HOME)
 
     def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
-        # From here on `sense` only reads, so that the fault is raised once and not in every cycle.
+        # An inactive driver only reads, so that the fault is raised once and not in every cycle.
         self._active = False
         return DeviceFault(self.spec.name, code, name, hint=hint)
 
@@ -360,7 +355,7 @@ class Wsg50Driver(Driver):
         self._active = False
 
     async def close(self) -> None:
-        """Announce the end of the connection, without which it may stop for good, and detach."""
+        """Announce the end of the connection, else the gripper may fast-stop, and detach."""
         self._active = False
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):

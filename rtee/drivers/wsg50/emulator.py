@@ -1,7 +1,7 @@
 """Emulates a WSG 50 on the wire.
 
-What no document states is a property here: how far beyond a part's width a grasp looks for it, how
-the force is built up, and whether a connection that ends unannounced is an error.
+What no document states is a property here: how far beyond a part's width a grasp searches for the
+part, how the force is built up, and whether a connection that ends unannounced is an error.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from rtee.drivers.wsg50.codec import (
 _HOMING_SPEED = 50.0
 """Speed of homing [mm/s]; no document states it."""
 _NUMBER = 4
-"""Bytes of a number, of which every command that takes some has at least one."""
+"""Bytes of a number; every command with numbers has at least one."""
 _NEAR = 0.02
-"""Width within which a target counts as reached [mm]."""
+"""Distance below which a target counts as reached [mm]."""
 _AUTO = frozenset(
     {
         Command.STATE,
@@ -60,13 +60,13 @@ class Wsg50Properties:
     """Properties of the emulated gripper.
 
     Attributes:
-        referenced: It is homed at power-up, as after an earlier connection.
+        referenced: Whether it is homed at power-up, as after an earlier connection.
         position: Width at power-up [mm].
-        clamping: How far beyond a part's width a grasp looks for the part [mm].
+        clamping: How far beyond a part's width a grasp searches for the part [mm].
         force_time: Time to build up the force after the contact [s].
-        error_on_disconnect: A connection that ends unannounced is a fast stop.
+        error_on_disconnect: Whether a connection that ends unannounced causes a fast stop.
         serial: Its serial number.
-        haste: How much faster than the real one it moves.
+        haste: Factor by which it moves faster than the real one.
     """
 
     referenced: bool = False
@@ -84,9 +84,9 @@ class Wsg50Emulator(Emulator, Grasps):
     Attributes:
         axis: Its fingers; position is the width [mm], effort the force [N].
         limits: Its limits.
-        moves: Times a motion was started.
+        moves: Number of motions started.
         begun: The force limit when the last motion started [N].
-        homings: Times it was homed.
+        homings: Number of completed homings.
         requests: Frames received that ask for no measurement, newest last, for tests.
     """
 
@@ -114,7 +114,6 @@ class Wsg50Emulator(Emulator, Grasps):
         self.begun = 0.0
         self.requests: list[Frame] = []
         self._parser = FrameParser()
-        self._now: float | None = None
         self._announced = True
         self._latched = False
         self._auto: dict[int, list[float]] = {}
@@ -150,7 +149,7 @@ class Wsg50Emulator(Emulator, Grasps):
         self._start(False)
 
     def line_reset(self) -> None:
-        """Forget an incomplete request; a connection that was not announced to end may be an error.
+        """Forget an incomplete request; a connection that ends unannounced may be an error.
 
         Periodic answers end with the connection.
         """
@@ -289,7 +288,7 @@ class Wsg50Emulator(Emulator, Grasps):
     def _acknowledge(self, frame: Frame) -> Frame:
         if frame.payload != b"ack":
             return answer(frame.command, Status.PARAMETER)
-        # As long as its cause is there, a fast stop comes back at once.
+        # A fast stop comes back at once as long as its cause is present.
         self._latched = "fast_stop" in self.faults
         return answer(frame.command, Status.OK)
 
@@ -337,7 +336,7 @@ class Wsg50Emulator(Emulator, Grasps):
         flags, payload = 0, frame.payload
         if command is Command.MOVE:
             flags, payload = int.from_bytes(payload[:1], "little"), payload[1:]
-        # Read like an answer's numbers, which stand behind a status of two bytes.
+        # Read like the numbers of an answer, which follow a status of two bytes.
         width, speed = numbers(Frame(command, b"\0\0" + payload), 2)
         width += self.axis.position if flags & 1 else 0.0
         low, high = self.limits.speed
@@ -379,9 +378,8 @@ class Wsg50Emulator(Emulator, Grasps):
         self._running = None
 
     def _pass(self, now: float) -> list[Frame]:
-        """Let time pass; return what is sent unasked."""
-        dt = 0.0 if self._now is None else max(0.0, now - self._now)
-        self._now = now
+        """Let time pass; return the frames that it sends by itself."""
+        dt = self._elapsed(now)
         running = self._running
         status = self._advance(dt * self.properties.haste) if dt > 0.0 else None
         sent = [] if status is None or running is None else [answer(running, status)]
@@ -389,7 +387,7 @@ class Wsg50Emulator(Emulator, Grasps):
         self._aborted.clear()
         for command, clock in self._auto.items():
             if now >= clock[1]:
-                # After a pause, what was missed is left out.
+                # Answers missed during a pause are not sent later.
                 clock[1] = max(clock[1] + clock[0], now)
                 sent.append(self._value(command))
         return sent
@@ -415,7 +413,7 @@ class Wsg50Emulator(Emulator, Grasps):
         return Status.OK if there else Status.AXIS_BLOCKED
 
     def _grasped(self, there: bool, dt: float) -> Status | None:
-        # The whole way without contact means that there is no part.
+        # No contact over the whole travel means that there is no part.
         if there or self.axis.stuck:
             self._running = None
             self._grasping = Grasping.NO_PART

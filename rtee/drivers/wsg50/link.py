@@ -1,13 +1,12 @@
-"""Talks to a WSG 50 over its TCP connection: one question, or several in one packet."""
+"""Talks to a WSG 50 over its TCP connection: one request, or several in one packet."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
 from rtee.buses.serial import SerialBus
-from rtee.drivers.connection import longer_deadline
+from rtee.drivers.deadlines import Unhurried
 from rtee.drivers.wsg50.codec import (
     MOTIONS,
     Command,
@@ -22,10 +21,7 @@ from rtee.drivers.wsg50.codec import (
     number,
     state_of,
 )
-from rtee.errors import BusError, FrameError
-
-PATIENCE = 0.5
-"""Longest time for an exchange that belongs to no cycle [s]."""
+from rtee.errors import BusError
 
 _REPORT = (Command.STATE, Command.GRASPING, Command.WIDTH, Command.SPEED, Command.FORCE)
 
@@ -35,7 +31,7 @@ class WsgRefusal(BusError):
 
     Attributes:
         command: The command.
-        status: Why.
+        status: The reason.
     """
 
     def __init__(self, bus: str, command: int, status: Status) -> None:
@@ -65,9 +61,9 @@ class Report:
 
 
 class _Reports:
-    """Collects the answers to the questions of a report; what answers none of them is dropped.
+    """Collects the answers to the requests of a report, and drops all others.
 
-    Answers carry the command but no number, so a report consists of the newest of each.
+    Answers carry the command but no number, so a report consists of the newest answer to each.
     """
 
     def __init__(self) -> None:
@@ -90,11 +86,11 @@ class _Reports:
         if len(self._found) < len(_REPORT):
             return []
         found = [self._found[command] for command in _REPORT]
-        # Before anything fails below: the next report must not be completed by parts of this one.
+        # Before anything fails below: parts of this report must not complete the next one.
         self._found.clear()
         try:
             if any(frame.status is not Status.OK for frame in found):
-                raise WsgFrameError("a question was refused")
+                raise WsgFrameError("a request was refused")
             state, grasping, *rest = found
             return [Report(state_of(state), grasping_of(grasping), *map(number, rest))]
         except WsgFrameError:
@@ -102,7 +98,7 @@ class _Reports:
             return []
 
 
-class WsgLink:
+class WsgLink(Unhurried):
     """Talks to one gripper.
 
     Args:
@@ -119,16 +115,12 @@ class WsgLink:
         self.deadline = deadline
         self._frames = FrameParser()
         self._reports = _Reports()
-        # In one packet: on a network each question of its own would cost a round trip.
-        self._questions = b"".join(asking(command).to_bytes() for command in _REPORT)
-
-    def unhurried(self) -> AbstractContextManager[None]:
-        """Allow exchanges outside the cycle the time they may need on a busy computer."""
-        return longer_deadline(self, PATIENCE)
+        # In one packet: on a network, each separate request would cost a round trip.
+        self._requests = b"".join(asking(command).to_bytes() for command in _REPORT)
 
     async def report(self) -> Report:
         """Return what the gripper reports; raises `BusError`."""
-        return await self.bus.transact(self._questions, self._reports, self.deadline)
+        return await self.bus.transact(self._requests, self._reports, self.deadline)
 
     async def ask(self, request: Frame, *, retries: int = 1) -> Frame:
         """Send a request and return its answer, the first one of a motion.
@@ -154,28 +146,20 @@ class WsgLink:
         return found
 
     async def begin(self, request: Frame) -> bool:
-        """Begin a motion; return whether the gripper takes it, as it does unless one is under way.
+        """Begin a motion; return whether the gripper accepts it: not while another is under way.
 
         Raises:
             WsgRefusal: if it refuses for another reason.
             BusError: if the exchange failed.
         """
         try:
-            # Sent once: an answer that is lost may have begun it, and it shows in the state.
+            # Sent once: if only the answer was lost, the motion has begun and shows in the state.
             await self.ask(request, retries=0)
         except WsgRefusal as refusal:
             if refusal.status is Status.ALREADY_RUNNING:
                 return False
             raise
         return True
-
-    async def value(self, command: Command, read: Callable[[Frame], float] = number) -> float:
-        """Return the one number that answers a question; raises `BusError`."""
-        found = await self.ask(Frame(command))
-        try:
-            return read(found)
-        except WsgFrameError as error:
-            raise FrameError(self.bus.name, str(error), found.payload) from error
 
 
 def _answers(request: Frame) -> Callable[[Frame], bool]:
@@ -186,7 +170,7 @@ def _answers(request: Frame) -> Callable[[Frame], bool]:
             status = found.status
         except WsgFrameError:
             return False
-        # The result of an earlier motion may come between; refusals of a new one are others.
+        # The result of an earlier motion may come first; a new motion is never refused by these.
         results: Sequence[Status] = (Status.OK, Status.ABORTED, Status.FAILED, Status.AXIS_BLOCKED)
         return request.command not in MOTIONS or status not in results
 

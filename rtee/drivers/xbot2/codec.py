@@ -20,12 +20,12 @@ from rtee.drivers.xbot2.messages import (
 )
 from rtee.hand.yamlfile import yaml_reader
 
-STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558  # where xbot2_zmq listens by default
-_LONGEST = 1_000_000  # bytes of an answer that is read; a robot's joint names take a few thousand
+STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558  # xbot2_zmq's default ports
+_LONGEST = 1_000_000  # longest accepted answer [bytes]; a robot's joint names take a few thousand
 
 
 class Control(IntFlag):
-    """Bits that select the references of a joint that are in effect."""
+    """Bits that select which references of a joint apply."""
 
     POSITION = 1
     VELOCITY = 2
@@ -42,9 +42,9 @@ class State:
         sequence: Number of the message.
         names: The joints.
         position: Link positions.
-        velocity: Velocities; ``NaN`` where the server gives none.
-        effort: Efforts; ``NaN`` where the server gives none.
-        temperature: Motor temperatures [°C]; ``NaN`` where the server gives none.
+        velocity: Velocities; ``NaN``: not published.
+        effort: Efforts; ``NaN``: not published.
+        temperature: Motor temperatures [°C]; ``NaN``: not published.
     """
 
     sequence: int
@@ -56,10 +56,10 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self | None:
-        """Read a published message; ``None`` if it is about something else.
+        """Read a published message; ``None`` if it has no joint state.
 
         Raises:
-            XBot2FrameError: if it is none, or its lists do not fit.
+            XBot2FrameError: if it cannot be read, or the lengths of its lists differ.
         """
         message = read(GenericRxMsg, data)
         if not message.HasField("js"):
@@ -80,7 +80,7 @@ class State:
         )
 
     def to_bytes(self, reference: Sequence[float], stamp: int) -> bytes:
-        """Return the message, with the fields the server is known to fill."""
+        """Return the message, with the fields that the server is known to fill."""
         message = GenericRxMsg(seq=self.sequence, stamp=stamp)
         message.js.jointNames.extend(self.names)
         message.js.linkPos.extend(self.position)
@@ -103,7 +103,7 @@ class Command:
         names: The joints.
         position: Position references.
         effort: Effort references.
-        control: The references in effect, of each joint.
+        control: The references of each joint that apply.
     """
 
     names: tuple[str, ...]
@@ -112,7 +112,7 @@ class Command:
     control: tuple[Control, ...] = ()
 
     def to_bytes(self) -> bytes:
-        """Return the message; lists that are empty are left out."""
+        """Return the message without empty lists."""
         message = JointCommand(
             name=self.names,
             posRef=self.position,
@@ -126,7 +126,7 @@ class Command:
         """Read a command.
 
         Raises:
-            XBot2FrameError: if it is none, or its lists do not fit.
+            XBot2FrameError: if it cannot be read, or the lengths of its lists differ.
         """
         message = read(JointCommand, data)
         n = len(message.name)
@@ -143,15 +143,17 @@ class Command:
 
 def request(kind: str, **values: str | float | bool) -> bytes:
     """Return a service request."""
-    stream = io.StringIO()
-    YAML(typ="safe", pure=True).dump({"type": kind, **values}, stream)
-    return stream.getvalue().encode("utf-8")
+    return _yaml({"type": kind, **values})
 
 
 def answer(success: bool, message: str = "", data: Any = None) -> bytes:
     """Return the answer to a service request."""
+    return _yaml({"success": success, "message": message, "data": data})
+
+
+def _yaml(value: Mapping[str, Any]) -> bytes:
     stream = io.StringIO()
-    YAML(typ="safe", pure=True).dump({"success": success, "message": message, "data": data}, stream)
+    YAML(typ="safe", pure=True).dump(value, stream)
     return stream.getvalue().encode("utf-8")
 
 
@@ -161,7 +163,7 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
         raise XBot2FrameError(f"{len(raw)} bytes are too many")
     try:
         found = yaml_reader().load(raw.decode("utf-8"))
-    # Text from a network may be nested so deeply that the stack does not suffice.
+    # Text from a network may be nested too deeply for the stack.
     except (YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise XBot2FrameError("this is not YAML") from error
     if not isinstance(found, dict):
@@ -173,7 +175,7 @@ def joint_names(raw: bytes) -> tuple[str, ...]:
     """Return the joints in the answer to a request ``joint_names``.
 
     Raises:
-        XBot2FrameError: if it is none, or a refusal.
+        XBot2FrameError: if it has none, or is a refusal.
     """
     found = read_yaml(raw)
     data = found.get("data")

@@ -38,7 +38,7 @@ from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
 _STALE = 0.3
-"""A state older than this counts as lost [s]: thirty periods of the server's usual rate."""
+"""Age at which a state counts as lost [s]: thirty periods at the server's usual rate."""
 
 _NO_EFFORT = (
     "its option 'control' is 'position', which sends positions alone; 'limited' sends the limit "
@@ -49,10 +49,10 @@ _NO_EFFORT = (
 class XBot2Driver(Driver):
     """Joints behind XBot2.
 
-    XBot2 owns the motors: it powers them, interpolates references and watches over them. This
-    driver is one of its clients. It sends a joint nothing until a reference asks it for something,
-    so one that holds is touched neither by connecting nor by the motion of others. No joint is
-    given a position and an effort together, but where the effort is known to limit it.
+    XBot2 owns the motors: it powers them, interpolates references and monitors them. This driver is
+    one of its clients. It sends a joint nothing until a reference asks it to move, so a joint that
+    holds an object keeps it when the driver connects and when others move. A joint gets a position
+    and an effort together only with ``control: limited``, for boards where the effort is a limit.
     """
 
     Options: ClassVar[type[XBot2Options]] = XBot2Options
@@ -94,10 +94,10 @@ class XBot2Driver(Driver):
     # --- life --------------------------------------------------------------------------------
 
     async def configure(self) -> None:
-        """Connect, see that the server has the joints, and wait for their first state."""
-        # Connecting again starts here too; the old subscription must not stay.
+        """Connect, check that the server has the joints, and wait for their first state."""
+        # On reconnection, the old subscription must end.
         await self.close()
-        # Of no joint it is known whether it holds something.
+        # Any joint may hold an object.
         self._attached.begin(range(len(self._names)))
         options = self.options
         joints = {
@@ -137,7 +137,7 @@ class XBot2Driver(Driver):
         try:
             async with asyncio.timeout(options.deadline):
                 while self._state is None:
-                    # Messages of another kind arrive too, so the state decides and not the event.
+                    # Other messages arrive, too, so the state decides and not the event.
                     self._arrived.clear()
                     await self._arrived.wait()
         except TimeoutError:
@@ -164,7 +164,7 @@ class XBot2Driver(Driver):
             state = State.from_bytes(message)
             if state is None:
                 return
-            # Each message names its joints, so their places are not taken for granted.
+            # Each message names its joints, so their order may change.
             self._index = [state.names.index(name) for name in self._names]
         except (XBot2FrameError, ValueError):
             self.connection.link.counters.checksum_errors += 1
@@ -173,7 +173,7 @@ class XBot2Driver(Driver):
         self._arrived.set()
 
     async def close(self) -> None:
-        """Give the connection back; XBot2 keeps the last reference."""
+        """Close the connection; XBot2 keeps the last reference."""
         if self._undo is not None:
             self._undo()
             self._undo = None
@@ -183,7 +183,7 @@ class XBot2Driver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return the newest state that XBot2 has published; waits a moment for a new one."""
+        """Return the newest state that XBot2 has published; waits briefly for a new one."""
         bus = self.connection.link
         bus.check()
         if self._stamp == self._seen:
@@ -194,7 +194,7 @@ class XBot2Driver(Driver):
                     await self._arrived.wait()
         state = self._state
         if state is None or time.monotonic() - self._stamp > _STALE:
-            # States come unasked, so the bus cannot know that one is missing.
+            # States are not requested, so the bus cannot count a missing one.
             bus.counters.timeouts += 1
             raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")
         fresh, self._seen = self._stamp != self._seen, self._stamp
@@ -209,7 +209,7 @@ class XBot2Driver(Driver):
         return found if fresh else replace(found, fresh=False)
 
     async def move(self, reference: Reference) -> None:
-        """Send position references, or efforts where that is how it is controlled."""
+        """Send position references, or efforts with ``control: effort``."""
         left = self._attached.left(reference, self._here()) if self._attached else ()
         chosen = [i for i in range(len(self._names)) if reference.mask[i] and i not in left]
         if not chosen:
@@ -217,7 +217,7 @@ class XBot2Driver(Driver):
         if self.options.control == "limited":
             for i in chosen:
                 limit, most = float(reference.max_effort[i]), self.spec.actuators[i].effort
-                # After a smaller limit, XBot2 must be sent that all of it may be used.
+                # After a smaller limit, the full effort has to be sent, too.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
         if self.options.control != "effort":
@@ -227,7 +227,7 @@ class XBot2Driver(Driver):
         if all(effort is None for effort in pushed):
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
-        # The server keeps only the newest message, so what stays and what pushes share one.
+        # The server keeps only the newest message, so positions and efforts share one.
         positions: tuple[float, ...] = ()
         if any(effort is None for effort in pushed):
             positions = tuple(
@@ -239,7 +239,7 @@ class XBot2Driver(Driver):
         self.connection.link.send_now(Command(names, positions, efforts, control).to_bytes())
 
     def _here(self) -> FloatArray:
-        """Return where the joints were last ``(n,)`` [rad | m]; ``NaN``: not known."""
+        """Return the newest positions of the joints ``(n,)`` [rad | m]; ``NaN``: not known."""
         state = self._state
         if state is None:
             return np.full(len(self._names), math.nan)
@@ -247,7 +247,7 @@ class XBot2Driver(Driver):
         return np.array([scale.to_si(state.position[i]) for i, scale in pairs])
 
     def _effort(self, i: int, reference: Reference) -> float | None:
-        """Return the effort that drives a joint to its reference; ``None``: its position does."""
+        """Return the effort that drives a joint to its reference; ``None``: use the position."""
         if self._state is None:
             return None
         actuator = self.spec.actuators[i]
@@ -256,7 +256,7 @@ class XBot2Driver(Driver):
         if abs(error) <= self.options.band * (actuator.upper - actuator.lower):
             return None
         size = min(float(reference.max_effort[i]), actuator.effort)
-        # An effort without bound cannot be sent, so the position drives the joint.
+        # An infinite effort cannot be sent, so the position is used.
         if not math.isfinite(size):
             return None
         return math.copysign(size, error) * self._signs[i]
@@ -279,7 +279,7 @@ class XBot2Driver(Driver):
         self.connection.link.send_now(command.to_bytes())
 
     async def stop(self) -> None:
-        """Hold the measured pose."""
+        """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             state = await patiently(self.sense)
             n = len(self._names)
@@ -287,7 +287,7 @@ class XBot2Driver(Driver):
             self._send_positions(list(range(n)), [float(q) for q in state.position])
 
     async def recover(self) -> None:
-        """Check that XBot2 still publishes; a client cannot reset anything of it."""
+        """Check that XBot2 still publishes states; a client cannot reset XBot2's faults."""
         await self.sense()
 
 

@@ -1,7 +1,7 @@
 """Emulates XBot2 with some joints behind it, at the level of xbot2_zmq.
 
-Only that level is known: what the boards below say to XBot2 is not public. References are slewed
-as the real one interpolates them; the sign of an effort is an option of the driver, not known.
+Only that level is public; the boards' protocol with XBot2 is not. References are slewed, as the
+real server interpolates them; the sign of efforts is not known and an option of the driver.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class ServerProperties:
         joints: Its joints.
         lower: Lower end of all joints.
         upper: Upper end of all joints.
-        start: Where they are at first.
-        speed: Speed to which references are slewed [1/s].
-        effort: Effort they are capable of.
+        start: Their position at first.
+        speed: Largest speed of the joints [range units/s].
+        effort: Their largest effort.
         rate: Rate of the states [Hz].
     """
 
@@ -42,7 +42,7 @@ class ServerProperties:
     rate: Positive = 100.0
 
     def __post_init__(self) -> None:
-        """Check that there is a way between the ends."""
+        """Check that the range of the joints is not empty."""
         if not self.lower < self.upper:
             raise ValueError(f"lower, {self.lower:g}, is not below upper, {self.upper:g}")
 
@@ -53,7 +53,7 @@ class XBot2Emulator(Emulator, Grasps):
     Attributes:
         properties: Its properties.
         axes: Its joints by name.
-        commands: Commands taken.
+        commands: Number of commands received.
     """
 
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent"}
@@ -129,7 +129,7 @@ class XBot2Emulator(Emulator, Grasps):
         return [state.to_bytes([a.target for a in self.axes.values()], int(now))]
 
     def feed(self, data: bytes, now: float) -> list[bytes]:
-        """Take a command."""
+        """Receive a command."""
         try:
             command = Command.from_bytes(data)
         except XBot2FrameError:
@@ -138,7 +138,7 @@ class XBot2Emulator(Emulator, Grasps):
         for i, name in enumerate(command.names):
             axis = self.axes.get(name)
             control = command.control[i] if command.control else Control(0)
-            # A command may be for a whole robot, of which these joints are a part.
+            # A command may be for a whole robot, with further joints.
             if axis is None:
                 continue
             if control & Control.POSITION and command.position:

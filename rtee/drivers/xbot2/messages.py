@@ -1,6 +1,6 @@
 """The proto3 messages of xbot2_zmq, built from their description at import; no protoc.
 
-Only the fields that are known for certain are described; what else a server fills in is skipped.
+Only the fields that are known for certain are described; other fields of a server are skipped.
 """
 
 from __future__ import annotations

@@ -15,13 +15,13 @@ Port = Annotated[int, Field(gt=0, lt=65536)]
 class JointOptions(BaseModel):
     """Options of one joint.
 
-    Positions are mapped linearly: the actuator's limits to those given here, for commands and for
-    states apart, since interfaces of one gripper differ (normalised closure or rad).
+    Positions are mapped linearly from the actuator's limits to the ends given here, separately for
+    commands and states, since a gripper may use different units for them (normalised closure, rad).
 
     Attributes:
         joint: Its name at the server; by default the actuator's.
-        command: What is commanded at the actuator's lower and upper limit; by default the limits.
-        state: What is reported there; by default as commanded.
+        command: Commanded values at the actuator's lower and upper limit; by default the limits.
+        state: Reported values at these limits; by default those of ``command``.
         effort_sign: Sign of an effort that drives the actuator up.
     """
 
@@ -48,13 +48,13 @@ class XBot2Options(DeviceOptions):
         state_port: Where it publishes states.
         service_port: Where it answers requests.
         command_port: Where it takes commands.
-        joints: The joint of each actuator, where it differs from the defaults.
+        joints: The joints of actuators that differ from the defaults.
         control: ``position`` sends positions only. ``limited`` sends the effort limit with each
-            position, as the joint's effort reference, for boards that take it so, such as those of
-            HERI II. ``effort`` closes and opens with the effort limit, and holds by position where
-            it is to stay.
+            position, as the joint's effort reference, for boards that use it so, such as those of
+            HERI II. ``effort`` closes and opens with the effort limit, and holds by position at the
+            reference.
         rate: Rate at which the server publishes [Hz].
-        band: In effort control, the largest error that asks for no motion, as part of the range.
+        band: In effort control, the largest error that causes no motion, as a share of the range.
         deadline: Longest time to wait for an answer or the first state [s].
     """
 

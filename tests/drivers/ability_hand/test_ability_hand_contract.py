@@ -29,7 +29,7 @@ def held(emulator: AbilityHandEmulator) -> None:
         emulator._aim(motor, Header.POSITION, goal)
     emulator.advance(1000.0)
     emulator.advance(1002.0)
-    emulator._now = None
+    emulator._clock = None
     assert emulator.axes[0].effort > 1.0
 
 

@@ -58,7 +58,7 @@ def test_motors_are_found_by_their_names_or_as_told() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"mode": "current", "reply": 1}, "reply 1 tells no velocities"),
+        ({"mode": "current", "reply": 1}, "reply 1 has no velocities"),
         ({"address": 0}, "'address': input should be greater than or equal to 1"),
         ({"baudrate": 9600}, "'baudrate'"),
         ({"reply": 4}, "'reply'"),
@@ -218,7 +218,7 @@ async def test_a_hand_that_moved_by_itself_is_a_fault_and_does_not_jump_back() -
         await anyio.sleep(0.8)
         moves = session.emulator.moves
         for _ in range(3):
-            with pytest.raises(DeviceFault, match="went back to its own control") as caught:
+            with pytest.raises(DeviceFault, match="left API mode") as caught:
                 await session.driver.sense()
             with pytest.raises(DeviceFault):
                 await session.driver.move(Reference.at([1.0] * 6))

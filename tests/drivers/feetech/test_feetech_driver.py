@@ -432,7 +432,7 @@ async def test_a_position_that_cannot_be_is_believed_only_when_told_twice() -> N
         state = await session.start()
         second = session.emulator.ordered[1]
         session.wire.call(lambda: setattr(second.axis, "position", 2048.0 + 500))
-        with pytest.raises(FrameError, match="servo 2 cannot have come to where it says it is"):
+        with pytest.raises(FrameError, match="servo 2 cannot have reached the position it reports"):
             await session.driver.sense()
         session.wire.call(lambda: setattr(second.axis, "position", 2048.0))
         assert (await session.driver.sense()).position.tolist() == state.position.tolist()

@@ -271,7 +271,7 @@ async def test_the_force_sensors_are_calibrated_and_what_is_left_is_taken_off(
         assert isinstance(driver, InspireRh56Driver)
         rest = Reference.at([a.rest for a in ACTUATORS]).position
         found = await driver.calibrate(path, rest, ready)
-        assert "index tells 0 g" in str(found)
+        assert "index reads 0 g" in str(found)
         assert json.loads(path.read_text()) == {"unit": 1, "grams": [0] * 6}
         memory = session.emulator.memory
         assert words(memory.read(Register.SPEED_SET, 12)) == (1000,) * 6, "as it was"
@@ -291,7 +291,7 @@ async def test_a_hand_that_feels_something_when_idle_is_not_calibrated(tmp_path:
         session.wire.call(lambda: setattr(session.emulator.memory, "write", lambda *_: True))
         driver = session.driver
         assert isinstance(driver, InspireRh56Driver)
-        with pytest.raises(CalibrationError, match="index tells 150 g although the hand is idle"):
+        with pytest.raises(CalibrationError, match="index reads 150 g although the hand is idle"):
             await driver.calibrate(path, Reference.at([0.0] * 6).position, ready)
     assert not path.exists()
 

@@ -121,7 +121,7 @@ def test_what_the_hand_does_not_have_is_refused(request_: str, code: int) -> Non
 
 
 def test_frames_on_can_are_those_of_the_sheet() -> None:
-    opened = codec.told(0x27, 0x01, OPEN)
+    opened = codec.property_frame(0x27, 0x01, OPEN)
     assert (opened.id, opened.data) == (0x27, bytes.fromhex("01 FF 46 FF FF FF FF"))
     assert codec.query(0x27, 0x33).data == b"\x33"
     o6 = hand()
@@ -134,8 +134,8 @@ def test_frames_on_can_are_those_of_the_sheet() -> None:
 
 def test_an_l10_has_its_values_in_two_parts_on_can() -> None:
     l10 = hand("l10")
-    l10.on_frame(codec.told(0x27, 0x04, [10, 20, 30, 40]), 0.0)
-    l10.on_frame(codec.told(0x27, 0x06, [1, 2, 3, 4, 5]), 0.0)
+    l10.on_frame(codec.property_frame(0x27, 0x04, [10, 20, 30, 40]), 0.0)
+    l10.on_frame(codec.property_frame(0x27, 0x06, [1, 2, 3, 4, 5]), 0.0)
     assert [axis.target for axis in l10.axes[6:]] == [10.0, 20.0, 30.0, 40.0]
     assert l10.table(Table.SPEED) == [*[255] * 5, 1, 2, 3, 4, 5]
     [answer] = l10.on_frame(codec.query(0x27, 0x04), 0.0)
