@@ -27,6 +27,7 @@ def held(emulator: AbilityHandEmulator) -> None:
     goal = angle_counts(1.2)
     for motor in range(5):
         emulator._aim(motor, Header.POSITION, goal)
+    emulator._clock = None  # a time of its own, whatever the computer's clock shows
     emulator.advance(1000.0)
     emulator.advance(1002.0)
     emulator._clock = None
