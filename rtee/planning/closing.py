@@ -197,7 +197,7 @@ class Closing:
         for touch in touches:
             blocked = blocked | self._drives[touch.shape]
         there = {touch.shape for touch in touches}
-        speed, one = np.maximum(self._speed, 1e-9), _STEP / _TICKS
+        speed, shortest = np.maximum(self._speed, 1e-9), _STEP / _TICKS
         at = self.scene.posed(self.way.at(shares))
         free: BoolArray = np.any(self._drives[:, ~blocked], axis=1)
         while s < 1.0 and not blocked.all():
@@ -207,7 +207,7 @@ class Closing:
                     touches.append(touch)
                     blocked = blocked | self._drives[touch.shape]
             # At least one step: a link inside the object has a negative way left.
-            step = max(one, near.least(at, pose, 1.0, speed, free, below=one))
+            step = max(shortest, near.least(at, pose, 1.0, speed, free, below=shortest))
             before, s = s, min(1.0, s + step)
             shares = np.where(blocked, shares, s)
             at = self.scene.posed(self.way.at(shares))
