@@ -286,7 +286,8 @@ def _all(
         with keep.until_done(len(todo), again), closing(coming):
             for result in _with_progress(coming, len(todo)):
                 keep.add(result)
-    if old:
+    # Outdated results of other actions stay if all that was asked for was known.
+    if old and _unfinished(path).exists():
         # All new results are there, so that the outdated ones can go.
         _unfinished(path).replace(path)
     return [known[trial.key] for trial in trials]

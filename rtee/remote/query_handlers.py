@@ -251,8 +251,9 @@ class QueryHandlers:
         with contextlib.suppress(OSError, UnicodeDecodeError):
             text = (folder.parent / TRIALS).read_text(encoding="utf-8")
             present = Fingerprints.of(folder.parent, self._library)
-            actions = emit({"present_model": present.model, "present_actions": present.actions})
-            return f"{text}{actions}present: '{present.files}'\n"
+            actions = {"present_actions": present.actions} if present.actions else {}
+            details = emit({"present_model": present.model, **actions})
+            return f"{text}{details}present: '{present.files}'\n"
         return ""
 
     # --- actions

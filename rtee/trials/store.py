@@ -178,8 +178,8 @@ def outdated(text: str, path: Path) -> frozenset[str]:
     if not {"present", "made_with"} <= document.keys():
         return frozenset()
     # An older hand sends the word of all its files only.
-    model, actions = document.get("present_model", ""), document.get("present_actions", {})
-    present = Fingerprints(str(document["present"]), model, actions)
+    model, actions = document.get("present_model", ""), document.get("present_actions")
+    present = Fingerprints(str(document["present"]), model, actions or {})
     return frozenset(_results(read, None).keys() - _results(read, present).keys())
 
 

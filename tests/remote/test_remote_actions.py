@@ -12,6 +12,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import RequestRejected
 from rtee.hand.model import Hand
+from rtee.trials.store import outdated
 
 from .serving import make_library, serving
 
@@ -155,3 +156,14 @@ async def test_what_trials_found_is_told(hand: Hand, tmp_path: Path) -> None:
         assert text.endswith(f"present: '{Fingerprints.of(tmp_path, library).files}'\n")
     async with serving(hand, make_library(hand)), rtee.connect("small") as remote:
         assert await remote.trials() == ""
+
+
+async def test_trials_are_told_though_all_actions_are_gone(hand: Hand, tmp_path: Path) -> None:
+    (tmp_path / "trials.yaml").write_text("trials: []\n")
+    async with (
+        serving(hand, ActionLibrary.load(hand, tmp_path / "actions")),
+        rtee.connect("small") as remote,
+    ):
+        text = await remote.trials()
+    assert "present_actions" not in text
+    assert outdated(text + "made_with: 0\n", Path("trials.yaml")) == frozenset()

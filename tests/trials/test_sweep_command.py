@@ -166,6 +166,20 @@ def test_results_of_other_actions_outlive_a_new_one(hand: Path) -> None:
     assert found[known["half"].trial.key].position != known["half"].position, "made anew"
 
 
+def test_outdated_results_stay_while_nothing_is_to_do(hand: Path) -> None:
+    library = ActionLibrary.load(load_configured(hand)[0], hand / "actions")
+    library.add(library.compose("half", [ActionReference("Grasp", (), 0.5)]), store=True)
+    names = [(one.name, one.elements) for one in library]
+    known = [TrialResult(Trial(*name, "sphere:0.03"), True) for name in names]
+    write_results(hand / "trials.yaml", now(hand), known)
+    library.remove("half")
+    before = (hand / "trials.yaml").read_text()
+    words = [str(hand), "--all", "--variations", "0", "--object", "sphere:0.03", "--jobs", "1"]
+    outcome = CliRunner().invoke(app_of(try_), words, catch_exceptions=False)
+    assert outcome.exit_code == 0, outcome.output
+    assert (hand / "trials.yaml").read_text() == before
+
+
 def test_a_hand_without_actions_is_told_what_to_type(hand: Path) -> None:
     shutil.rmtree(hand / "actions")
     with pytest.raises(ConfigError, match=r"no actions to try.*: rtee extract .* --save") as caught:
