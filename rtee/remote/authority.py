@@ -210,7 +210,7 @@ def _issued(
     builder = builder.add_extension(_usage(signs=False), critical=True)
     # A client's certificate cannot pass for the hand's, nor the reverse.
     builder = builder.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
-    # TLS requires a name, which is not checked: see `Identity.settings`.
+    # A placeholder, which clients do not check: see `Identity.settings`.
     names = x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")])
     return builder.add_extension(names, critical=False).sign(signer, hashes.SHA256())
 

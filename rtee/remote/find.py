@@ -111,13 +111,13 @@ def _alive(session: zenoh.Session) -> list[str]:
     return [str(reply.ok.key_expr).split("/")[1] for reply in tokens if reply.ok is not None]
 
 
-def _chosen(hand: str | None, running: Collection[str], where: str) -> str:
+def _chosen(hand: str | None, names: Collection[str], where: str) -> str:
     if hand is not None:
-        if hand in running:
+        if hand in names:
             return hand
-        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, running)}")
-    if not running:
+        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, names)}")
+    if not names:
         raise NoHand(f"no hand runs {where}; start one with 'rtee run HAND'")
-    if len(running) > 1:
-        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(running))}")
-    return next(iter(running))
+    if len(names) > 1:
+        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(names))}")
+    return next(iter(names))
