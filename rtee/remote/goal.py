@@ -116,16 +116,16 @@ class RunningGoal:
         if not self.done:
             await self._cancel()
 
-    def deliver(self, item: Feedback | Result | Exception) -> None:
+    def deliver(self, what: Feedback | Result | Exception) -> None:
         """Deliver feedback, the result, or the error that ends the goal."""
-        if isinstance(item, Feedback):
-            self._feedback.put_nowait(item)
+        if isinstance(what, Feedback):
+            self._feedback.put_nowait(what)
             return
         if not self._result.done():
-            if isinstance(item, Result):
-                self._result.set_result(item)
+            if isinstance(what, Result):
+                self._result.set_result(what)
             else:
-                self._result.set_exception(item)
+                self._result.set_exception(what)
         self._feedback.put_nowait(None)
 
 

@@ -71,8 +71,8 @@ class HandStatus:
 class CollectedStates:
     """States that have arrived since the last `drain`."""
 
-    def __init__(self, messages: deque[bytes]) -> None:
-        self._messages = messages
+    def __init__(self, found: deque[bytes]) -> None:
+        self._messages = found
 
     def drain(self, step: int = 1) -> list[State]:
         """Return the states since the last call, oldest first, and remove them.

@@ -35,17 +35,17 @@ class Stream:
         link: The connection to the hand.
         monitoring: Returns the hand's status.
         name: The stream's identifier.
+        number: Label under which the hand refuses its samples; see `Link.refusals`.
 
     Attributes:
         name: The stream's identifier.
-        label: Label under which the hand refuses its samples; see `Link.refusals`.
         ended: Why the hand has ended the stream, in words; empty while it is open.
     """
 
-    def __init__(self, link: Link, monitoring: Monitoring, name: str, label: str) -> None:
-        self.name, self.label = name, label
+    def __init__(self, link: Link, monitoring: Monitoring, name: str, number: str) -> None:
+        self.name = name
         self.ended = ""
-        self._link, self._monitoring = link, monitoring
+        self._link, self._monitoring, self._number = link, monitoring, number
         self._refused: RemoteError | None = None
 
     async def send(
@@ -79,7 +79,7 @@ class Stream:
             if not math.isfinite(number):
                 raise GoalRejected(f"a sample consists of finite numbers, not {number:g}")
         sample = StreamTargets(self.name, when, targets, velocity, self._link.client)
-        self._link.put("sample", STREAM_TARGETS.encode(sample), self.label)
+        self._link.put("sample", STREAM_TARGETS.encode(sample), self._number)
         # So that the hand's messages are received even by a caller that awaits nothing else.
         await anyio.lowlevel.checkpoint()
 
@@ -164,7 +164,7 @@ class StreamClient:
         await link.ask("begin_stream", fields)
         stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")
         try:
-            with link.refusals(stream.label, stream.refuse):
+            with link.refusals(f"s{number}", stream.refuse):
                 try:
                     yield stream
                 finally:

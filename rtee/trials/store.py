@@ -152,7 +152,7 @@ def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
 
 
 def outdated(text: str, path: Path) -> bool:
-    """Return whether the hand's files or the method are others now than the text says.
+    """Return whether the hand's files or the method have changed since the text was written.
 
     A running hand sends the text with the fingerprint of its present files, as ``present``.
 

@@ -144,7 +144,7 @@ async def flooded(served: Served, remote: RemoteHand, stream: Stream) -> None:
     begin, ticks = time.monotonic(), served.watcher.ticks
     for k in range(2000):
         sample = StreamTargets(stream.name, k * 1e-4, {"near": 0.5}, {}, remote.client)
-        remote._link.put("sample", STREAM_TARGETS.encode(sample), stream.label)
+        remote._link.put("sample", STREAM_TARGETS.encode(sample), stream._number)
         await anyio.lowlevel.checkpoint()
     with anyio.fail_after(10):
         while True:
