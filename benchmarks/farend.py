@@ -204,8 +204,8 @@ class ApartPool(BusPool):
 
     def late(self) -> tuple[float, float]:
         """Return the far ends' answered requests and lateness in all; see `FarEnd.late`."""
-        said = [end.late() for end in self._ends.apart.values()]
-        return sum(answers for answers, _ in said), sum(late for _, late in said)
+        ends = [end.late() for end in self._ends.apart.values()]
+        return sum(answers for answers, _ in ends), sum(late for _, late in ends)
 
     @contextlib.contextmanager
     def processors(self) -> Iterator[None]:

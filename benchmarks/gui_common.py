@@ -96,11 +96,11 @@ def mover(hand: str) -> Iterator[None]:
 @contextlib.contextmanager
 def remote_window(address: str, folder: Path) -> Iterator[Path]:
     """Open a window that receives everything and draws nothing; gives what it says every second."""
-    said = folder / "onlooker.txt"
+    output_file = folder / "onlooker.txt"
     command = (sys.executable, Path(__file__).with_name("gui_onlooker.py"), address, "--tell")
-    with said.open("w") as output, subprocess.Popen(command, stdout=output) as process:
+    with output_file.open("w") as output, subprocess.Popen(command, stdout=output) as process:
         try:
-            yield said
+            yield output_file
         finally:
             process.kill()
 

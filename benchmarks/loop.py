@@ -305,9 +305,9 @@ def run(
     assert process.stdout is not None
     for _ in hands:
         print(f"  {process.stdout.readline().strip()[:100]}", file=sys.stderr)
-    said: list[str] = []
+    lines: list[str] = []
     # From a thread, because its output must be drained.
-    drain = threading.Thread(target=lambda: said.extend(process.stdout or ()), daemon=True)
+    drain = threading.Thread(target=lambda: lines.extend(process.stdout or ()), daemon=True)
     drain.start()
     others = [[CLIENT, name] for name in hands if how.client and how.junk != "hand"]
     if how.junk:
@@ -332,8 +332,8 @@ def run(
         if other[0] is JUNK:
             client.kill()
         client.wait(timeout=30)
-    found = PRINTED.search("".join(said))
-    assert found is not None, "".join(said)
+    found = PRINTED.search("".join(lines))
+    assert found is not None, "".join(lines)
     printed = {name: int(value) for name, value in found.groupdict().items()}
     # Only the parts of the recordings; their folder also has other files.
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6

@@ -71,8 +71,8 @@ def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> 
             names = ", ".join(fingers)
             greatest = f"{1e3 * first.max():.2f}", f"{1e3 * deepest.max():.2f}"
             shares = f"{best:.1%}", f"{deep:.1%}"
-            said = f"{clear} of {times}"
-            table.row(hand.name, names, greatest[0], shares[0], greatest[1], shares[1], said)
+            cells = (greatest[0], shares[0], greatest[1], shares[1], f"{clear} of {times}")
+            table.row(hand.name, names, *cells)
     worst = f"**{worst_best:.1%}**", f"**{worst_deepest:.1%}**"
     table.row(hand.name, "**worst**", "", worst[0], "", worst[1], f"**{unequal} differ**")
 

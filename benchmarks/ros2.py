@@ -125,8 +125,8 @@ def main() -> None:
     rows |= {"bare put": times[:, 3]}
     rows["encoded and put"] = times[:, 1] + times[:, 2]
     for name, row in rows.items():
-        told = (np.median(row), np.percentile(row, 95), row.max())
-        table.row(name, *(f"{1e6 * value:.1f}" for value in told))
+        figures = (np.median(row), np.percentile(row, 95), row.max())
+        table.row(name, *(f"{1e6 * value:.1f}" for value in figures))
     print(f"\n{len(times)} published, {heard} received")
 
 

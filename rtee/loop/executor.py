@@ -382,7 +382,7 @@ class Executor:
         return error[0] <= run.angle and error[1] <= run.length
 
     def _settled(self, run: _Run) -> bool:
-        """Return whether the reference has come to the targets and isn't just passing them."""
+        """Return whether the reference has arrived at the targets, and is not just passing them."""
         profile, targets = self._profile, run.present.targets
         # The reference is at rest: where the hand is, it stays.
         if not profile.moving:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits
 
@@ -71,7 +72,6 @@ class Profile(ABC):
     def _seeded(self, indices: Collection[int]) -> None:
         """Discard the motion of some actuators, except for position and velocity."""
 
-    @abstractmethod
     def go(
         self,
         targets: Mapping[int, float],
@@ -87,14 +87,28 @@ class Profile(ABC):
             velocity: New velocity limits by index, above 0 [rad/s | m/s], at most those of the
                 hand, which apply at first. The other actuators keep theirs.
         """
-
-    def _aim(self, targets: Mapping[int, float], velocity: Mapping[int, float] | None) -> None:
-        """Store targets and velocity limits; an actuator with a target no longer brakes."""
+        changed = set()
         for index, top in (velocity or {}).items():
+            before = self._top[index]
             self._top[index] = min(max(top, _SLOWEST), self.limits.velocity[index])
+            if self._top[index] != before:
+                changed.add(index)
         for index, target in targets.items():
             self.target[index] = self.limits.clamp(index, target)
             self._braking[index] = False
+        self._start(targets.keys(), brake, changed)
+
+    @abstractmethod
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
+    ) -> None:
+        """Begin to move as `go` says, which has stored targets and velocity limits.
+
+        Args:
+            going: Actuators with a new target.
+            brake: Actuators to stop.
+            changed: Actuators with another velocity limit than before.
+        """
 
     @abstractmethod
     def advance(self) -> None:

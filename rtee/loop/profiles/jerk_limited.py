@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 
 from ruckig import (
     ControlInterface,
@@ -52,15 +53,9 @@ class JerkLimited(Profile):
         if self.moving:
             self._plan()
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        self._aim(targets, velocity)
         for index in brake:
             standing = self.velocity[index] == 0.0 and self._acceleration[index] == 0.0
             self._braking[index] = not standing

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
@@ -44,23 +45,15 @@ class SCurve(Profile):
     def _under_way(self) -> bool:
         return any(motion is not None for motion in self._motion)
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        before = list(self._top)
-        self._aim(targets, velocity)
-        # Actuators that keep their target but get another velocity limit are planned again.
-        others = {index for index in velocity or () if self._top[index] != before[index]}
         for index in brake:
             self._braking[index] = True
             self._stop(index)
-        self._together(targets)
-        for index in others.difference(targets, brake):
+        self._together(going)
+        # Actuators that keep their target but get another velocity limit are planned again.
+        for index in changed - going - set(brake):
             if not self._braking[index] and self._motion[index] is not None:
                 self._together((index,))
         self.moving = self._under_way()

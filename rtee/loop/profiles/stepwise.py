@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Collection, Mapping
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits, approach, bounded
 from rtee.loop.profiles.base import Profile
@@ -17,15 +18,9 @@ class Stepwise(Profile):
         for index in indices:
             self._braking[index] = False
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        self._aim(targets, velocity)
         for index in brake:
             self._braking[index] = True
         self.moving = True
