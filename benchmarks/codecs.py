@@ -2,8 +2,8 @@
 
     python benchmarks/codecs.py [--frames 1000000] [--only NAME]
 
-Nothing but a decoder's own error may be raised, its buffer stays bounded, and after any garbage it
-finds the next good frame but one at the latest.
+A decoder may raise only its own error, its buffer must stay bounded, and after any garbage it must
+find the second good frame at the latest.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ def main() -> int:
         if arguments.only and arguments.only not in decoder.name:
             continue
         start = time.perf_counter()
-        found = fuzz(decoder, arguments.frames)
-        rate = found.frames / (time.perf_counter() - start)
-        numbers = (found.frames, found.accepted, found.rejected, found.kept, found.lost)
-        table.row(decoder.name, *numbers, f"{rate:.0f}", "; ".join(map(str, found.failures)))
-        bad += bool(found.failures)
+        outcome = fuzz(decoder, arguments.frames)
+        rate = outcome.frames / (time.perf_counter() - start)
+        numbers = (
+            outcome.frames, outcome.accepted, outcome.rejected, outcome.kept, outcome.lost,
+        )  # fmt: skip
+        table.row(decoder.name, *numbers, f"{rate:.0f}", "; ".join(map(str, outcome.failures)))
+        bad += bool(outcome.failures)
     return bad
 
 

@@ -1,4 +1,4 @@
-"""Common parts of the benchmarks: the parser of command lines, and the printer of tables."""
+"""Common parts of the benchmarks: the parser of command lines, statistics, and Markdown tables."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from pathlib import Path
 
 HELP = {
     "chromium": "measure Chromium's window, too",
-    "connections": "connections that are made, one after the other",
+    "connections": "number of connections, made one after the other",
     "cycles": "exchanges with each fault",
-    "flight": "what the flight recorder keeps [s]",
+    "flight": "length of the flight recorder's history [s]",
     "frames": "frames for each decoder",
-    "goals": "goals that are sent",
+    "goals": "number of goals to send",
     "hand": "name of the hand",
     "hands": "names of hands, or their URDFs",
-    "hogs": "programs that keep CPUs busy",
+    "hogs": "number of programs that keep CPUs busy",
     "jobs": "processes at a time",
-    "live": "also over the network",
-    "kills": "recordings that are killed",
-    "minutes": "length of the recording that is read [min]",
+    "live": "measure over the network, too",
+    "kills": "number of recordings to kill",
+    "minutes": "length of the measurement or recording [min]",
     "nice": "priority of Chromium, 0 (as all others) to 19 (lowest)",
     "no_matrix": "leave the faults out",
     "no_throughput": "leave the throughput out",
-    "only": "what has this in its name, and nothing else",
+    "only": "measure only what has this in its name",
     "pairs": "runs with each driver, by turns",
-    "places": "places of the object that rtee try tries",
+    "places": "number of places of the object for rtee try",
     "rate": "ticks per second [Hz]",
     "realtime": "with real-time scheduling, as on a robot PC",
-    "record": "also record every tick",
-    "reference": "length of cyclictest, at most [s]",
+    "record": "record every tick, too",
+    "reference": "longest run of cyclictest [s]",
     "runs": "runs of each hand",
     "no_sampling": "leave random sampling out",
     "starts": "compare depths with those of a search from this many starts",
-    "times": "how often each hand is extracted",
+    "times": "number of extractions of each hand",
     "every": "print every pinch, not only those that differ",
-    "rounds": "how often everything is measured, by turns",
+    "rounds": "number of rounds, in which all cases are measured by turns",
     "seconds": "length of each measurement [s]",
-    "slow": "how much longer a flush to the disk takes in an overload [s]",
-    "still": "motion is more than this [rad | m]",
-    "tries": "how often each command is given",
-    "warm": "time before anything is measured [s]",
+    "slow": "additional time of a flush to the disk in an overload [s]",
+    "still": "least motion that counts [rad | m]",
+    "tries": "number of times each command is given",
+    "warm": "time before the measurement [s]",
     "witness": "cyclictest beside the loop",
 }
 """The help texts of the benchmarks' options."""
@@ -59,31 +59,32 @@ def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     for name, value in options.items():
-        flag, said = f"--{name.replace('_', '-')}", HELP[name]
+        flag, text = f"--{name.replace('_', '-')}", HELP[name]
         # Before `isinstance(value, type)` and numbers: a bool is an int in Python.
         if value is False:
-            parser.add_argument(flag, action="store_true", help=said)
+            parser.add_argument(flag, action="store_true", help=text)
         elif isinstance(value, type):
-            parser.add_argument(flag, type=value, help=said)
+            parser.add_argument(flag, type=value, help=text)
         else:
-            said = f"{said} (default: %(default)s)"
-            parser.add_argument(flag, type=type(value), default=value, help=said)
+            text = f"{text} (default: %(default)s)"
+            parser.add_argument(flag, type=type(value), default=value, help=text)
     return parser
 
 
 def own(pid: int) -> float:
-    """Return the memory that is a process' own [byte]."""
+    """Return a process's own memory, without pages of files [byte]."""
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+        # "Proportional": memory shared with a fork counts for each process in part.
         if line.startswith("Pss_Anon:"):
             return float(line.split()[1]) * 1024
-    raise SystemExit("this kernel does not tell whose memory is whose")
+    raise SystemExit("this kernel does not report the memory of single processes")
 
 
 def interval_of_median(values: Sequence[float]) -> tuple[float, float]:
-    """Return between which values the true median lies with at least 95 % certainty.
+    """Return the interval that contains the true median with at least 95 % certainty.
 
-    The number of values below it has a binomial distribution, whatever theirs is. With fewer than
-    six values no interval is certain enough: it is infinite.
+    The number of values below the median has a binomial distribution, whatever the values'
+    distribution is. With fewer than six values the interval is infinite.
     """
     ordered, n = sorted(values), len(values)
     outside, k = 0.0, 0
@@ -93,7 +94,7 @@ def interval_of_median(values: Sequence[float]) -> tuple[float, float]:
 
 
 class Table:
-    """A Markdown table that is printed row by row, as the results come in."""
+    """A Markdown table that is printed row by row, as results arrive."""
 
     def __init__(self, *head: str, widths: Sequence[int] = ()) -> None:
         """Print the head.
@@ -108,6 +109,6 @@ class Table:
         self.row(*("---" for _ in head))
 
     def row(self, *cells: object) -> None:
-        """Print a row, at once."""
+        """Print a row at once, not buffered."""
         texts = [str(cell).ljust(w) for cell, w in zip(cells, self._widths, strict=True)]
         print(f"| {' | '.join(texts)} |", flush=True)

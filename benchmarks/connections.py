@@ -1,13 +1,12 @@
-"""What a connection that was closed leaves behind in the process that accepted it; prints Markdown.
+"""Measure the memory that a closed connection leaves in the accepting process; print Markdown.
 
     python benchmarks/connections.py [--connections 10000] [--hand robotiq_2f_85] [--only Zenoh]
 
-One client after the other connects and leaves: to a bare Zenoh session, which does nothing but
-listen; to one with a hand's settings, its access control among them; to a hand, without a word; and
-to a hand as `rtee.connect` does, with a token and a hello. What remains of a connection is the
-slope, by least squares, of the accepting process's own memory over the number of connections, after
-a tenth of them, and likewise of the number of blocks that Python's objects take there: what is
-rtee's own would be among these.
+One client after the other connects and leaves: to a bare Zenoh session, which only listens; to one
+with a hand's settings, including its access control; to a hand, without a request; and to a hand as
+`rtee.connect` does, with a token and a hello. The remainder of a connection is the slope, by least
+squares, of the accepting process's own memory over the number of connections, after a tenth of
+them, and likewise of the number of memory blocks of its Python objects, which would include rtee's.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from rtee.remote.directory import running
 from rtee.remote.session import direct, open_client, open_server
 
 NOTES = 50
-"""How often memory is noted."""
+"""Number of measurements of the memory: enough for the error of a slope."""
 
 KINDS = {
     "Zenoh": "a bare session of Zenoh",
@@ -42,11 +41,11 @@ KINDS = {
     "session": "a hand, without a word",
     "hello": "a hand, with `rtee.connect`",
 }
-"""To what clients connect, in words."""
+"""The accepting processes, in words."""
 
 
 def listen(kind: str, path: str) -> None:
-    """Accept connections with a session of Zenoh and nothing else until standard input ends."""
+    """Accept connections with a bare session of Zenoh until standard input ends."""
     if kind == "settings":
         rules = {"access_control": access_control("x", {}, plain=False)}
         session, _ = open_server(Path(path), further=rules)
@@ -62,19 +61,19 @@ def listen(kind: str, path: str) -> None:
 
 
 def say_blocks() -> None:
-    """Print how many blocks of memory Python's objects take."""
+    """Print the number of memory blocks of Python's objects."""
     gc.collect()
     print(sys.getallocatedblocks(), flush=True)
 
 
 def say_blocks_when_asked() -> None:
-    """Do so for each line on standard input, until it ends."""
+    """Call `say_blocks` for each line on standard input, until it ends."""
     while sys.stdin.readline():
         say_blocks()
 
 
 def ask_blocks(process: subprocess.Popen[str]) -> int:
-    """Return what `say_blocks` says in another process."""
+    """Return the number that `say_blocks` prints in another process."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write("\n")
@@ -90,7 +89,7 @@ def accepting(kind: str, hand: str, folder: Path) -> Iterator[tuple[subprocess.P
     (started,) = processes.start([kind if bare else "serve"], "--socket", socket)
     with started as process:
         if bare:
-            ask_blocks(process)  # it is there once it answers
+            ask_blocks(process)  # once it answers, it listens
             yield process, f"unixsock-stream/{socket}"
         else:
             with rtee.connect_blocking(hand, wait=30.0) as remote:
@@ -103,12 +102,12 @@ def accepting(kind: str, hand: str, folder: Path) -> Iterator[tuple[subprocess.P
 def connect(kind: str, hand: str, endpoint: str) -> None:
     """Connect and leave."""
     if kind == "hello":
-        # A computer that does much else may be too slow to answer; then there was a connection.
+        # On a busy computer the answer may be too slow; the connection was made nevertheless.
         with contextlib.suppress(NoHand), rtee.connect_blocking(hand):
             pass
         return
     session = open_client([endpoint])
-    # Its client knows of a peer as soon as this has returned, and so does the peer.
+    # When this has returned, client and peer both know of each other.
     session.liveliness().get("rtee/**", direct(lambda _: None))
     session.close()
 
@@ -123,7 +122,7 @@ def slope(counts: list[float], values: list[float]) -> str:
 
 
 def measure(kind: str, args: argparse.Namespace) -> tuple[str, str, str]:
-    """Return what a connection leaves behind [byte] and [blocks], and all of them [MB]."""
+    """Return the remainder of a connection [byte] and [blocks], and of all connections [MB]."""
     counts: list[float] = []
     sizes: list[float] = []
     blocks: list[float] = []

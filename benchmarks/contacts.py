@@ -1,4 +1,4 @@
-"""Measure how hard, sticky and costly contacts are, with the simulation's settings and others.
+"""Measure depth, creep and cost of simulated contacts, with the simulation's settings and others.
 
 Run: ``python benchmarks/contacts.py [--rounds N] [--hand NAME]``; prints Markdown. With the name of
 a hand, its contacts with all standard objects; without, those of all hands, after the settings.
@@ -36,10 +36,10 @@ GRASPS = (
 """Grasps that hold with every setting."""
 
 HELD = 1.0
-"""How long an object is watched after its support was removed [s]."""
+"""Time for which an object is watched after its support was removed [s]: slips show within it."""
 
 CLOSING = 0.3
-"""An object that moves faster than this has been lost, and is not a part of the study [m/s]."""
+"""An object that moves faster than this was lost, and is left out of the study [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Settings:
     noslip: int = 0
 
     def apply(self, model: mujoco.MjModel) -> None:
-        """Set them in a compiled model."""
+        """Apply the settings to a compiled model."""
         model.geom_solref[:] = self.time_constant, 1.0
         model.geom_solimp[:] = self.impedance
         model.geom_margin[model.geom_margin > 0.0] = self.skin
@@ -88,15 +88,15 @@ OTHERS = {
 
 @dataclass
 class Seen:
-    """What one grasp showed.
+    """The measurements of one grasp.
 
     Attributes:
         depth: Deepest contact of the object with the hand [m].
         force: Normal force there [N].
-        creep: How far the object moved in the hand while it was held [m/s].
+        creep: Speed of the object in the hand while it was held [m/s].
         energy: Mean kinetic energy of the object while it was held at rest [J].
         cost: Processor time per simulated second [s].
-        held: It is still in the hand.
+        held: Whether the object was still in the hand at the end.
     """
 
     depth: float
@@ -180,7 +180,7 @@ def grasp(name: str, shape: str, settings: Settings) -> Seen | None:
 
 
 def compare(rounds: int) -> None:
-    """Print what the settings do to some grasps."""
+    """Print the measurements of some grasps with all settings."""
     table = Table(
         "setting", "depth [mm]", "creep [mm/s]", "energy [µJ]", "processor [ms/s]", "held"
     )

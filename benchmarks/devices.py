@@ -1,4 +1,4 @@
-"""The devices that the benchmarks drive: those of the contract suite, and whole hands of them."""
+"""The devices for the benchmarks: those of the contract suite, and whole hands of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TESTS = Path(__file__).resolve().parents[1] / "tests" / "drivers"
 
 
 def as_the_loop() -> None:
-    """Set this thread and its interpreter up as the loop does that drives real hands."""
+    """Set up this thread and its interpreter in the same way as the loop."""
     ask_for_short_slices()
     share_the_interpreter()
     gc.collect()
@@ -44,7 +44,7 @@ def cases(only: str | None) -> dict[str, DeviceCase]:
 
 
 def whole_hands(devices: dict[str, DeviceCase], only: str | None) -> dict[str, DeviceCase]:
-    """Return the devices, and those of which the tests drive a part as whole hands."""
+    """Return the devices, and as whole hands those of which the tests drive only a part."""
     found = dict(devices)
     svh = found.get("schunk_svh: Svh")
     if svh is not None:

@@ -115,7 +115,7 @@ async def throughput(case: DeviceCase, seconds: float) -> list[object]:
 
 
 async def middling(session: Session, goals: list[Reference], used: Callable[[], float]) -> float:
-    """Return what the median exchange takes of the wire [s]; not every one carries the same."""
+    """Return the wire's time of the median exchange [s]; exchanges differ in length."""
     needs: list[float] = []
     while len(needs) < 30:
         before = used()

@@ -1,14 +1,14 @@
-"""Whether a hand that runs for weeks stays as large as it is; prints Markdown.
+"""Measure whether memory, threads and files of a running hand grow; print Markdown.
 
     python benchmarks/endurance.py [--minutes 120] [--warm 300] [--hand schunk_svh]
 
 `rtee run` at 1 kHz records into files of 20 s, of which 20 MB are kept, while a client opens and
 closes the hand and a window on another computer (see `benchmarks/gui.py`) shows all of it in the
 GUI. Every two seconds the processes' own memory (not the pages of files, which other programs share
-or not), threads and open files are noted, and what the recordings take of the disk. After the
-warm-up, in which the flight recorder fills, a straight line is put through each by least squares:
-its slope is what an hour would add. The error is twice the slope's standard error, from the means
-of ten notes each.
+or not), threads and open files are noted, and the size of the recordings on disk. After the
+warm-up, in which the flight recorder fills, a straight line is fitted to each by least squares: its
+slope is the growth in an hour. The error is twice the slope's standard error, from the means of ten
+notes each.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ EVERY = 2.0
 """Time between notes [s]."""
 
 LOG = "\nlog: {max_file_time: 20.0, max_total_size: 2.0e7}\n"
-"""A week's worth of rotations in an hour or two."""
+"""Recordings that rotate fast: as often in an hour or two as usually in a week."""
 
 
 def count(pid: int, what: str) -> float:
-    """Return how many threads (``task``) or open files (``fd``) a process has."""
+    """Return the number of threads (``task``) or open files (``fd``) of a process."""
     return float(len(list(Path(f"/proc/{pid}/{what}").iterdir())))
 
 
 def note(processes: Mapping[str, int], logs: Path) -> dict[str, float]:
-    """Return what there is at this moment, in MB and numbers."""
+    """Return the present sizes [MB] and numbers."""
     found: dict[str, float] = {}
     for name, pid in processes.items():
         found[f"{name}: own memory [MB]"] = own(pid) / MEGA
@@ -50,7 +50,7 @@ def note(processes: Mapping[str, int], logs: Path) -> dict[str, float]:
 
 
 def report(times: list[float], notes: list[dict[str, float]], ever: int) -> None:
-    """Print how each quantity went."""
+    """Print the slope of each quantity."""
     print(f"{(times[-1] - times[0]) / 60:.0f} min after the warm-up, {ever} files were begun:\n")
     table = Table("", "first", "last", "most", "in an hour", widths=(24,))
     for name in notes[0]:
@@ -62,7 +62,7 @@ def report(times: list[float], notes: list[dict[str, float]], ever: int) -> None
 
 
 def configured(folder: Path, hand: str) -> None:
-    """Copy a hand, with recordings that rotate fast."""
+    """Copy a hand and make its recordings rotate fast."""
     source = Path(__file__).parents[1] / "config" / hand
     copy = folder / "config" / hand
     shutil.copytree(source, copy)

@@ -3,7 +3,7 @@
     python benchmarks/extract.py [--hands schunk_svh some/hand.urdf …] [--runs 3] [--jobs 0]
                                  [--starts 256] [--no-sampling]
 
-A hand is named, or given by its URDF; an SRDF of the same name beside it is taken along.
+A hand is given by its name or its URDF; an SRDF of the same name beside the URDF is used, too.
 
 Extraction: the whole process `rtee extract HAND --json`, cold, with rtee compiled to bytecode as an
 installation does; median wall and processor time and peak memory. Beside it the reference
@@ -60,7 +60,7 @@ Fingers = frozenset[str]
 
 @dataclass
 class Measured:
-    """What runs of the extraction cost, and the depths of the pinches they found [m]."""
+    """The cost of runs of the extraction, and the depths of the pinches they found [m]."""
 
     wall: float
     cpu: float
@@ -151,7 +151,7 @@ def sampled(hand: Hand, seed: int = 0) -> tuple[float, dict[Fingers, float]]:
 
 
 def goals(scene: Scene, found: Iterable[Fingers]) -> Iterator[tuple[Fingers, Goal, Space]]:
-    """Yield what to press together, and where to search: all pairs, and the groups found."""
+    """Yield the tips to press together and the search's bounds: all pairs, and the groups found."""
     limits, pairs = real_limits(scene.hand), tip_pairs(scene)
     for names, tips in pairs.items():
         yield names, PinchGoal(scene, tips), make_space(scene.hand, sorted(tips.actuators), limits)

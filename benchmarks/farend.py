@@ -6,10 +6,10 @@ against the driver, although no real device takes the driver's processor. Here a
 never sleeps emulates the device. It hands bytes over when the modelled wire has carried them,
 never before, and notes by how much later it did.
 
-Bytes are on the wire from the moment the driver writes them, as on a real one. The kernel hands
-what goes into a pseudo-terminal over in a thread of its own, some tens of microseconds later; so
-the driver's process notes when it wrote how much, and the far end reckons from there. The device's
-thinking costs nothing but its turn-around: it is done while the modelled wire is busy.
+Bytes are on the wire from the moment the driver writes them, as on a real one. The kernel passes
+the bytes of a pseudo-terminal on in a thread of its own, some tens of microseconds later; so the
+driver's process records when it wrote how many bytes, and the far end counts from there. The
+device's computation costs only its turn-around, since it is done while the modelled wire is busy.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ _COUNT = struct.Struct("@Q")
 _WRITE = struct.Struct("@dQ")
 """When the driver wrote, CLOCK_MONOTONIC [s], and how many bytes."""
 _WRITES = 256
-"""Newest writes that are kept: far more than are ever on their way at once."""
+"""Newest writes that are kept: far more than are ever on the wire at once."""
 _AT_ONCE = 2e-5
-"""What is due within this time is awaited without checking whether bytes have come [s]."""
+"""Actions due within this time are awaited without checking for new bytes [s]."""
 
 PASSIVE = (AbilityHandEmulator,)
-"""Devices that act by themselves without traffic but send nothing unasked: while requests come they
-need no steps of their own."""
+"""Devices that act by themselves without traffic, but send nothing unasked: while requests arrive,
+they need no steps of their own."""
 
 
 class FarEnd:
@@ -204,8 +204,8 @@ class ApartPool(BusPool):
 
     def late(self) -> tuple[float, float]:
         """Return the far ends' answered requests and lateness in all; see `FarEnd.late`."""
-        said = [end.late() for end in self._ends.apart.values()]
-        return sum(answers for answers, _ in said), sum(late for _, late in said)
+        ends = [end.late() for end in self._ends.apart.values()]
+        return sum(answers for answers, _ in ends), sum(late for _, late in ends)
 
     @contextlib.contextmanager
     def processors(self) -> Iterator[None]:

@@ -1,13 +1,13 @@
-"""Ticks that a hand misses while clients send it requests as fast as they can.
+"""Measure the ticks that a hand misses while clients send requests as fast as they can.
 
     python benchmarks/flood.py [--hand schunk_svh] [--rate 1000] [--seconds 3] [--rounds 10]
 
 The hand runs in a process of its own with the kinematic driver and the network. Three clients send
-one kind of request, as fast as Zenoh takes them: to the hand, and by turns to another process,
-which answers at once and does nothing else. What the computer's load alone costs is therefore in
-both figures; the difference is rtee's work. All kinds and both places are measured in each round,
-in an order that changes from round to round. Printed are medians, the median of the rounds'
-differences, and the interval that holds its true value with at least 95 % certainty.
+one kind of request, as fast as Zenoh accepts them: to the hand, and by turns to another process,
+which only answers at once. Both figures therefore include the cost of the computer's load; the
+difference is rtee's work. All kinds and both receivers are measured in each round, in an order that
+changes from round to round. Printed are medians, the median of the rounds' differences, and the
+interval that contains its true value with at least 95 % certainty.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct, open_client
 
 CLIENTS = 3
-"""Clients that send at a time."""
+"""Clients that send at the same time: more than one process could send."""
 
 KINDS = ("stop", "do", "jog", "acquire", "status", "info", "actions", "add", "hello")
 """Requests that are sent."""
 
 MOST = 1.0
-"""What a flood may cost at most [% of the ticks]."""
+"""Most ticks that a flood may cost [%]: the requirement."""
 
 WAITING = 32
 """Queries of a client that wait for their answers at a time."""
 
 
 def question_of(kind: str, source: random.Random) -> bytes:
-    """Return a question that differs from the ones before."""
+    """Return a question that differs from all before, so that no answer is cached."""
     fields = {
         "acquire": {"client": "x", "what": ""},
         "stop": {"client": "x", "what": ""},

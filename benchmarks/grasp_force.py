@@ -1,9 +1,9 @@
 """Measure the force with which hands hold, beside the requested one, in MuJoCo.
 
 Each hand grasps an object that floats between its fingertips, by width and force, as `rtee grasp`
-does. The force that counts is that of the contacts half a second later; the peak is the strongest
-at any tick before the result. With --vary, widths and shapes vary and what counts is how many of
-the forces were within 15 %. Run: python benchmarks/grasp_force.py
+does. The measured force is that of the contacts half a second later; the peak is the strongest
+force at any tick before the result. With --vary, widths and shapes vary, and the result is the
+share of forces within 15 %. Run: python benchmarks/grasp_force.py
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ CASES = (
 
 
 def squeeze(simulation: Simulation, hand: Hand) -> float:
-    """Return the force with which one side presses on the object, and the other side back [N].
+    """Return the force that each side exerts on the object [N].
 
     That is half the sum over the fingers of the size of what each exerts on the object, all of its
     links together: links of one finger that press against each other add nothing.
@@ -148,7 +148,7 @@ def grasp(case: Case, force: float, numb: bool) -> Came:
 
 
 def measure(case: Case, force: float, numb: bool) -> str:
-    """Return a row of the table: what one grasp came to."""
+    """Return the row of one grasp."""
     try:
         came = grasp(case, force, numb)
     except GoalRejected as error:

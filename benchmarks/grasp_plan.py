@@ -1,6 +1,7 @@
 """Count how often a planned grasp holds in dynamics, beside the best stored and a random action.
 
-Things that no action was made for (``experiments/objects``) are grasped, lifted, held and shaken:
+Objects without an action made for them (``experiments/objects``) are grasped, lifted, held and
+shaken:
 
 - *planned*: the first choice of `rtee grasp-plan`, from geometry alone, where it puts the object;
 - *stored*: the action that held most of the standard objects in the hand's ``trials.yaml``, at the
@@ -50,7 +51,7 @@ def best_stored(ready: Bench) -> Action:
 
 
 def tried(ready: Bench, action: Action, thing: GraspObject, places: int) -> bool:
-    """Return whether an action holds an object at a place that `rtee try` finds."""
+    """Return whether an action holds an object at one of the places that `rtee try` finds."""
     trial = Trial(action.name, action.elements, thing.name, mass=thing.mass, places=places)
     try:
         return run_trial(ready.hand, ready.library, ready.settings, trial).held

@@ -1,4 +1,4 @@
-"""Measure what the GUI costs a loop of 1 kHz, in one run; print Markdown tables.
+"""Measure the GUI's cost to a loop of 1 kHz, in one run; print Markdown tables.
 
     python benchmarks/gui.py [--rounds 3] [--seconds 6] [--hand schunk_svh] [--nice 19] [--realtime]
 
@@ -62,7 +62,7 @@ PARTS = ("alone", "GUI, no window", "GUI, window on another computer", "GUI, Chr
 
 @dataclass
 class Part:
-    """What was measured of one part in all rounds.
+    """The measurements of one part in all rounds.
 
     Attributes:
         spans: Begin and end of each round, CLOCK_MONOTONIC [s].
@@ -84,7 +84,7 @@ class Part:
 
 
 def row(name: str, part: Part, ticks: np.ndarray) -> list[str]:
-    """Return the cells of a row: what the ticks in all rounds of a part were like."""
+    """Return the cells of a row: statistics of the ticks in all rounds of a part."""
     woken = ticks[:, 0] * 1e-9
     rounds = [ticks[(woken >= begin) & (woken < end)] for begin, end in part.spans]
     late = np.concatenate(rounds)[:, 1] * 1e-3
@@ -111,7 +111,7 @@ def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, p
 
 
 def counted(folder: Path, hand: str, page: Page) -> list[list[str]]:
-    """Return the rows of a table of what each kind of window was sent in a while."""
+    """Return the rows of the table of messages sent to each kind of window."""
     rows = []
     windows = {
         PARTS[2]: lambda address: remote_window(address, folder),

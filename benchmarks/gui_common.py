@@ -28,7 +28,7 @@ _TICK = os.sysconf("SC_CLK_TCK")  # units of processor time per second
 
 @contextlib.contextmanager
 def program(folder: Path, pattern: str, *command: str) -> Iterator[tuple[int, str]]:
-    """Run a command while the context lasts; gives its process and what it said."""
+    """Run a command while the context lasts; yield its process and its first output."""
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -45,24 +45,24 @@ def program(folder: Path, pattern: str, *command: str) -> Iterator[tuple[int, st
 
 
 def gui_of(folder: Path, hand: str) -> contextlib.AbstractContextManager[tuple[int, str]]:
-    """Run the GUI of a hand while the context lasts; gives its process and address."""
+    """Run the GUI of a hand while the context lasts; yield its process and address."""
     return program(folder, r"GUI at (\S+)", *COMMAND, "gui", hand, "--port", "0")
 
 
 def resident(pid: int) -> float:
-    """Return the memory a process has [bytes]."""
+    """Return the resident memory of a process [bytes]."""
     return float(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE
 
 
 def used(pid: int) -> float:
-    """Return the processor time a process has used [s]."""
+    """Return the processor time used by a process [s]."""
     # Behind the name in parentheses, which may contain blanks.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / _TICK
 
 
 def family(pid: int) -> list[int]:
-    """Return a process and all that it started."""
+    """Return a process and all its descendants."""
     found = [pid]
     # The list grows while it is iterated over: children of children, too.
     for each in found:
@@ -72,7 +72,7 @@ def family(pid: int) -> list[int]:
 
 
 async def moving(hand: str) -> None:
-    """Open and close a hand for ever."""
+    """Open and close a hand without end."""
     async with rtee.connect(hand, wait=10.0) as remote:
         while True:
             await remote.do("Grasp")
@@ -96,11 +96,11 @@ def mover(hand: str) -> Iterator[None]:
 @contextlib.contextmanager
 def remote_window(address: str, folder: Path) -> Iterator[Path]:
     """Open a window that receives everything and draws nothing; gives what it says every second."""
-    said = folder / "onlooker.txt"
+    output_file = folder / "onlooker.txt"
     command = (sys.executable, Path(__file__).with_name("gui_onlooker.py"), address, "--tell")
-    with said.open("w") as output, subprocess.Popen(command, stdout=output) as process:
+    with output_file.open("w") as output, subprocess.Popen(command, stdout=output) as process:
         try:
-            yield said
+            yield output_file
         finally:
             process.kill()
 
@@ -131,7 +131,7 @@ def shown(page: Page, address: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def runtime_folder() -> Iterator[Path]:
-    """A temporary folder for files and sockets, in which hands that already run are not found."""
+    """Yield a temporary runtime folder, in which hands that already run are not found."""
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         os.environ["XDG_RUNTIME_DIR"] = place
         yield Path(place)

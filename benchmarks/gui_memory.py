@@ -4,8 +4,8 @@
 
 The hand opens and closes all the time; a window on another computer (see `benchmarks/gui.py`), or
 Chromium, shows all quantities of all actuators. After the warm-up the resident memory is noted
-every second, and a straight line put through it by least squares: its slope is what an hour would
-add. The error given is twice the standard error of the slope, from the means of ten-second pieces.
+every second, and a straight line is fitted by least squares: its slope is the growth in an hour.
+The error is twice the standard error of the slope, from the means of ten-second pieces.
 """
 
 from __future__ import annotations

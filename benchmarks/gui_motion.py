@@ -6,9 +6,9 @@ Asks for *Grasp* with the hand at rest: by a client, by a click on *Do* in a win
 computer (a window that draws nothing, see `benchmarks/gui.py`), and by a real click in Chromium,
 which renders in software here, at the lowest priority. The time begins when the client asks or the
 button of the mouse is let go (by the browser's own clock), and has two ends, both by the stamps of
-the loop's ticks: the first set-point that is another one, and *motion*, the first measured position
-that differs from that at rest by more than `--still` (rad or m), in any actuator. What lies
-between the two ends is how the hand's profile begins: with limited jerk it takes its time.
+the loop's ticks: the first changed set-point, and *motion*, the first measured position that
+differs from that at rest by more than `--still` (rad or m), in any actuator. Between the two ends,
+the hand's profile accelerates: with limited jerk, that takes some time.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def tried(
 
 
 def clicked(page: Page) -> float:
-    """Click on Do as a person would; returns when, CLOCK_MONOTONIC [s]."""
+    """Click on Do as a person would; return the time, CLOCK_MONOTONIC [s]."""
     page.evaluate(
         "void (window.released = new Promise(done => addEventListener('pointerup', event =>"
         "done(performance.timeOrigin + event.timeStamp), {once: true, capture: true})))"
@@ -151,7 +151,7 @@ def clicked(page: Page) -> float:
 
 @contextmanager
 def elsewhere(address: str) -> Iterator[Callable[[], float]]:
-    """Open a window on another computer; gives a function that clicks on Do of Grasp there."""
+    """Open a window on another computer; yield a function that clicks on Do of Grasp there."""
     with window(address) as connection:
         found = controls(connection)
         card = next(c for c in found if c["props"]["label"] == "Grasp")
@@ -172,7 +172,7 @@ def elsewhere(address: str) -> Iterator[Callable[[], float]]:
 
 
 def asked(hand: BlockingHand) -> float:
-    """Ask for it as a client."""
+    """Send the goal as a client; return the time, CLOCK_MONOTONIC [s]."""
     at = time.monotonic()
     hand.start("Grasp")
     return at

@@ -66,7 +66,7 @@ def window(address: str) -> Iterator[Connection]:
 
 
 def messages(frame: bytes) -> list[dict[str, Any]]:
-    """Return the messages in a frame; arrays are left as what stands for them."""
+    """Return the messages in a frame; arrays remain as their placeholders."""
     size, packed = (int.from_bytes(frame[at : at + 8], "little") for at in (0, 8))
     data = frame[_HEADER : _HEADER + packed]
     unpacked = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
@@ -75,7 +75,7 @@ def messages(frame: bytes) -> list[dict[str, Any]]:
 
 
 def controls(connection: Connection) -> list[dict[str, Any]]:
-    """Return the messages that make the page's controls; call it first of all."""
+    """Return the messages that create the page's controls; must be called first."""
     found: list[dict[str, Any]] = []
     for frame in connection:
         news = messages(frame) if isinstance(frame, bytes) else []
@@ -86,13 +86,13 @@ def controls(connection: Connection) -> list[dict[str, Any]]:
 
 
 def use(connection: Connection, control: dict[str, Any], value: object = True) -> None:
-    """Use a control as the page does: set what it is, or click a button."""
+    """Use a control as the page does: set its value, or click a button."""
     update = {"type": "GuiUpdateMessage", "uuid": control["uuid"], "updates": {"value": value}}
     connection.send(msgspec.msgpack.encode(update))
 
 
 def kinds(frames: Iterable[bytes]) -> Counter[str]:
-    """Return how many messages of which kind are in frames; updates by what they change."""
+    """Return the number of messages in frames by kind; updates by the changed property."""
     found: Counter[str] = Counter()
     for frame in frames:
         for message in messages(frame):
@@ -102,7 +102,7 @@ def kinds(frames: Iterable[bytes]) -> Counter[str]:
 
 
 def main() -> None:
-    """Look until ended; prints how much came in every second if asked to."""
+    """Receive until ended; print the amount received in every second if asked to."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("address")
     parser.add_argument("--tell", action="store_true", help="print frames and bytes per second")

@@ -1,4 +1,4 @@
-"""A relay before the GUI that keeps what the server sends a window over its websocket."""
+"""A relay before the GUI that keeps the frames sent to a window over its websocket."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def split(data: bytes) -> tuple[list[bytes], bytes]:
 
 
 class Relay:
-    """Passes everything on in both directions while the context lasts.
+    """Passes all data on in both directions while the context lasts.
 
     Attributes:
         address: Where windows connect.
@@ -62,7 +62,7 @@ class Relay:
             each.close()
 
     def take(self) -> list[bytes]:
-        """Return the frames that came since the last call."""
+        """Return the frames received since the last call."""
         frames, self._frames = self._frames, []
         return frames
 

@@ -4,12 +4,12 @@
 
 The hand runs in a process of its own with the kinematic driver and the network, as `rtee run`
 would run it. A client sends goals from standstill, at random moments of the loop's period. The time
-ends with the first reference that differs in any bit from the one before: at its stamp (when its
-tick was due, as recordings have it), and when the device's driver is handed it, which is later by
-the tick's lateness and work. All clocks are CLOCK_MONOTONIC.
+ends with the first reference that differs in any bit from the one before: at its stamp (the due
+time of its tick, as in recordings), and when the device's driver receives it, which is later by the
+tick's lateness and work. All clocks are CLOCK_MONOTONIC.
 
-With it is printed where the time goes, and, measured beside it in the same run, a bare Zenoh query
-of the same size to another process: until that process' callback runs, and there and back.
+The stages of this time are printed, too, and for comparison a bare Zenoh query of the same size to
+another process, measured in the same run: until that process's callback runs, and there and back.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ STAGES = (
     "waiting for the tick, until its wake-up",
     "tick: until the driver is handed the change",
 )
-"""What lies between the times noted for a goal."""
+"""The stages between the times noted for a goal."""
 
 QUESTION = bytes(200)
 """A request of the size of a goal."""
@@ -53,7 +53,7 @@ now = time.monotonic_ns
 
 
 class Noted(Server):
-    """A server that notes when something was put [ns]."""
+    """A server that notes the arrival times of publications [ns]."""
 
     came = 0
 
@@ -63,7 +63,7 @@ class Noted(Server):
 
 
 class Notes:
-    """Notes when goals come by in a loop; all times in ns.
+    """Notes the times at which goals pass through a loop [ns].
 
     Attributes:
         found: By goal: the callback, the goal planned, the tick's wake-up, the driver's call.
@@ -109,7 +109,7 @@ class Notes:
 
 
 def serve(arguments: argparse.Namespace) -> None:
-    """Run the hand until standard input ends; then print what was noted."""
+    """Run the hand until standard input ends; then print the noted times."""
     notes: list[Notes] = []
 
     def with_notes(loop: Any, *others: Any) -> Any:
@@ -130,7 +130,7 @@ def serve(arguments: argparse.Namespace) -> None:
 async def send_goals(
     hand: RemoteHand, action: tuple[str, ...], count: int
 ) -> list[tuple[str, int, int]]:
-    """Send goals from standstill; return of each its name, and when it was called and sent [ns]."""
+    """Send goals from standstill; return each name with the times of call and sending [ns]."""
     source = random.Random(1)
     # The moment at which Zenoh takes over is seen nowhere else.
     publishers: dict[str, Any] = hand._link._fast._publishers  # type: ignore[assignment]

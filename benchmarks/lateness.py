@@ -1,4 +1,4 @@
-"""Measure whether another hand's ticks come later beside something, in alternating stretches."""
+"""Measure whether a load makes another hand's ticks later, in alternating stretches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rtee.loop.clock import Clock
 RATE = 1000.0
 """Rate of the other hand [Hz]."""
 TOLERANCE = 50.0
-"""Later by less than this, a twentieth of the tick, counts as unchanged [µs]."""
+"""A smaller change of the lateness, a twentieth of the tick, counts as none [µs]."""
 
 
 class Lateness:
@@ -46,7 +46,7 @@ class Lateness:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How much later ticks come with something than without it.
+    """The change of the lateness with the load.
 
     Attributes:
         without: Median over the stretches [µs].
@@ -67,14 +67,14 @@ class Difference:
 
 
 class Beside:
-    """Lateness of another hand without and with something, in alternating stretches."""
+    """Lateness of another hand without and with the load, in alternating stretches."""
 
     def __init__(self, clock: Lateness) -> None:
         self._clock = clock
         self._stretches: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
 
     def begin(self) -> None:
-        """Forget what came before this stretch."""
+        """Begin a stretch: forget the ticks before it."""
         self._clock.taken()
 
     def end(self, *, fault: bool) -> None:
@@ -82,7 +82,7 @@ class Beside:
         self._stretches[fault].append(self._clock.taken() or (math.nan, math.nan))
 
     def differences(self) -> tuple[Difference, Difference]:
-        """Return what became of the median and of the 99th percentile of the lateness."""
+        """Return the changes of the median and of the 99th percentile of the lateness."""
         pairs = [
             (a, b)
             for a, b in zip(self._stretches[False], self._stretches[True], strict=True)

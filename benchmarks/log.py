@@ -1,9 +1,9 @@
-"""Measure recordings: their size, reading, what a killed process loses, the cost to the loop.
+"""Measure recordings: size, reading, losses of a killed process, and the cost to the loop.
 
     python benchmarks/log.py [--minutes 10] [--kills 30] [--hand schunk_svh] [--rate 1000]
 
-Prints Markdown. Beside rtee's reader stand `rosbags` and `mcap` on the same file, beside its
-recorder `mcap`'s writer with rosbags' serialisation of the same messages.
+Prints Markdown. rtee's reader is compared with `rosbags` and `mcap` on the same file, its recorder
+with `mcap`'s writer and rosbags' serialisation of the same messages.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from rtee.types import DeviceSpec, Goal, Result
 
 
 class Keeper(Observer):
-    """Keeps what the loop reports."""
+    """Keeps the loop's reports."""
 
     def __init__(self) -> None:
         self.records: list[object] = []
@@ -113,7 +113,7 @@ def restless(hand: Hand, rate: float, seconds: float) -> Iterator[TickRecord]:
 
 
 def write(hand: Hand, records: list[object], folder: Path, rate: float, repeat: int = 1) -> Path:
-    """Record what a loop reported, ``repeat`` times one after the other."""
+    """Record a loop's reports, ``repeat`` times one after the other."""
     now = [0.0]
     settings = RecorderSettings(
         folder, sync=False, flight_recorder=0.0, max_file_size=1e12, max_file_time=1e9,
@@ -268,7 +268,7 @@ with Recorder(hand, RecorderSettings(Path(sys.argv[2])), rate=rate) as recorder:
 
 
 def kills(hand: str, count: int, rate: float) -> None:
-    """Kill a recording process at random moments; recover; see what is lost."""
+    """Kill a recording process at random moments, recover the file, and measure the loss."""
     lost, failed = [], 0
     source = random.Random(7)
     here = str(Path(__file__).parent)

@@ -1,13 +1,13 @@
-"""Measure how well the loop keeps its time, beside `cyclictest`; print a Markdown table.
+"""Measure the timing of the loop, beside `cyclictest`; print a Markdown table.
 
     python benchmarks/loop.py [--seconds 60] [--hand schunk_svh] [--only ordinary realtime …]
                               [--beside alone bare junk …]
 
 Every row is `rtee run` as users run it: kinematic driver, everything logged at every tick, on the
 network with a client that takes 100 states a second and has the hand close and open all the time.
-The numbers are those that the loop prints at its end. `cyclictest` (Debian: rt-tests), the kernel's
-own C program for this, runs before and after with the same period and priority; its wake-ups that
-came a whole period late count as missed: that is what the computer itself takes.
+The numbers are those that the loop prints at its end. `cyclictest` (Debian: rt-tests), the kernel
+developers' C program for this, runs before and after with the same period and priority; wake-ups
+that are a whole period late count as missed: these are the computer's own.
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
@@ -65,7 +65,7 @@ PRINTED = re.compile(
 
 HOG = "while True: pass"
 SHOWN = 10
-"""This many missed ticks are shown one by one."""
+"""Most missed ticks that are shown one by one."""
 
 RUN = """
 import json, os, resource
@@ -106,7 +106,7 @@ async def move(hand):
         await hand.do("Grasp")
         await hand.do("open")
 """
-"""What a client of a hand does: it receives its states, and opens and closes it."""
+"""The program of a client, which receives the hand's states, and opens and closes the hand."""
 
 CLIENT = (
     """
@@ -219,7 +219,7 @@ class How:
 
 @dataclass
 class Row:
-    """What came out of a run.
+    """The results of a run.
 
     Attributes:
         printed: What the loop printed, by name; times in µs.
@@ -248,7 +248,7 @@ def how_of(name: str) -> How:
 
 
 def beside(how: How, name: str) -> How:
-    """Return other circumstances, in which only what the name says is different."""
+    """Return circumstances that differ only in what the name says."""
     changes: dict[str, dict[str, object]] = {
         "alone": {"client": False},
         "unrecorded": {"record": False},
@@ -273,7 +273,7 @@ def memory_of(pid: int) -> float:
 
 
 def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
-    """Return copies of a hand under other names, with more in their hand.yaml."""
+    """Return copies of a hand under other names, with additions to hand.yaml."""
     # Copies under other names: hands that run on this computer already stay out of it.
     names = []
     for _ in range(count):
@@ -305,9 +305,9 @@ def run(
     assert process.stdout is not None
     for _ in hands:
         print(f"  {process.stdout.readline().strip()[:100]}", file=sys.stderr)
-    said: list[str] = []
+    lines: list[str] = []
     # From a thread, because its output must be drained.
-    drain = threading.Thread(target=lambda: said.extend(process.stdout or ()), daemon=True)
+    drain = threading.Thread(target=lambda: lines.extend(process.stdout or ()), daemon=True)
     drain.start()
     others = [[CLIENT, name] for name in hands if how.client and how.junk != "hand"]
     if how.junk:
@@ -332,8 +332,8 @@ def run(
         if other[0] is JUNK:
             client.kill()
         client.wait(timeout=30)
-    found = PRINTED.search("".join(said))
-    assert found is not None, "".join(said)
+    found = PRINTED.search("".join(lines))
+    assert found is not None, "".join(lines)
     printed = {name: int(value) for name, value in found.groupdict().items()}
     # Only the parts of the recordings; their folder also has other files.
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6

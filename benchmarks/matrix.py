@@ -39,7 +39,7 @@ from rtee.testing.contract import NEEDS_CHECKSUMS, WIRE_FAULTS
 from rtee.types import Reference
 
 SHARE = 0.05
-"""Share of the messages that are damaged, as in the contract suite."""
+"""Share of damaged messages, as in the contract suite."""
 STRETCH = 0.15
 """Shortest stretch of a measurement of the lateness [s]: 150 ticks, of which one is a
 percentile."""
@@ -52,7 +52,7 @@ MENDED = ("retries", "timeouts", "checksum_errors", "strays")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The outcome for a driver under a fault; `good` is whether it is as it must be."""
+    """The outcome for a driver under a fault; ``good``: whether it is as required."""
 
     survived: str
     named: str
@@ -76,7 +76,7 @@ def faulty(fault: str) -> Faults:
 
 
 async def wire_fault(case: DeviceCase, fault: str, cycles: int) -> Outcome:
-    """Return what became of a driver in so many cycles at a faulty wire."""
+    """Return the outcome for a driver of so many cycles on a faulty wire."""
     near, far = case.between()
     reference = Reference.at(list(far))
     raised: Counter[str] = Counter()
@@ -128,7 +128,7 @@ async def powered(session: Session, case: DeviceCase) -> Outcome:
 
 
 async def stuck(session: Session, case: DeviceCase) -> Outcome:
-    """Have the position not follow: it must be measured as it is."""
+    """Block the position, which must be measured as it is."""
     near, far = case.between()
     there = [float(q) for q in (await session.reach(near)).position]
     session.emulator.inject("stuck")
@@ -140,7 +140,7 @@ async def stuck(session: Session, case: DeviceCase) -> Outcome:
 
 
 async def wrong_device(session: Session, case: DeviceCase) -> Outcome:
-    """Have another device answer."""
+    """Let another device answer."""
     await session.driver.close()
     session.emulator.inject("wrong_device")
     name = "NOTHING, TAKEN"
@@ -187,7 +187,7 @@ TRIALS: dict[str, Trial] = {
 
 
 def job(name: str, fault: str, cycles: int) -> Outcome:
-    """Return what became of a driver under a fault; runs in a process of its own."""
+    """Return the outcome for a driver under a fault; runs in a process of its own."""
     case = cases(name)[name]
 
     async def test() -> Outcome:
@@ -238,7 +238,7 @@ async def _exchanged(session: Session, goal: Reference, period: float, end: floa
 
 
 def matrix(names: list[str], cycles: int, rounds: int, jobs: int) -> None:
-    """Try every driver with every fault and print what became of it."""
+    """Try every driver with every fault and print the outcomes."""
     devices = cases(None)
     pairs = [
         (name, fault)

@@ -1,10 +1,10 @@
-"""Memory of hands that run as an ordinary process without recordings; prints Markdown.
+"""Measure the memory of hands in an ordinary process without recordings; print Markdown.
 
     python benchmarks/memory.py [--seconds 75] [--hands robotiq_2f_85 schunk_svh]
 
-`rtee run --no-log` runs the first hand, then all of them in one process. *Resident* is what `ps`
-shows; *own* is memory that no other process can share; the rest are pages of program files, such as
-libraries, which the system keeps once for all processes and takes away where memory is short.
+`rtee run --no-log` runs the first hand, then all of them in one process. *Resident* is the figure
+of `ps`; *own* is memory that no other process can share; the rest are pages of program files, such
+as libraries, which the system keeps once for all processes and discards when memory is short.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from common import Table, command_line, own
 from witness import child
 
 EARLY = 12.0
-"""When memory is first looked at [s]: everything has started by then."""
+"""Time of the first measurement [s]: everything has started by then."""
 
 
 def resident(pid: int) -> float:
-    """Return the memory of a process that is there, with its part of files [byte]."""
+    """Return the resident memory of a process and the part of it in files [byte]."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return float(line.split()[1]) * 1024

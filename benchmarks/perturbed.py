@@ -1,4 +1,4 @@
-"""Test whether last digits decide what the extraction finds; print Markdown.
+"""Test whether rounding changes the results of the extraction; print Markdown.
 
     python benchmarks/perturbed.py [--hands schunk_svh …] [--times 20] [--jobs 0] [--every]
 
@@ -30,7 +30,7 @@ from rtee.hand.urdfread import read_urdf
 
 HANDS = ("schunk_svh", "leap_hand", "large_hand")
 SMALLEST, LARGEST = -12.0, -9.0
-"""Decimal logarithms of how far origins are moved [m]."""
+"""Decimal logarithms of the displacements of the origins [m]."""
 
 Fingers = tuple[str, ...]
 
@@ -53,7 +53,7 @@ def pinches(hand: Hand, jobs: int) -> dict[Fingers, Primitive]:
 
 
 def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> None:
-    """Print what the extraction makes of a hand whose joints are moved, beside itself."""
+    """Print the results of the extraction for a hand with moved joints, beside the original."""
     # The same seed for all hands, so that runs can be compared.
     random = np.random.default_rng(0)
     runs = [pinches(moved(hand, random), jobs) for _ in range(times)]
@@ -71,8 +71,8 @@ def compare(table: Table, hand: Hand, times: int, jobs: int, *, every: bool) -> 
             names = ", ".join(fingers)
             greatest = f"{1e3 * first.max():.2f}", f"{1e3 * deepest.max():.2f}"
             shares = f"{best:.1%}", f"{deep:.1%}"
-            said = f"{clear} of {times}"
-            table.row(hand.name, names, greatest[0], shares[0], greatest[1], shares[1], said)
+            cells = (greatest[0], shares[0], greatest[1], shares[1], f"{clear} of {times}")
+            table.row(hand.name, names, *cells)
     worst = f"**{worst_best:.1%}**", f"**{worst_deepest:.1%}**"
     table.row(hand.name, "**worst**", "", worst[0], "", worst[1], f"**{unequal} differ**")
 

@@ -1,4 +1,4 @@
-"""The processes that a benchmark measures beside: a hand, and a peer that only answers."""
+"""The other processes of a benchmark: a hand, and a peer that only answers."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ HANDS = {
     "robotiq_3f": TaskTrial(Task.EGG, "Grasp", (), "sphere:0.03"),
     "schunk_svh": TaskTrial(Task.EGG, "PinchTight", PINCH, "sphere:0.015", force=2.0, most=4.5),
 }
-"""What each hand grasps, and with which forces to begin with and at most."""
+"""The task of each hand, with the force to begin with and the largest force."""
 
 
 def cell(hand: str, task: Task, way: Way, tries: int) -> str:

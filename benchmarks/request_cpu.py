@@ -1,12 +1,12 @@
-"""Processor time that requests of a client cost the hand's process, answered and refused.
+"""Measure the processor time of the hand's process for requests, answered and refused.
 
     python benchmarks/request_cpu.py [--hand schunk_svh] [--seconds 4] [--rounds 3] [--only info]
 
 One client sends one kind of request, first a little slower than the hand's limit, so that all are
-answered, then as fast as the hand lets it, so that most are refused. Printed is the processor time
-of the hand's process, without what it takes by itself: for each request, and of a second of the
-flood; medians of the rounds. Other programs change processor time little; what a flood costs in
-missed ticks is told by `flood.py`.
+answered, then as fast as the hand permits, so that most are refused. Printed is the processor time
+of the hand's process, less its time without requests: for each request, and for a second of the
+flood; medians of the rounds. Other programs change processor time little; `flood.py` measures the
+missed ticks.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def used(pid: int) -> float:
 
 
 class Sent(NamedTuple):
-    """What was sent to the hand in a while.
+    """The requests sent to the hand in a measurement.
 
     Attributes:
         count: Requests.

@@ -1,4 +1,4 @@
-"""Measure what a message of a hand's ROS 2 node costs; print a Markdown table.
+"""Measure the cost of a message of a hand's ROS 2 node; print a Markdown table.
 
     python benchmarks/ros2.py [--hand schunk_svh] [--seconds 10] [--rate 100]
 
@@ -6,7 +6,7 @@ A node publishes joint states of all the hand's joints through a router, which i
 own and subscribes, too. Each step is timed at each tick, at the rate given: so far apart that the
 processor's caches are as cold as in use.
 
-- asked: whether anybody listens;
+- asked: the check whether anybody listens;
 - encoded: from a state to the bytes of the message;
 - put: from the bytes to their being Zenoh's, attachment with number, time and identifier included;
 - bare put: as many bytes by Zenoh itself, on another key that is subscribed to, by turns with it.
@@ -125,8 +125,8 @@ def main() -> None:
     rows |= {"bare put": times[:, 3]}
     rows["encoded and put"] = times[:, 1] + times[:, 2]
     for name, row in rows.items():
-        told = (np.median(row), np.percentile(row, 95), row.max())
-        table.row(name, *(f"{1e6 * value:.1f}" for value in told))
+        figures = (np.median(row), np.percentile(row, 95), row.max())
+        table.row(name, *(f"{1e6 * value:.1f}" for value in figures))
     print(f"\n{len(times)} published, {heard} received")
 
 

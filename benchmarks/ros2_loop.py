@@ -1,4 +1,4 @@
-"""Measure what a node of ROS 2 costs the hand's loop, and whether states are lost; print tables.
+"""Measure the cost of a ROS 2 node to the hand's loop, and lost states; print Markdown tables.
 
     python benchmarks/ros2_loop.py [--hand schunk_svh] [--rounds 5] [--seconds 10] [--minute 60]
 
@@ -41,7 +41,7 @@ def free_endpoint() -> str:
 
 @contextlib.contextmanager
 def listening(endpoint: str) -> Iterator[list[int]]:
-    """Be the router, and note the numbers of all joint states."""
+    """Run the router, and note the numbers of all joint states."""
     config = zenoh.Config()
     settings = {
         "mode": "router",
@@ -61,7 +61,7 @@ def listening(endpoint: str) -> Iterator[list[int]]:
 
 
 def run(hand: str, way: str, seconds: float, endpoint: str, folder: str) -> str:
-    """Run the hand in one of the ways; return what it says at its end."""
+    """Run the hand in one of the variants; return its last output."""
     words = ["run", hand, "--driver", "kinematic", "--no-log", "--duration", str(seconds)]
     environment = {**os.environ, "RTEE_RUNTIME_DIR": folder, "ROS_DOMAIN_ID": "0"}
     environment["ZENOH_CONFIG_OVERRIDE"] = f'connect/endpoints=["{endpoint}"]'

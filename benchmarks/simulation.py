@@ -1,4 +1,4 @@
-"""Measure how fast hands are simulated: headless, and in lockstep with the loop.
+"""Measure the speed of simulated hands: headless, and in lockstep with the loop.
 
 Run: ``python benchmarks/simulation.py [--seconds S]``; prints Markdown.
 """

@@ -4,17 +4,17 @@
 
 Every actuator of a hand follows a sine of 0.5 Hz, below its limits, from samples at 30 and 50 Hz
 that arrive 0.5 ms and up to 0, 5 or 20 ms of jitter (uniform, in order) later, 2 % of them never.
-The controller is ticked at 1 kHz without waiting, so that all ways get the same samples:
+The controller is ticked at 1 kHz without waiting, so that all methods get the same samples:
 
-- `stream`: what `hand.stream` does;
-- `jog`: what `hand.jog` does with each sample: a way to a stop there, all actuators together;
+- `stream`: as `hand.stream`;
+- `jog`: as `hand.jog` with each sample: a motion to a stop there, all actuators together;
 - `steps`: each sample is the set-point until the next one, as of a program that sends set-points to
   devices itself; no limits.
 
-The second table has one actuator slowed down to a twentieth of its velocity: what the others do.
+In the second table one actuator is slowed down to a twentieth of its velocity; it shows the others.
 
-- lag: by which the sine has to be moved to fit best;
-- amplitude: what is left of it;
+- lag: displacement of the sine that fits best;
+- amplitude: remaining amplitude;
 - error: RMS after removing the lag, in per cent of the amplitude;
 - jerk: RMS, in multiples of the sine's own.
 
@@ -54,10 +54,10 @@ FREQUENCY = 0.5
 """Frequency of the sine [Hz]: within the velocity limits of most hands."""
 
 DELAY = 0.5e-3
-"""Delay of every sample [s]: what the network of one computer takes."""
+"""Delay of every sample [s]: that of the network inside one computer."""
 
 SETTLED = 4.0
-"""Everything before this time is left out [s]: taking over, and learning the jitter."""
+"""Time before the evaluation begins [s]: the stream takes over, and learns the jitter."""
 
 SHARE = 0.25
 """Amplitude as a share of the range, unless that needs more than half the velocity limit."""
@@ -164,7 +164,7 @@ HEAD = ("samples", "jitter", "lost", "way", "lag", "amplitude", "error", "jerk")
 
 
 def simulated(hand: Hand, seconds: float) -> None:
-    """Print what comes of samples at all rates, with all disturbances, by all ways."""
+    """Print the figures for samples of all rates, with all disturbances, by all methods."""
     at, amplitude = sine_of(hand)
     everyone = list(range(len(hand.actuators)))
     table = Table(*HEAD)
@@ -180,7 +180,7 @@ def simulated(hand: Hand, seconds: float) -> None:
 
 
 def slowed(hand: Hand, seconds: float) -> None:
-    """Print what the others do beside one actuator that is too slow."""
+    """Print the figures of the other actuators beside one that is too slow."""
     at, amplitude = sine_of(hand)
     first, *others = hand.actuators
     specs = (replace(first, velocity=first.velocity / 20.0), *others)
@@ -218,7 +218,7 @@ async def streamed(name: str, seconds: float, rate: float, jitter: float) -> Non
 
 
 def live(name: str, seconds: float) -> None:
-    """Print what comes of a stream over the network, from the recording."""
+    """Print the figures of a stream over the network, from the recording."""
     hand = load_hand(name)
     at, amplitude = sine_of(hand)
     table = Table("samples", "jitter", "lag", "amplitude", "error", "jerk")

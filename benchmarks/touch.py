@@ -1,4 +1,4 @@
-"""Measure what touch costs the loop: ticks with and without readings, by turns; print a table.
+"""Measure the cost of touch sensors to the loop, with and without readings by turns; print a table.
 
     python benchmarks/touch.py [--hand schunk_svh] [--rounds 20] [--seconds 2]
 
@@ -46,11 +46,11 @@ from rtee.types import DeviceSpec
 RATE = 1000.0
 READINGS = 100.0
 TAXELS = 500
-"""Of all fingertips together: those of a hand with 10 x 10 on each of five."""
+"""Taxels of all fingertips together: those of a hand with 10 x 10 on each of five."""
 
 
 class Skin(KinematicDriver):
-    """Gives readings of touch while it is told to."""
+    """A kinematic driver that returns touch readings while they are switched on."""
 
     feeling = False
 
@@ -65,13 +65,13 @@ class Skin(KinematicDriver):
         self._reading: TouchReading | None = None
 
     async def sense(self) -> ActuatorState:
-        """Measure, and now and then feel."""
+        """Measure, with a touch reading now and then."""
         state = await super().sense()
         self._turn += 1
         if self.feeling and self._turn % round(RATE / READINGS) == 0:
             values = self._values[self._turn // 10 % len(self._values)].copy()
             self._reading = TouchReading(values, state.stamp)
-        # Without readings, too: what is measured is the loop, not this driver.
+        # Also without readings: the benchmark measures the loop, not this driver.
         return replace(state, touch=self._reading if self.feeling else None)
 
 

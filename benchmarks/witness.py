@@ -24,7 +24,8 @@ PERIOD_US = 500
 """The witness wakes up this often: half a period of the loop [µs]."""
 
 LATE_US = 300
-"""A witness that is woken later than this saw its CPU stand still [µs]."""
+"""Lateness of a witness from which on its CPU counts as stalled [µs]: an idle CPU wakes it
+sooner."""
 
 PRIORITY = 90  # above the loop's 80: the witness is late only if the CPU stood still
 
@@ -35,7 +36,7 @@ _C = ctypes.CDLL(None)
 
 
 def child(words: Sequence[str], **options: Any) -> subprocess.Popen[str]:
-    """Start a program that is killed when this one ends, however it ends."""
+    """Start a program that is killed when this one ends, for whatever reason."""
 
     def die_with_parent() -> None:
         _C.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -67,7 +68,7 @@ class Missed:
 
 
 class Witness:
-    """Notes when CPUs stood still, until `stop`; without cyclictest it notes nothing."""
+    """Notes stalls of CPUs until `stop`; without cyclictest it notes nothing."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
@@ -79,7 +80,7 @@ class Witness:
         self._process = child(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def stop(self) -> list[tuple[float, float]] | None:
-        """Return when a CPU did not run, from and to [s]; ``None`` without a measurement."""
+        """Return the stalls of CPUs, from and to [s]; ``None`` without a measurement."""
         if self._process is None or self._process.poll() is not None:
             return None
         self._process.send_signal(signal.SIGINT)
@@ -89,7 +90,7 @@ class Witness:
 
 
 class StoodStill:
-    """When a CPU did not run, for many questions.
+    """The stalls of CPUs, sorted for many look-ups.
 
     Args:
         spans: From and to [s]; ``None`` without a measurement.
@@ -103,13 +104,13 @@ class StoodStill:
         self._ends = list(itertools.accumulate((end for _, end in ordered), max))
 
     def between(self, begin: float, end: float) -> bool:
-        """Return whether a CPU stood still at some moment of a span."""
+        """Return whether a CPU was stalled at any moment of a span."""
         before = bisect.bisect_right(self._begins, end)
         return before > 0 and self._ends[before - 1] >= begin
 
 
 def judged(missed: Missed, stood_still: StoodStill) -> Missed:
-    """Return missed ticks with whose they are."""
+    """Return missed ticks, each attributed to the computer or to the loop."""
     if not stood_still.measured:
         return missed
     found = stood_still.between(missed.since, missed.woken)

@@ -1,4 +1,4 @@
-"""What a device measures and accepts, and what force its sheet says it gives."""
+"""The capabilities of a device: what it measures and accepts, and forces by its data sheet."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def _nothing() -> Mapping[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class GripForce:
-    """Force at the fingertips by an actuator's effort limit, linear in it, from a device's sheet.
+    """Force at the fingertips as a linear function of an effort limit, from a device's data sheet.
 
     Attributes:
         effort: Effort limits of the weakest and of the strongest grip [N·m | N].
-        weakest: Force at the first of them ``(k,)`` [N].
-        strongest: Force at the second ``(k,)`` [N].
-        position: Positions of the actuator there ``(k,)``, rising [rad | m]; empty: ``k`` is 1.
+        weakest: Force of the weakest grip at each position ``(k,)`` [N].
+        strongest: Force of the strongest grip at each position ``(k,)`` [N].
+        position: Positions of the actuator ``(k,)``, rising [rad | m]; empty: ``k`` is 1.
     """
 
     effort: tuple[float, float]
@@ -34,19 +34,19 @@ class GripForce:
     position: tuple[float, ...] = ()
 
     def range_at(self, position: float) -> tuple[float, float]:
-        """Return the weakest and the strongest force at a position [rad | m] in newtons."""
+        """Return the weakest and the strongest force [N] at a position [rad | m]."""
         at = self.position or (0.0,)
         low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
         return float(low), float(high)
 
     def effort_for(self, force: float, position: float) -> float:
-        """Return the effort limit that gives a force [N] at a position [rad | m]."""
+        """Return the effort limit [N·m | N] for a force [N] at a position [rad | m]."""
         low, high = self.range_at(position)
         share = (force - low) / (high - low)
         return self.effort[0] + share * (self.effort[1] - self.effort[0])
 
     def force_for(self, effort: float, position: float) -> float:
-        """Return the force [N] that an effort limit gives at a position [rad | m]."""
+        """Return the force [N] of an effort limit [N·m | N] at a position [rad | m]."""
         low, high = self.range_at(position)
         share = (effort - self.effort[0]) / (self.effort[1] - self.effort[0])
         return low + min(max(share, 0.0), 1.0) * (high - low)
@@ -57,19 +57,21 @@ class Capabilities:
     """What a device measures and accepts.
 
     Attributes:
-        measures: Of ``position velocity effort current temperature pressure grasped``.
-        accepts: Of ``position max_effort max_velocity``.
-        refuses: Of those that it does not accept, why, in words, and what to do instead.
-        best_rate: Fastest useful rate of exchanges [Hz]; ``inf`` when only the loop limits it.
-        homing: It needs homing before it can move.
-        watchdog: It stops by itself when the host falls silent, and the driver has armed that.
-        recoverable: ``recover()`` can clear faults.
-        gains: Names of gains that can be tuned while it runs.
+        measures: Measured quantities: ``position velocity effort current temperature pressure
+            grasped`` or fewer.
+        accepts: Accepted parts of a reference: ``position max_effort max_velocity`` or fewer.
+        refuses: For parts that are not accepted, the reason in words and what to do instead.
+        best_rate: Highest useful rate of exchanges [Hz]; ``inf`` if only the loop limits it.
+        homing: Whether the device needs homing before it can move.
+        watchdog: Whether the device stops by itself when the host falls silent; armed by the
+            driver.
+        recoverable: Whether ``recover()`` can clear faults.
+        gains: Names of gains that can be tuned while the device runs.
         identity: Model, firmware, serial number and the like, as the device reports them.
-        grip: Force at the fingertips by effort limit from the device's sheet, by actuator.
-        unlimited: Actuators whose effort it cannot limit, though it limits that of others.
-        touch: Its touch sensors, in the order in which its readings have their values. Where they
-            are on the hand may be left to hand.yaml.
+        grip: Force at the fingertips by effort limit, from the data sheet, by actuator.
+        unlimited: Actuators whose effort the device cannot limit, though it limits others.
+        touch: Its touch sensors, in the order of their values in readings. Their places on the
+            hand may be left to hand.yaml.
     """
 
     measures: frozenset[str] = frozenset({"position"})

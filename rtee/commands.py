@@ -1,4 +1,4 @@
-"""The commands that steer a hand's controller beside its goals.
+"""The commands to a hand's controller, besides its goals.
 
 Goals, commands and measurements determine every reference: a recording of them replays the hand
 bit for bit. Units are SI; actuators are named as in the URDF.
@@ -16,7 +16,7 @@ class Cancel:
     """End a goal as cancelled; the hand brakes and holds the measured posture.
 
     Attributes:
-        goal_id: The goal; empty: whichever runs. If another one runs, nothing happens.
+        goal_id: The goal; empty: the running one. If another goal runs, nothing happens.
     """
 
     goal_id: str = ""
@@ -24,10 +24,10 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Brake and hold the measured posture, but for blocked fingers: those keep pressing.
+    """Brake and hold the measured posture; blocked fingers keep pressing.
 
     Attributes:
-        reason: Why, in words; the result of the goal that ends says so.
+        reason: Why, in words, for the result of the goal that ends.
     """
 
     reason: str = ""
@@ -35,10 +35,10 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Freeze:
-    """Begin again from the measured positions: the devices have stopped, whatever was sent.
+    """Restart the references from the measured positions, after devices have stopped.
 
     Attributes:
-        reason: Why, in words; the result of the goal that ends says so.
+        reason: Why, in words, for the result of the goal that ends.
         actuators: Actuators concerned; empty: all.
     """
 
@@ -51,8 +51,8 @@ class Jog:
     """Move some actuators to positions; a running goal is pre-empted.
 
     Attributes:
-        positions: Where to, by actuator [rad | m].
-        max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``inf``: the actuators' own limits.
+        positions: Target positions by actuator [rad | m].
+        max_velocity: Velocity limit [rad/s | m/s]; ``inf``: the actuators' own.
     """
 
     positions: Mapping[str, float]
@@ -61,7 +61,7 @@ class Jog:
 
 @dataclass(frozen=True, slots=True)
 class SetGripEffort:
-    """Change the effort kept on what is held.
+    """Change the effort kept on a held object.
 
     Attributes:
         fraction: Fraction of the effort limit, 0 to 1.
@@ -72,10 +72,10 @@ class SetGripEffort:
 
 @dataclass(frozen=True, slots=True)
 class SetActive:
-    """Note whose device may be moved from now on, and whose not.
+    """Set which actuators may be moved from now on, by the state of their devices.
 
     Attributes:
-        active: Whether the actuator may be moved, by actuator.
+        active: Whether each actuator may be moved, by name.
     """
 
     active: Mapping[str, bool]
@@ -83,10 +83,10 @@ class SetActive:
 
 @dataclass(frozen=True, slots=True)
 class SetAcceptsEffort:
-    """Note whose device takes effort limits; the others are eased off by their position.
+    """Set which actuators' devices take effort limits; the others are eased by their position.
 
     Attributes:
-        accepts: Whether the actuator's device takes them, by actuator.
+        accepts: Whether each actuator's device takes effort limits, by name.
     """
 
     accepts: Mapping[str, bool]
@@ -94,10 +94,10 @@ class SetAcceptsEffort:
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """End the running goal as aborted if it involves one of some actuators.
+    """End the running goal as aborted if it involves any of some actuators.
 
     Attributes:
-        reason: Why, in words; the goal's result says so.
+        reason: Why, in words, for the goal's result.
         actuators: Actuators concerned; empty: all.
     """
 
@@ -106,19 +106,19 @@ class Abort:
 
 
 STREAM_ENDED = "stream_ended"
-"""The kind of the event that a stream has ended; its source is the stream."""
+"""Kind of the event that reports the end of a stream; its source is the stream."""
 
 
 @dataclass(frozen=True, slots=True)
 class BeginStream:
-    """Be ready for the samples of a stream; nothing moves before the first one.
+    """Prepare for the samples of a stream; nothing moves before the first one.
 
     Attributes:
         stream: Its identifier, without spaces.
-        rate: Samples per second that its client means to send [Hz].
-        deadline: Without a sample for this long it brakes and holds [s].
+        rate: Samples per second that its client intends to send [Hz].
+        deadline: Time without a sample after which the hand brakes and holds [s].
         max_lag: Longest lag [s]; ``inf``: the default, 1.2 periods and 5 ms.
-        effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
+        effort: Effort limits by actuator [N·m | N]; other actuators keep the hand's own.
     """
 
     stream: str
@@ -130,14 +130,15 @@ class BeginStream:
 
 @dataclass(frozen=True, slots=True)
 class StreamSample:
-    """A sample of a stream, as it was sent and what that comes to.
+    """A sample of a stream, as sent and as resolved for the actuators.
 
     Attributes:
         stream: The stream.
-        stamp: When it was meant, by the client's clock [s].
-        arrival: When it arrived, CLOCK_MONOTONIC of the hand's computer [s].
-        targets: As sent: actuator or joint [rad | m], action with its elements [intensity].
-        velocity: As sent, by the same names [rad/s | m/s | 1/s].
+        stamp: Time of the sample, by the client's clock [s].
+        arrival: Time of its arrival, CLOCK_MONOTONIC of the hand's computer [s].
+        targets: Targets as sent, by actuator or joint [rad | m] or by action with its elements
+            [intensity].
+        velocity: Velocities as sent, by the same names [rad/s | m/s | 1/s].
         positions: Positions by actuator [rad | m].
         velocities: Velocities by actuator [rad/s | m/s]; ``NaN``: not given.
     """
@@ -177,16 +178,16 @@ Command = (
     | StreamSample
     | EndStream
 )
-"""A call that steers the controller, other than a goal."""
+"""A command to the controller, other than a goal."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRecord:
-    """A command with the tick at which it took effect, before that tick's set-points.
+    """A command with the tick at which it took effect, before the tick's reference.
 
     Attributes:
         tick: Number of the tick.
-        stamp: When that tick was due, CLOCK_MONOTONIC [s].
+        stamp: Due time of the tick, CLOCK_MONOTONIC [s].
         command: The command.
     """
 
@@ -197,15 +198,15 @@ class CommandRecord:
 
 @dataclass(frozen=True, slots=True)
 class StreamTargets:
-    """A sample of a stream of set-points, as its client means it.
+    """A sample of a stream of set-points, as its client sends it.
 
     Attributes:
         stream: The stream's identifier.
-        stamp: When it is meant, by a clock of the client that never jumps [s].
-        targets: Actuators and joints [rad | m], or actions with their elements, such as
-            ``PinchTight index thumb``, by intensity, 0 to 1.
-        velocity: Velocities of some of them [rad/s | m/s], of actions [1/s].
-        client: Who sends it.
+        stamp: Time of the sample, by a clock of the client that never jumps [s].
+        targets: Positions by actuator or joint [rad | m], or intensities, 0 to 1, by action with
+            its elements, such as ``PinchTight index thumb``.
+        velocity: Velocities of some of these targets [rad/s | m/s], of actions [1/s].
+        client: The client that sends it.
     """
 
     stream: str
@@ -217,21 +218,22 @@ class StreamTargets:
 
 @dataclass(frozen=True, slots=True)
 class StreamStatus:
-    """How a stream of set-points is doing.
+    """Status of a stream of set-points.
 
     Attributes:
-        stream: Its identifier; empty: none runs.
+        stream: Its identifier; empty: none is open.
         rate: Measured rate of its samples [Hz].
-        lag: Time from a sample's stamp, as the fastest of them arrive, to its set-point [s].
+        lag: Time from a sample's stamp, plus the shortest delay of the network, to its set-point
+            [s].
         jitter: Mean deviation of the samples' delays [s].
-        samples: Samples that were taken.
-        duplicates: Samples dropped that had the stamp of the one before.
-        out_of_order: Samples dropped that were older than the one before.
-        outliers: Samples dropped that were too far from those around.
-        late: Samples taken that came after their turn.
-        thinned: Samples dropped unread since they were more than the stream's rate.
-        refused: Samples refused: names, numbers or stamps that make no sense.
-        pauses: Times that no sample came within the deadline.
+        samples: Samples taken.
+        duplicates: Samples dropped because they had the stamp of the newest one.
+        out_of_order: Samples dropped because they were older than the newest one.
+        outliers: Samples dropped because they were too far from the newest one.
+        late: Samples taken that arrived after the time at which they were due to be played.
+        thinned: Samples dropped unread because they exceeded the stream's rate.
+        refused: Samples refused for their names, numbers or stamps.
+        pauses: Number of times that no sample arrived within the deadline.
     """
 
     stream: str = ""

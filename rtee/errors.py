@@ -2,40 +2,40 @@
 
 The tree::
 
-    RteeError                      something rtee can say in one sentence
-    ├── UserError                  a mistake in what the user gave: exit status 2
+    RteeError                      every error below, described in one sentence
+    ├── UserError                  a mistake in the user's files or options: exit status 2
     │   ├── ConfigError            hand.yaml, options, command line
-    │   │   └── MissingExtra       something that needs an extra that is not installed
+    │   │   └── MissingExtra       an extra that is needed but not installed
     │   ├── ModelError             URDF, SRDF, meshes
     │   │   ├── ExpressionError    a non-linear mimic expression
     │   │   └── UnknownJoint · UnknownActuator · UnknownFinger · UnknownLink
-    │   ├── ExtractionError        the model allows no extraction
+    │   ├── ExtractionError        a model from which no action can be extracted
     │   ├── ActionError            an action's file or definition
     │   │   ├── UnknownAction
-    │   │   └── GoalRejected       a goal that cannot be taken
+    │   │   └── GoalRejected       a goal that cannot be executed
     │   ├── CalibrationError       a calibration that does not fit the device
     │   └── LogError               a recording that cannot be read
     ├── BusError(bus)
     │   ├── BusClosed              closed on this side
     │   ├── BusBroken (OSError)    broken by an external cause: unplugged, reset
-    │   ├── BusBusy                somebody else owns it
+    │   ├── BusBusy                owned by somebody else
     │   ├── BusTimeout (TimeoutError)
     │   └── FrameError             bytes that are not a valid frame
     ├── DriverError(device)
     │   ├── NotConnected (ConnectionError)
     │   ├── HandshakeError         another device than the one expected
     │   ├── DeviceFault            the device reports a fault
-    │   └── CommandRejected        a reference the device cannot take
+    │   └── CommandRejected        a reference that the device refuses
     ├── MessageError (ValueError)  bytes that are not a valid message
-    ├── SimulationUnstable         the equations of a simulation blew up
+    ├── SimulationUnstable         the equations of a simulation diverged
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
         ├── NoRouter               the router of ROS 2 does not answer
         ├── NotReady (TimeoutError)  a device of the hand is not active in time
-        ├── LeaseHeld              another client holds the hand
+        ├── LeaseHeld              another client holds the lease
         └── RequestRejected        the hand refused, with its reason
-            └── TooManyRequests    for now: this client sends them too fast
+            └── TooManyRequests    this client sends requests too fast
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class UserError(RteeError):
 
     Attributes:
         message: What is wrong and what would be right, in one line.
-        path: The file it is in, if any.
+        path: The file with the mistake, if any.
         line: The line in that file, counted from 1, if known.
     """
 
@@ -115,17 +115,17 @@ class ConfigError(UserError, ValueError):
 
 
 class MissingExtra(ConfigError):
-    """Something was asked for that needs an extra of rtee that is not installed.
+    """A feature needs an extra of rtee that is not installed.
 
     Attributes:
         extra: The extra, as written in brackets after the package's name.
     """
 
     def __init__(self, what: str, extra: str) -> None:
-        """Say what needs which extra, and how to install it.
+        """Describe the missing extra, and how to install it.
 
         Args:
-            what: What needs it, singular, as the beginning of a sentence: ``the GUI``.
+            what: The feature that needs it, in the singular, to begin a sentence: ``the GUI``.
             extra: Name of the extra.
         """
         super().__init__(f"{what} needs the extra '{extra}': pip install \"rtee[{extra}]\"")
@@ -134,19 +134,19 @@ class MissingExtra(ConfigError):
 
 @contextmanager
 def needing_extra(what: str, extra: str) -> Iterator[None]:
-    """Say which extra is needed where an import within fails.
+    """Raise `MissingExtra` if an import inside the context fails.
 
     Args:
-        what: What needs it, as for `MissingExtra`.
+        what: The feature that needs the import, as for `MissingExtra`.
         extra: Name of the extra.
 
     Raises:
-        MissingExtra: if a package that is imported within is not installed.
+        MissingExtra: if a package imported inside the context is not installed.
     """
     try:
         yield
     except ImportError as error:
-        if (error.name or "").partition(".")[0] == "rtee":  # a mistake of ours
+        if (error.name or "").partition(".")[0] == "rtee":  # a bug of rtee, not a missing extra
             raise
         raise MissingExtra(what, extra) from error
 
@@ -229,7 +229,7 @@ class UnknownLink(_UnknownName):
 
 
 class ExtractionError(UserError):
-    """The model loads but no action can be extracted from it."""
+    """The model loads, but no action can be extracted from it."""
 
 
 class ActionError(UserError, ValueError):
@@ -240,8 +240,8 @@ class UnknownAction(ActionError):
     """An action that the library does not have.
 
     Attributes:
-        name: The name asked for.
-        valid: The names there are.
+        name: The unknown name.
+        valid: The names of the library's actions.
     """
 
     def __init__(self, name: str, valid: Sequence[str] = ()) -> None:
@@ -251,7 +251,7 @@ class UnknownAction(ActionError):
 
 
 class GoalRejected(ActionError):
-    """A goal that cannot be taken; the hand has not moved."""
+    """A goal that cannot be executed; the hand has not moved."""
 
 
 class CalibrationError(UserError):
@@ -296,11 +296,11 @@ class BusBusy(BusError):
 
 
 class BusTimeout(BusError, TimeoutError):
-    """No answer came within the deadline and the retry budget."""
+    """No answer arrived within the deadline and the retry budget."""
 
 
 class FrameError(BusError):
-    """Bytes came that are not a valid frame.
+    """Bytes arrived that are not a valid frame.
 
     Attributes:
         raw: The offending bytes.
@@ -312,11 +312,11 @@ class FrameError(BusError):
 
 
 class DriverError(RteeError):
-    """A device cannot do what is asked.
+    """A device cannot do what was requested.
 
     Attributes:
         device: The device's name.
-        hint: What the user can do about it.
+        hint: Advice for the user.
     """
 
     def __init__(self, device: str, message: str, *, hint: str = "") -> None:
@@ -331,11 +331,11 @@ class NotConnected(DriverError, ConnectionError):
 
 
 class HandshakeError(DriverError):
-    """Another device answers than the one expected.
+    """The device that answers is not the expected one.
 
     Attributes:
-        expected: What was expected.
-        found: What answered.
+        expected: The expected device.
+        found: The device that answered.
     """
 
     def __init__(self, device: str, expected: str, found: str, *, hint: str = "") -> None:
@@ -363,19 +363,19 @@ class DeviceFault(DriverError):
 
 
 class CommandRejected(DriverError):
-    """The device cannot take this reference, for example an effort limit it does not have."""
+    """The device refuses a reference, for example one with an effort limit it cannot apply."""
 
 
 class MessageError(RteeError, ValueError):
-    """Bytes that are not a valid message, or a message with values that make no sense."""
+    """Bytes that are not a valid message, or a message with invalid values."""
 
 
 class WorkerLost(RteeError):
-    """A process that works for this one was ended from outside."""
+    """A worker process was ended from outside."""
 
 
 class SimulationUnstable(RteeError):
-    """The equations of a simulation blew up, and it began anew: what it showed before is void."""
+    """The equations of a simulation diverged, and it was restarted: its earlier states are void."""
 
     def __init__(self) -> None:
         super().__init__("the simulation became unstable and began anew")
@@ -385,7 +385,7 @@ class LoopError(RteeError):
     """The loop itself failed.
 
     Attributes:
-        last_cycles: What the flight recorder held, newest last.
+        last_cycles: Contents of the flight recorder, newest last.
     """
 
     def __init__(self, message: str, last_cycles: Sequence[object] = ()) -> None:
@@ -406,14 +406,14 @@ class NoRouter(RemoteError):
 
 
 class NotReady(RemoteError, TimeoutError):
-    """A hand runs but is not ready within the time one would wait; with what it lacks."""
+    """A hand runs, but is not ready in time; the text says why."""
 
 
 class LeaseHeld(RemoteError):
-    """Another client holds the hand.
+    """Another client holds the lease of the hand.
 
     Attributes:
-        holder: Who holds it.
+        holder: The client that holds it.
     """
 
     def __init__(self, holder: str) -> None:

@@ -1,6 +1,6 @@
-"""What an object that a simulated hand grasps looks like: for pictures, recordings and clients.
+"""The shape of an object that a simulated hand grasps, for pictures, recordings and clients.
 
-Where it is, and what presses on it, changes all the time and comes in channels of the device:
+Its pose and the contacts change all the time; they are channels of the simulated device:
 `OBJECT_POSE`, `BASE_POSE` and `CONTACTS`.
 """
 
@@ -18,27 +18,26 @@ OBJECT_POSE: Final = "object_pose"
 """Channel: position [m] and unit quaternion (w, x, y, z) of the object in the world ``(7,)``."""
 
 BASE_POSE: Final = "base_pose"
-"""Channel: the same of the hand's base frame, where something carries the hand; else they are one.
-"""
+"""Channel: the same for the hand's base frame, if an arm carries the hand; else it is the world."""
 
 CONTACTS: Final = "contacts"
 """Channel: a row of `CONTACT_COLUMNS` numbers for each contact of the hand, the strongest first."""
 
 CONTACT_COLUMNS: Final = 7
-"""A point [m] and the force [N] that the link exerts there, both in the hand's base frame, and the
-link's place among the links of the URDF."""
+"""Numbers of a contact: a point [m] and the force [N] that the link exerts there, both in the
+hand's base frame, and the link's index among the links of the URDF."""
 
 MOST_CONTACTS: Final = 32
-"""Contacts in the channel: more than a picture can show, and 1.8 kB."""
+"""Most contacts in the channel: more than a picture can show, and 1.8 kB."""
 
 CONTACT_RATE: Final = 30.0
-"""Contacts are renewed this often [Hz]: as often as the browser draws."""
+"""Rate at which contacts are renewed [Hz]: the frame rate of the browser."""
 
 KINDS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "mesh": 0}
 """Kinds of parts with the number of their sizes."""
 
 MOST_TRIANGLES: Final = 20_000
-"""Triangles of a part: a message of 0.5 MB. A mesh that has more is described by its hull."""
+"""Most triangles of a part: a message of 0.5 MB. A mesh with more is described by its hull."""
 
 
 def _none() -> NDArray[np.uint32]:
@@ -51,13 +50,13 @@ class ObjectPart:
 
     Attributes:
         kind: ``box``, ``cylinder`` (along z), ``sphere`` or ``mesh``.
-        size: Edge lengths; radius and height; or radius [m]; nothing for a mesh.
+        size: Edge lengths; radius and height; or radius [m]; empty for a mesh.
         pose: Position [m] and unit quaternion (w, x, y, z) in the object's frame ``(7,)``.
-        vertices: Those of a mesh ``(v, 3)`` [m], in the part's frame.
-        faces: Its triangles ``(f, 3)``.
+        vertices: Vertices of a mesh in the part's frame ``(v, 3)`` [m].
+        faces: Triangles of a mesh, as indices of vertices ``(f, 3)``.
 
     Raises:
-        ValueError: if it cannot be drawn.
+        ValueError: if the part cannot be drawn.
     """
 
     kind: str
@@ -67,7 +66,7 @@ class ObjectPart:
     faces: NDArray[np.uint32] = field(default_factory=_none)
 
     def __post_init__(self) -> None:
-        """Check it: descriptions come over the network and from files."""
+        """Check the part, since descriptions arrive over the network and from files."""
         if KINDS.get(self.kind) != len(self.size) or not all(0.0 < s < 1e3 for s in self.size):
             raise ValueError(f"'{self.kind[:20]}' with {len(self.size)} sizes is not a part")
         if self.pose.shape != (7,) or not np.isfinite(self.pose).all():
@@ -85,10 +84,10 @@ class ObjectDescription:
     """An object that a simulated hand grasps.
 
     Attributes:
-        name: How it is written on the command line, such as ``sphere:0.03``; the name of a mesh's
-            file.
+        name: The object as written on the command line, such as ``sphere:0.03``; for a mesh, the
+            name of its file.
         mass: Its mass [kg].
-        parts: What it is made of.
+        parts: Its rigid parts.
     """
 
     name: str
@@ -97,11 +96,11 @@ class ObjectDescription:
 
 
 NO_OBJECT: Final = ObjectDescription("", 0.0, ())
-"""Stands for none in a message."""
+"""Stands for "no object" in a message."""
 
 
 def contact_rows(values: FloatArray) -> FloatArray:
-    """Return the channel `CONTACTS` as rows ``(k, 7)``; none if it cannot be read."""
+    """Return the channel `CONTACTS` as rows ``(k, 7)``; no rows if the values are malformed."""
     if len(values) % CONTACT_COLUMNS or not np.isfinite(values).all():
         return np.zeros((0, CONTACT_COLUMNS))
     return values.reshape(-1, CONTACT_COLUMNS)

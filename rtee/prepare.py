@@ -1,4 +1,4 @@
-"""From hand.yaml and the command line to a hand that was read and checked; nothing is opened."""
+"""Read and check a hand by its hand.yaml and the command line, without opening any device."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the command line may override.
+    """Options of the command line that override hand.yaml.
 
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
-        emulated: Talk to emulators instead of the real devices.
-        object_in_hand: What is between the fingers of the emulated devices, as a person writes it.
-        driver_options: Options of the driver, before those in hand.yaml.
-        home: Home devices that need it at the start, whatever hand.yaml says; this moves them.
+        emulated: Whether to talk to emulators instead of the real devices.
+        object_in_hand: The object between the fingers of emulated devices, as on the command line.
+        driver_options: Options of the driver, which take precedence over those in hand.yaml.
+        home: Whether to home devices that need it at the start; this moves them.
         rate: Ticks per second [Hz]; ``None``: as in hand.yaml.
-        realtime: Ask for real-time scheduling whatever hand.yaml says.
+        realtime: Whether to request real-time scheduling, even if hand.yaml does not.
         log: Folder of the recordings; ``None``: as in hand.yaml.
-        record: ``False``: write no recordings; faults are written where a folder is configured.
-        duration: End after this long [s]; ``None``: never by itself.
-        trace: Log the bytes of all buses.
-        companions: Commands that run beside, and are ended with the hands.
-        ros2: Show all hands as nodes of ROS 2, whatever hand.yaml says.
-        config_dirs: Folders to look hands up in, before the usual ones.
+        record: Whether to write recordings; faults are always written if a folder is configured.
+        duration: Time after which the run ends [s]; ``None``: never by itself.
+        trace: Whether to record the bytes of all buses.
+        companions: Commands that run beside the hands, and end with them.
+        ros2: Whether all hands are nodes of ROS 2, even if hand.yaml says otherwise.
+        config_dirs: Folders in which hands are looked up before the usual ones.
     """
 
     driver: str | None = None
@@ -65,12 +65,12 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class PreparedHand:
-    """A hand that was read and checked, before anything is opened.
+    """A hand that was read and checked, before any device is opened.
 
     Attributes:
         hand: The hand.
         config: Its hand.yaml.
-        folder: Where that stands.
+        folder: The folder of hand.yaml.
         library: Its grasping actions.
         settings: The loop's settings.
         devices: Its devices.
@@ -84,58 +84,58 @@ class PreparedHand:
     devices: tuple[DeviceSettings, ...]
 
     def warnings(self) -> list[str]:
-        """Return what makes the hand do other than expected, one sentence each."""
+        """Return warnings about the hand's files, one sentence each."""
         pinched = pinch_at_rest(
             self.hand, (action for action in self.library if isinstance(action, Primitive))
         )
         return [*([pinched] if pinched else []), *open_to_everybody(self.folder)]
 
     def attachments(self) -> dict[str, bytes]:
-        """Return the files that belong into a recording, by name."""
+        """Return the contents of the files to attach to a recording, by name."""
         files = [self.folder / "hand.yaml"]
         if self.config.srdf is not None:
             files.append(self.folder / self.config.srdf)
         files += sorted((self.folder / "actions").rglob("*.yaml"))
-        found: dict[str, bytes] = {}
+        contents: dict[str, bytes] = {}
         for file in files:
             try:
-                found[file.relative_to(self.folder).as_posix()] = file.read_bytes()
+                contents[file.relative_to(self.folder).as_posix()] = file.read_bytes()
             except (OSError, ValueError) as error:
                 log.warning("%s is not attached to the recording: %s", file, error)
-        return found
+        return contents
 
     def recorder_settings(self, options: RunOptions) -> RecorderSettings:
-        """Return how it is to be recorded."""
+        """Return the settings of the hand's recorder."""
         given = self.config.log
         settings = {each.name: getattr(given, each.name) for each in fields(given)}
         settings["directory"] = folder = options.log or given.directory
         settings["enabled"] = recorded = options.record and (
             given.enabled or options.log is not None
         )
-        # Who wants no recordings, and names no folder for them, expects no files; and what is shown
-        # again has been recorded.
+        # Without recordings and a folder for them, users expect no files at all; and a replay was
+        # recorded before.
         if (not recorded and folder is None) or options.driver == "replay":
             settings["flight_recorder"] = 0.0
         return RecorderSettings(**settings)
 
 
 def open_to_everybody(folder: Path) -> list[str]:
-    """Return a sentence if other users can change the files of a hand, and so what it does."""
+    """Return a warning if other users can change a hand's files, and so its motions."""
     for path in (folder, *sorted(folder.rglob("*"))):
         try:
-            found = path.lstat()
+            status = path.lstat()
         except OSError:
             continue
-        if stat.S_IMODE(found.st_mode) & stat.S_IWOTH and not stat.S_ISLNK(found.st_mode):
+        if stat.S_IMODE(status.st_mode) & stat.S_IWOTH and not stat.S_ISLNK(status.st_mode):
             return [f"{path} can be changed by everybody; 'chmod -R o-w {folder}' prevents it"]
     return []
 
 
 def prepare(name: str, options: RunOptions) -> PreparedHand:
-    """Read everything about a hand and check it; nothing is opened.
+    """Read and check all files of a hand, without opening any device.
 
     Raises:
-        UserError: for every mistake in its files or the options.
+        UserError: if there is a mistake in the files or the options.
     """
     hand, config = load_configured(name, config_dirs=options.config_dirs)
     folder, file = hand_folder(name, config_dirs=options.config_dirs)
@@ -157,14 +157,14 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
         folder=folder,
         library=library,
         settings=settings,
-        devices=_asked_for(hand.name, devices, options),
+        devices=_with_options(hand.name, devices, options),
     )
 
 
-def _asked_for(
+def _with_options(
     hand: str, devices: Sequence[DeviceSettings], options: RunOptions
 ) -> tuple[DeviceSettings, ...]:
-    """Return the devices with leave to home, and what is between their fingers, where asked."""
+    """Return the devices with homing allowed, and with an object, if the options say so."""
     specs = tuple(device.spec for device in devices)
     if options.home:
         specs = homing_allowed(hand, specs)
@@ -174,9 +174,9 @@ def _asked_for(
 
 
 def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
-    """Return the devices of a hand with leave to home when they are first activated.
+    """Return the devices of a hand with homing allowed at their first activation.
 
-    A device that is homed already stays where it is; the others move.
+    A device that is homed already does not move; the others do.
 
     Args:
         hand: The hand's name.
@@ -185,15 +185,15 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
     Raises:
         ConfigError: if none of them is ever homed.
     """
-    found = tuple(
+    allowed = tuple(
         replace(spec, options={**spec.options, "home": "on_connect"}) if _homes(spec) else spec
         for spec in specs
     )
-    if not any(spec is not given for spec, given in zip(found, specs, strict=True)):
+    if all(spec is given for spec, given in zip(allowed, specs, strict=True)):
         drivers = ", ".join(sorted({spec.driver for spec in specs}))
         hint = "; give --driver devices, too" if drivers == "kinematic" else ""
         raise ConfigError(f"no device of hand '{hand}' needs homing (driver {drivers}){hint}")
-    return found
+    return allowed
 
 
 def _homes(spec: DeviceSpec) -> bool:

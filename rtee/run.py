@@ -1,4 +1,4 @@
-"""The composition root: from hand.yaml to running hands with recorder, network and signals."""
+"""The composition root: builds running hands from hand.yaml, with recorder, network and signals."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 
 import anyio
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, LoopError, RteeError, needing_extra
-from rtee.hand.config_schema import Behaviour, RealtimeSettings
+from rtee.hand.config_schema import RealtimeSettings
 from rtee.log import Recorder
 from rtee.loop.clock import Clock
 from rtee.loop.configure import profile_words, realtime_settings
@@ -50,11 +51,12 @@ __all__ = ["PreparedHand", "RunOptions", "prepare", "run_hands"]
 log = logging.getLogger(__name__)
 
 CONNECT_WITHIN = 3.0
-"""The hands start to tick after this time [s], even if a device is still connecting or homing."""
+"""Time after which the hands start to tick, even if a device is still connecting or homing [s]:
+most devices connect faster."""
 
 
 Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContextManager[Server]]
-"""Has a hand on the network for as long as the context lasts: see `Server.open`."""
+"""Makes a hand available on the network for as long as the context lasts: see `Server.open`."""
 
 
 @dataclass
@@ -78,10 +80,10 @@ async def run_hands(
 
     Args:
         names: The hands, by name or folder.
-        options: What the command line overrides.
-        serve: Makes the network server of each; ``None``: they are not on the network.
+        options: Options of the command line, which override hand.yaml.
+        serve: Opens the network server of a hand; ``None``: the hands are not on the network.
         say: Prints a line.
-        until: Set from outside to end the run.
+        until: Ends the run when it is set.
 
     Returns:
         The exit status: 0.
@@ -144,9 +146,9 @@ async def run_hands(
 def _in_ros2(
     names: Sequence[str], prepared: Sequence[PreparedHand], options: RunOptions
 ) -> Iterator[tuple[str, ...]]:
-    """Yield the command that shows hands as nodes of ROS 2, if there are some to be shown.
+    """Yield the command that makes hands nodes of ROS 2, if any hand is to be one.
 
-    It is a process of its own, a client of the hands, so that it cannot hold up their loop.
+    It runs as a client in a process of its own, so that it cannot delay the loop.
     """
     pairs = zip(names, prepared, strict=True)
     shown = [name for name, one in pairs if options.ros2 or one.config.ros2.enabled]
@@ -158,7 +160,7 @@ def _in_ros2(
 
 
 def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
-    """Say once which hands move by another profile than configured, and why."""
+    """Warn of hands that move by another profile than configured, once for each reason."""
     hands: dict[str, list[str]] = {}
     for one in prepared:
         if one.settings.profile.kind != one.config.profile.kind:
@@ -213,10 +215,10 @@ async def _open(
 
 
 async def _connected(running: Sequence[_Running]) -> None:
-    """Wait until all devices have tried to connect, but not for the slow ones.
+    """Wait until all devices have tried to connect, for `CONNECT_WITHIN` at most.
 
     Raises:
-        UserError: if a device can't ever be connected by a mistake of the user.
+        UserError: if a mistake in the configuration keeps a device from ever connecting.
     """
     with anyio.move_on_after(CONNECT_WITHIN):
         for one in running:
@@ -257,28 +259,25 @@ async def _run(
     finally:
         if not rested:
             await _rest(running, "the run was cancelled")
-        for one in running:  # while there are clients to hear how their goals ended
+        for one in running:  # while clients are still connected, to receive their results
             one.loop.end()
 
 
 async def _rest(
     running: Sequence[_Running], reason: str, *, ticking: bool = False, failed: bool = False
 ) -> None:
-    """Bring all hands to rest at once, as each is configured."""
+    """Bring all hands to rest at the same time, each as configured."""
     with anyio.CancelScope(shield=True):
         async with anyio.create_task_group() as group:
             for one in running:
                 safety = one.prepared.settings.safety
                 behaviour = safety.on_error if failed else safety.on_exit
-                group.start_soon(_rest_one, one.loop, behaviour, reason, ticking)
-
-
-async def _rest_one(loop: HandLoop, behaviour: Behaviour, reason: str, ticking: bool) -> None:
-    await bring_to_rest(loop, behaviour, reason, ticking=ticking)
+                rest = partial(bring_to_rest, one.loop, behaviour, reason, ticking=ticking)
+                group.start_soon(rest)
 
 
 def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
-    """Log why the loop failed, have the last minute written, and say it in one sentence."""
+    """Log an error of the loop, write the last minute to a file, and return the error to raise."""
     while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         error = error.exceptions[0]
     log.error("the loop failed", exc_info=error)
@@ -290,7 +289,7 @@ def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
 
 
 class _Trace:
-    """Puts the bytes on all buses into the recordings, as events."""
+    """Records the bytes on all buses as events."""
 
     def __init__(self) -> None:
         self.recorders: list[Recorder] = []

@@ -1,6 +1,6 @@
-"""What is known of a hand's actuators at one moment: measured, sent to them, recorded, published.
+"""Samples of a hand's actuators: quantities measured, sent, recorded and published at one moment.
 
-`Measurements` is the only list of what devices measure. The loop's state, the recordings, the
+`Measurements` is the only list of measured quantities. The loop's state, the recordings, the
 messages, tables, plots and their labels follow from it: a new quantity is a field here and one in
 the definitions of ``rtee_msgs/ActuatorState`` and ``rtee_msgs/State``.
 """
@@ -32,11 +32,11 @@ class Quantity:
     """A quantity that every actuator has.
 
     Attributes:
-        unit: Its unit for an actuator that turns.
-        sliding_unit: Its unit for an actuator that slides.
-        digits: Decimals worth showing.
-        span: Least length of an axis that it is plotted on: noise should look like noise.
-        heading: What a column of it is headed by; empty: its name.
+        unit: Its unit for a revolute actuator.
+        sliding_unit: Its unit for a prismatic actuator; empty: the same.
+        digits: Decimals to show.
+        span: Least span of an axis in its plots, so that noise looks like noise.
+        heading: Heading of its column in tables; empty: its name.
         dtype: Type of its arrays.
         default: Its value where it is not known.
     """
@@ -59,7 +59,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """What devices measure of actuators; ``NaN``: not measured.
+    """The measured quantities of actuators; ``NaN``: not measured.
 
     The arrays are ``(n,)`` at one moment, ``(k, n)`` over time.
 
@@ -84,7 +84,7 @@ def _quantities(kind: type) -> dict[str, Quantity]:
 
 
 MEASURED: Final[Mapping[str, Quantity]] = _quantities(Measurements)
-"""What devices measure, by the attribute of `Measurements`, in order."""
+"""The measured quantities, by the attribute of `Measurements`, in order."""
 
 measured_arrays = attrgetter(*MEASURED)
 """Return the arrays of `Measurements` as a tuple, in their order."""
@@ -92,7 +92,7 @@ measured_arrays = attrgetter(*MEASURED)
 
 @functools.cache
 def unmeasured(shape: tuple[int, ...]) -> FloatArray:
-    """Return the one read-only array of ``NaN`` for what devices do not measure."""
+    """Return the shared read-only array of ``NaN`` for quantities that are not measured."""
     array = np.full(shape, np.nan)
     array.flags.writeable = False
     return array
@@ -100,18 +100,19 @@ def unmeasured(shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActuatorState(Measurements):
-    """What a device measured, in the order of its actuators.
+    """The measured state of a device, in the order of its actuators.
 
     Attributes:
-        stamp: When it was measured, CLOCK_MONOTONIC [s].
-        fresh: ``False`` when it repeats an earlier measurement.
-        grasped: The device's own word per actuator: holding something; ``None``: it says nothing.
+        stamp: Time of the measurement, CLOCK_MONOTONIC [s].
+        fresh: Whether the measurement is new; ``False``: it repeats an earlier one.
+        grasped: The device's own report for each actuator whether it holds an object; ``None``: no
+            report.
         extras: Further channels by name, for example ``pressure``. ``contact_force`` is the force
-            on every finger of the hand, on whichever of its links, in its order [N]; ``NaN``: not
-            measured there.
-        warnings: Conditions the device reports that are not faults.
-        touch: The newest reading of the sensors in ``capabilities.touch``; the same object as
-            before, or ``None``, where there is no newer one.
+            on each finger of the hand, summed over its links, in the hand's order [N]; ``NaN``:
+            not measured.
+        warnings: Conditions reported by the device that are not faults.
+        touch: The newest reading of the sensors in ``capabilities.touch``; without a newer one,
+            the same object as before, or ``None``.
     """
 
     stamp: float
@@ -136,19 +137,19 @@ class ActuatorState(Measurements):
         warnings: tuple[str, ...] = (),
         touch: TouchReading | None = None,
     ) -> ActuatorState:
-        """Make a fresh state; what is left out counts as not measured (``NaN``)."""
-        where = np.asarray(position, np.float64)
-        shape = where.shape
+        """Return a fresh state; quantities left out count as not measured (``NaN``)."""
+        positions = np.asarray(position, np.float64)
+        shape = positions.shape
 
-        def given(values: Sequence[float] | FloatArray | None) -> FloatArray:
+        def array(values: Sequence[float] | FloatArray | None) -> FloatArray:
             return unmeasured(shape) if values is None else np.asarray(values, np.float64)
 
         return cls(
-            where,
-            given(velocity),
-            given(effort),
-            given(current),
-            given(temperature),
+            positions,
+            array(velocity),
+            array(effort),
+            array(current),
+            array(temperature),
             stamp=stamp,
             grasped=grasped,
             extras=extras,
@@ -159,22 +160,22 @@ class ActuatorState(Measurements):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TickRecord(Measurements):
-    """What was known of a hand at one tick.
+    """The measurements and references of a hand at one tick.
 
-    All arrays have the hand's order of actuators, shape ``(n,)``; they are never changed once they
-    are in here.
+    All arrays are in the hand's order of actuators ``(n,)``; they are never changed once they are
+    in a record.
 
     Attributes:
-        tick: Number of the tick; a missed one leaves a gap.
-        stamp: When the tick was due, CLOCK_MONOTONIC of the hand's computer [s].
-        wall_ns: The same since 1970 [ns]; for log times only.
-        grasped: The devices' own word, ``int8``: 1 holding, 0 not, -1 none given.
-        fresh: Whether the measurement is newer than at the tick before.
-        reference_position: Position sent to the devices, after the limiter [rad | m].
-        reference_velocity: Its velocity [rad/s | m/s].
-        reference_effort: Effort limit sent to the devices [N·m | N]; ``inf``: the device's own.
-        channels: Further measured channels, ``device/channel`` to values.
-        touch: What touch sensors measured last, by device; a new state is another object.
+        tick: Number of the tick; a missed tick leaves a gap.
+        stamp: Due time of the tick, CLOCK_MONOTONIC of the hand's computer [s].
+        wall_ns: Wall-clock time of the due time [ns since 1970], for log times only.
+        grasped: The devices' own reports, ``int8``: 1 holding, 0 not holding, -1 no report.
+        fresh: Whether each measurement is newer than at the tick before.
+        reference_position: Positions sent to the devices, after the limiter [rad | m].
+        reference_velocity: Their velocities [rad/s | m/s].
+        reference_effort: Effort limits sent to the devices [N·m | N]; ``inf``: the device's own.
+        channels: Values of further measured channels, by ``device/channel``.
+        touch: Newest states of the touch sensors, by device; a new state is a new object.
     """
 
     tick: int

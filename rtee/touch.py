@@ -1,8 +1,8 @@
-"""What contact sensors and taxels of a hand measure, and where on its links they are.
+"""Touch sensors of a hand: their taxels, places and readings.
 
-A driver declares its sensors in ``capabilities.touch`` and hands readings over in
-``ActuatorState.touch``; the ``touch`` section of hand.yaml places them. The loop makes a
-`TouchState` of each new reading, which the recorder, the network and the GUI pass on.
+A driver declares its sensors in ``capabilities.touch`` and returns their readings in
+``ActuatorState.touch``; the ``touch`` section of hand.yaml places them on links. The loop converts
+each new reading to a `TouchState` for the recorder, the network and the GUI.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 NEWTON: Final = "N"
-"""The unit of forces: only sensors that measure in it count for what a finger feels."""
+"""The unit of forces: only sensors with this unit count for the forces on fingers."""
 
 STALE_AFTER: Final = 0.5
-"""A reading older than this is stale [s]: the slowest sensors read give a few in this time."""
+"""A reading older than this is stale [s]: the slowest sensors measure a few times in it."""
 
 
 def _nowhere() -> FloatArray:
@@ -33,18 +33,18 @@ class TouchSensor:
     """A contact sensor, or an array of taxels, on one link.
 
     Attributes:
-        name: Its name, which no other touch sensor of the hand has.
-        taxels: Number of its values ``n``.
+        name: Its name, unique among the touch sensors of the hand.
+        taxels: Number of its taxels ``n``, each with one value.
         unit: Unit of its values: ``N``, or the device's own, such as ``counts``.
         full: Largest value that it can measure; ``NaN``: not known.
         link: The link it is on; empty: not known.
-        finger: The finger that the link belongs to; empty: none, or several.
-        grid: Rows and columns, where the taxels come row by row; ``None``: they form no grid.
-        position: Where the taxels are in the link's frame ``(n, 3)`` [m]; ``(0, 3)``: not known.
+        finger: The finger of that link; empty: none, or several.
+        grid: Rows and columns of the taxels, which are in row-major order; ``None``: no grid.
+        position: Positions of the taxels in the link's frame ``(n, 3)`` [m]; ``(0, 3)``: not known.
         normal: Unit normals out of the surface there ``(n, 3)``; ``(0, 3)``: not known.
 
     Raises:
-        ValueError: if it has no taxels, or the grid or the places are not those of its taxels.
+        ValueError: if there are no taxels, or grid or positions do not match their number.
     """
 
     name: str
@@ -58,30 +58,30 @@ class TouchSensor:
     normal: FloatArray = field(default_factory=_nowhere)
 
     def __post_init__(self) -> None:
-        """Check that all is about the same taxels."""
+        """Check that grid and positions match the number of taxels."""
         if self.taxels < 1:
             raise ValueError(f"the touch sensor '{self.name}' has no taxels")
         if self.grid is not None and self.grid[0] * self.grid[1] != self.taxels:
-            raise ValueError(f"the touch sensor '{self.name}' has not the taxels of its grid")
+            raise ValueError(f"the grid of the touch sensor '{self.name}' does not fit its taxels")
         shapes = {self.position.shape, self.normal.shape}
         if not shapes <= {(0, 3), (self.taxels, 3)}:
-            raise ValueError(f"the touch sensor '{self.name}' has not a place for each taxel")
+            raise ValueError(f"the touch sensor '{self.name}' needs a place for each taxel")
 
     @property
     def placed(self) -> bool:
-        """Whether it is known where the taxels are."""
+        """Whether the positions of the taxels are known."""
         return bool(self.link) and len(self.position) == self.taxels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchReading:
-    """What the touch sensors of a device measured, as its driver hands it over.
+    """A reading of all touch sensors of a device, as returned by its driver.
 
     Attributes:
         values: Values of all taxels of all sensors ``(n,)``, one sensor after the other, in the
-            order in which the driver declared them and in the sensors' units; ``NaN``: not
-            measured. A driver never changes it afterwards.
-        stamp: When the oldest of them was measured, CLOCK_MONOTONIC [s].
+            order of their declaration and in the sensors' units; ``NaN``: not measured. Drivers
+            must not change the array afterwards.
+        stamp: Time of the oldest value, CLOCK_MONOTONIC [s].
     """
 
     values: FloatArray
@@ -90,15 +90,15 @@ class TouchReading:
 
 @dataclass(frozen=True, eq=False)
 class TouchState:
-    """What the touch sensors of one device measured last.
+    """The newest reading of one device's touch sensors, with the sensors.
 
     Attributes:
         device: The device.
-        sensors: Its sensors; the same object in every state, until the device is another one.
+        sensors: Its sensors; the same object in every state, until the device is replaced.
         values: Values of all taxels ``(n,)``, one sensor after the other, in the sensors' units;
             ``NaN``: not measured.
-        stamp: When the oldest of them was measured, CLOCK_MONOTONIC of the hand's computer [s].
-        stale: No newer reading came within `STALE_AFTER`: what is touched now is not known.
+        stamp: Time of the oldest value, CLOCK_MONOTONIC of the hand's computer [s].
+        stale: Whether no newer reading arrived within `STALE_AFTER`, so that contacts are unknown.
     """
 
     device: str
@@ -128,7 +128,7 @@ class TouchState:
         return totals(self.sensors, self.values)
 
     def outdated(self) -> TouchState:
-        """Return the same as stale."""
+        """Return the same state, marked as stale."""
         return replace(self, stale=True)
 
 
@@ -142,5 +142,5 @@ def totals(sensors: tuple[TouchSensor, ...], values: FloatArray) -> FloatArray:
     if not sensors:
         return np.zeros((*values.shape[:-1], 0))
     starts = np.cumsum([0, *(sensor.taxels for sensor in sensors[:-1])])
-    found: FloatArray = np.add.reduceat(values, starts, axis=-1)
-    return found
+    sums: FloatArray = np.add.reduceat(values, starts, axis=-1)
+    return sums

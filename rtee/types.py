@@ -1,8 +1,8 @@
 """The vocabulary that every room shares: plain, frozen, free of I/O.
 
-Units are SI throughout: rad or m, s, N·m or N, A, °C. Arrays are indexed by the hand's order of
-actuators; whatever crosses a file or a process is keyed by name. ``NaN`` in a state means "not
-measured"; a reference never contains ``NaN``.
+Units are SI throughout: rad or m, s, N·m or N, A, °C. Arrays are in the hand's order of actuators;
+values in files and messages are keyed by name. ``NaN`` in a state means "not measured"; a reference
+never contains ``NaN``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ FORMER_NAMES: Mapping[str, str] = MappingProxyType(
         "holding_after": "grip_after",
     }
 )
-"""Keys and values of hand.yaml that were renamed: recordings made before are read by their new
-names, and the message says what to change."""
+"""Keys and values of hand.yaml that were renamed. Older recordings are read by the new names; an
+older hand.yaml is refused with a message that says what to change."""
 
 
 def _nothing() -> Mapping[str, Any]:
@@ -36,7 +36,7 @@ def _nothing() -> Mapping[str, Any]:
 
 
 def readonly(values: Sequence[float] | FloatArray) -> FloatArray:
-    """Return ``values`` as a read-only float array of its own."""
+    """Return a read-only copy of ``values`` as an array of floats."""
     array = np.array(values, dtype=np.float64)
     array.flags.writeable = False
     return array
@@ -46,7 +46,7 @@ Position = TypeVar("Position", float, FloatArray)
 
 
 def from_rest(rest: Position, goal: Position, intensity: float) -> Position:
-    """Return the position at an intensity, which is 0 at rest and 1 at the goal [rad | m]."""
+    """Return the position at an intensity [rad | m]: 0 is the rest posture, 1 the goal."""
     return rest + intensity * (goal - rest)
 
 
@@ -60,17 +60,17 @@ class JointKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ActuatorSpec:
-    """What the loop and the drivers know of one actuator.
+    """The properties of one actuator, for the loop and the drivers.
 
     Attributes:
         name: Its name, as in the URDF.
         kind: Revolute, continuous or prismatic.
-        lower: Lower position limit [rad | m]; ``-inf`` for a continuous one.
-        upper: Upper position limit [rad | m]; ``inf`` for a continuous one.
+        lower: Lower position limit [rad | m]; ``-inf`` for a continuous actuator.
+        upper: Upper position limit [rad | m]; ``inf`` for a continuous actuator.
         velocity: Velocity limit [rad/s | m/s].
         acceleration: Acceleration limit [rad/s² | m/s²].
         jerk: Jerk limit [rad/s³ | m/s³].
-        effort: Effort limit [N·m | N]; ``inf`` when the model gives none.
+        effort: Effort limit [N·m | N]; ``inf`` if the model has none.
         rest: Position in the rest posture [rad | m], inside the limits.
         fingers: Names of the fingers whose tips it moves.
     """
@@ -96,7 +96,7 @@ class ActuatorSpec:
 
 
 class Lifecycle(StrEnum):
-    """States of a device, with the names of ros2_control where there is one."""
+    """States of a device, named as in ros2_control where it has them."""
 
     UNCONFIGURED = "unconfigured"
     INACTIVE = "inactive"
@@ -107,7 +107,7 @@ class Lifecycle(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class DeviceSpec:
-    """One device of a hand as configured; what a driver is made from.
+    """The configuration of one device of a hand, from which its driver is made.
 
     Attributes:
         name: The device's name within the hand.
@@ -116,9 +116,10 @@ class DeviceSpec:
         actuators: The actuators it drives, in the hand's order; a driver's arrays have this order.
         options: The driver's own options from hand.yaml.
         rate: Rate of the loop [Hz].
-        every: Exchange every n ticks; ``None`` lets the driver's best rate decide.
-        deadline: Longest time one exchange may take [s]; ``None`` means its share of ticks.
-        emulated: Talk to the device's emulator instead of the address in the options.
+        every: Ticks from one exchange to the next; ``None``: by the driver's best rate.
+        deadline: Longest time that an exchange may take [s]; ``None``: two of its periods, but at
+            least 50 ms.
+        emulated: Whether to talk to the device's emulator instead of the address in the options.
         source: ``file:line`` of the configuration, for messages.
         folder: The hand's folder, for drivers that need its model; empty: look it up by name.
     """
@@ -142,9 +143,9 @@ class Reference:
 
     Attributes:
         position: Position ``(n,)`` [rad | m], inside the limits.
-        max_effort: Effort not to be exceeded ``(n,)`` [N·m | N]; ``inf``: the device's own limit.
-        max_velocity: Velocity not to be exceeded ``(n,)`` [rad/s | m/s]; ``inf``: the device's own.
-        mask: Which actuators are commanded ``(n,)``.
+        max_effort: Effort limit ``(n,)`` [N·m | N]; ``inf``: the device's own limit.
+        max_velocity: Velocity limit ``(n,)`` [rad/s | m/s]; ``inf``: the device's own limit.
+        mask: Whether each actuator is commanded ``(n,)``.
         velocity: Velocity of the profile ``(n,)`` [rad/s | m/s], for devices with feed-forward.
 
     Raises:
@@ -158,7 +159,7 @@ class Reference:
     velocity: FloatArray
 
     def __post_init__(self) -> None:
-        # Made at every exchange: for so few numbers, lists are faster than numpy's functions.
+        # This runs at every exchange: for so few numbers, lists are faster than numpy's functions.
         if not math.isfinite(sum(self.position.tolist()) + sum(self.velocity.tolist())):
             raise ValueError("a reference must be finite")
         if math.isnan(sum(self.max_effort.tolist()) + sum(self.max_velocity.tolist())):
@@ -174,34 +175,33 @@ class Reference:
         mask: Sequence[bool] | BoolArray | None = None,
         velocity: Sequence[float] | FloatArray | None = None,
     ) -> Reference:
-        """Make a reference for a position; limits left out are the device's own."""
-        where = np.asarray(position, dtype=np.float64)
+        """Return a reference for a position; limits left out are the device's own."""
+        target = np.asarray(position, dtype=np.float64)
+        shape = target.shape
 
-        def given(values: Sequence[float] | FloatArray | None, default: float) -> FloatArray:
-            if values is None:
-                return np.full(where.shape, default)
-            return np.asarray(values, dtype=np.float64)
+        def array(values: Sequence[float] | FloatArray | None, default: float) -> FloatArray:
+            return np.full(shape, default) if values is None else np.asarray(values, np.float64)
 
         return cls(
-            position=where,
-            max_effort=given(max_effort, math.inf),
-            max_velocity=given(max_velocity, math.inf),
-            mask=np.ones(where.shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool),
-            velocity=given(velocity, 0.0),
+            position=target,
+            max_effort=array(max_effort, math.inf),
+            max_velocity=array(max_velocity, math.inf),
+            mask=np.ones(shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool),
+            velocity=array(velocity, 0.0),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceStatus:
-    """How a device is doing; published at a low rate.
+    """Status of a device, published at a low rate.
 
     Attributes:
         name: The device's name within the hand.
         driver: The driver's name.
-        lifecycle: Its state.
-        identity: What it reports about itself.
+        lifecycle: State of the device.
+        identity: Model, firmware, serial number and the like, as the device reports them.
         rate: Measured rate of exchanges [Hz].
-        every: It is exchanged every n ticks.
+        every: Ticks from one exchange to the next.
         age: Age of the newest measurement [s].
         exchanges: Exchanges done.
         overruns: Exchanges that missed their deadline.
@@ -210,11 +210,11 @@ class DeviceStatus:
         counters: Counters of the bus: transactions, retries, timeouts, checksum errors, bytes.
         fault_code: The device's own code of its fault, 0 for none.
         fault_name: The fault's name, empty for none.
-        recoverable: ``recover()`` may clear the fault.
-        hint: What the user can do.
+        recoverable: Whether ``recover()`` may clear the fault.
+        hint: Advice for the user.
         message: The last error in words.
-        gains: Names of gains that can be tuned while it runs.
-        gain_values: What they are now, in this order; ``NaN``: the device does not tell.
+        gains: Names of gains that can be tuned while the device runs.
+        gain_values: Their present values, in this order; ``NaN``: not known.
     """
 
     name: str
@@ -242,7 +242,7 @@ class DeviceStatus:
 
 
 class Stage(StrEnum):
-    """How far a pinch goes."""
+    """The stages of a pinch that a goal executes."""
 
     BOTH = "both"
     PRE_GRASP = "pre_grasp"
@@ -250,49 +250,49 @@ class Stage(StrEnum):
 
 
 class OnContact(StrEnum):
-    """What a finger does when it touches something; the most careful word comes first."""
+    """Reactions of a finger to a contact, the most careful one first."""
 
     STOP = "stop"
-    """It stays where it is."""
+    """The finger stays where it is."""
     HOLD = "hold"
-    """It stays there, but yields to more than a light force."""
+    """The finger stays, but yields to more than a light force."""
     SQUEEZE = "squeeze"
-    """It waits like this until enough fingers touch, which then build up the force together."""
+    """The finger holds until enough fingers touch, then all build up the force together."""
 
 
 def new_goal_id() -> str:
-    """Return an identifier that no other goal has."""
+    """Return a unique identifier for a goal."""
     return os.urandom(8).hex()
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A grasping action to be executed.
+    """A request to execute a grasping action.
 
     Attributes:
         action: Name of the action; case and underscores do not matter.
-        elements: Fingers or actuator a primitive is done with, in any order.
-        kind: ``primitive``, ``composed``, ``timed`` or ``generic`` where a name is not unique.
+        elements: Fingers or actuator of a primitive, in any order.
+        kind: ``primitive``, ``composed``, ``timed`` or ``generic``, where a name is not unique.
         intensity: 0 (rest posture) to 1 (the action's posture).
-        effort: Effort limit per actuator [N·m | N]; empty: those of the hand.
-        tolerance: Error norm at which the goal counts as reached (rad and m apart).
+        effort: Effort limit by actuator [N·m | N]; empty: those of the hand.
+        tolerance: Norm of the error at which the goal counts as reached [rad, and m apart].
         speed: Scale of the velocity limits, above 0 and up to 1.
-        timeout: Longest time it may take [s]; ``None``: as configured for the hand.
-        stage: How far a pinch goes.
+        timeout: Longest time the goal may take [s]; ``None``: as configured for the hand.
+        stage: Stages of a pinch to execute.
         goal_id: Its identifier.
-        client: Who asks.
-        opening: Opening of the fingertips to go to, instead of an intensity; with ``grasp``, width
-            of the object [m].
-        force: Force between the fingertips, kept as long as they hold something [N].
-        grasp: Open wider than the object, then close on it. Without an action, the hand's best one
-            for the width and the fingers in ``elements`` is taken.
+        client: The client that sends it.
+        opening: Target opening of the fingertips, instead of an intensity; with ``grasp``, the
+            width of the object [m].
+        force: Force between the fingertips, kept while they hold an object [N].
+        grasp: Whether to open wider than the object, then close on it. Without an action, the
+            hand's best one for the width and the fingers in ``elements`` is used.
         tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
-        narrower: An object held at less than ``opening`` by up to this is the one meant [m].
-        wider: The same for more than ``opening`` [m].
-        on_contact: What fingers do when they touch something, by name; "": all others. Those that
-            are in neither do as configured for the hand.
-        touch: Close slowly, and stop all fingers at the first contact.
-        max_force: Force up to which a slip raises ``force`` [N]; ``None``: it is not raised.
+        narrower: Tolerance of the object's width below ``opening`` [m].
+        wider: Tolerance of the object's width above ``opening`` [m].
+        on_contact: Reaction to a contact by finger; "": all others. Fingers in neither react as
+            configured for the hand.
+        touch: Whether to close slowly, and stop all fingers at the first contact.
+        max_force: Force up to which slips raise ``force`` [N]; ``None``: they do not.
     """
 
     action: str
@@ -319,7 +319,7 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """How far a goal has come, from measured positions.
+    """The progress of a goal, by measured positions.
 
     Attributes:
         goal_id: The goal.
@@ -338,31 +338,31 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a goal ended: separate truths.
+    """The result of a goal; its flags are independent of one another.
 
     Attributes:
         goal_id: The goal.
         action: The action's name.
-        reached: The measured posture is within the tolerance.
-        stalled: The hand stopped short of it.
-        grasped: The hand holds something.
-        grasped_fingers: The fingers that hold it.
-        preempted: A new goal replaced it.
-        cancelled: It was cancelled; the hand holds the measured posture.
-        timed_out: It took longer than its timeout.
-        aborted: It could not go on; see ``reason``.
-        reason: Why it was aborted, in words.
+        reached: Whether the measured posture is within the tolerance.
+        stalled: Whether the hand stopped short of the posture.
+        grasped: Whether the hand holds an object.
+        grasped_fingers: The fingers that hold the object.
+        preempted: Whether a new goal replaced this one.
+        cancelled: Whether the goal was cancelled; the hand holds the measured posture.
+        timed_out: Whether the goal took longer than its timeout.
+        aborted: Whether the goal could not continue; see ``reason``.
+        reason: Why the goal was aborted, in words.
         error: Norm of the remaining error over the involved actuators [rad | m].
-        duration: From acceptance to the end [s].
+        duration: Time from acceptance to the end [s].
         position: Measured actuator positions at the end, by name.
-        elements: Elements of the action, where the goal was one for an opening or a force.
+        elements: Elements of the action, for a goal with an opening or a force.
         opening: Opening of the fingertips at the end [m]; ``None``: not known.
         force: Estimated force between the fingertips [N]; ``None``: not known.
-        force_error: How far the estimate may be off [N].
-        force_source: What it is estimated from: ``device``, the force that it measures by its
-            sheet; ``tip forces``, ``effort`` or ``effort limit``.
-        within: Something is held, and the opening is the object's width within the tolerance.
-        touched: Fingers that touched something, where they were to do something about it.
+        force_error: Error of the estimate [N].
+        force_source: Source of the estimate: ``device`` (the force that it measures, by its data
+            sheet), ``tip forces``, ``effort`` or ``effort limit``.
+        within: Whether an object is held at its width, within the tolerance.
+        touched: Fingers with a reaction to contacts that touched something.
     """
 
     goal_id: str
@@ -389,13 +389,13 @@ class Result:
 
     @property
     def succeeded(self) -> bool:
-        """Reached, or holding something."""
+        """Whether the goal was reached, or the hand holds an object."""
         return self.reached or self.grasped
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth telling that is neither feedback nor a result.
+    """A notable occurrence that is neither feedback nor a result.
 
     Attributes:
         kind: ``grasp_lost``, ``device_fault``, ``device_lost``, ``reconnected``, ``limited``,
@@ -416,23 +416,21 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class LoopStatistics:
-    """The loop's clock, since the start and over the last window.
-
-    Times are in seconds.
+    """Statistics of the loop's clock since its start, with the rate over the last window.
 
     Attributes:
         rate: Configured rate [Hz].
         measured_rate: Rate over the last window [Hz].
         ticks: Ticks done.
         missed: Ticks missed (counted, never caught up).
-        lateness_p50: Median wake-up lateness.
-        lateness_p99: 99th percentile.
-        lateness_p999: 99.9th percentile.
-        lateness_max: Worst.
-        busy_p50: Median time the loop worked in a tick.
-        busy_p99: 99th percentile.
-        busy_p999: 99.9th percentile.
-        busy_max: Worst.
+        lateness_p50: Median lateness of the wake-up [s].
+        lateness_p99: 99th percentile of the lateness [s].
+        lateness_p999: 99.9th percentile of the lateness [s].
+        lateness_max: Largest lateness [s].
+        busy_p50: Median processor time of a tick [s].
+        busy_p99: 99th percentile of the processor time [s].
+        busy_p999: 99.9th percentile of the processor time [s].
+        busy_max: Largest processor time [s].
         dropped: Log records dropped because the writer fell behind.
     """
 

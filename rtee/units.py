@@ -24,7 +24,7 @@ SPEED: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Units of speed, in m/s."""
 
-_WORDS: Final = {id(LENGTH): "a length", id(FORCE): "a force", id(SPEED): "a speed"}
+_KINDS: Final = {id(LENGTH): "a length", id(FORCE): "a force", id(SPEED): "a speed"}
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
@@ -35,37 +35,37 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
     Args:
         value: A number in the SI unit, or a text with or without a unit.
         units: Its units: `LENGTH`, `FORCE` or `SPEED`.
-        name: What it is, for the message.
+        name: Name of the quantity, for the message.
 
     Raises:
-        GoalRejected: if it is no such quantity, not finite, or negative.
+        GoalRejected: if the value is not such a quantity, not finite, or negative.
     """
-    what = _WORDS[id(units)]
+    kind = _KINDS[id(units)]
     if isinstance(value, str):
         match = _QUANTITY.fullmatch(value)
         if match is None:
             example = next(unit for unit in units if unit not in ("m", "m/s"))
-            raise GoalRejected(f"the {name} must be {what}, such as 30{example}, not '{value}'")
+            raise GoalRejected(f"the {name} must be {kind}, such as 30{example}, not '{value}'")
         number, unit = float(match[1]), match[2]
         if unit and unit not in units:
             raise GoalRejected(
-                f"the {name} must be {what}, and '{unit}' is not a unit of one; "
+                f"the {name} must be {kind}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
-        found = number * units.get(unit, 1.0)
+        size = number * units.get(unit, 1.0)
     else:
-        found = float(value)
-    if not math.isfinite(found):
-        raise GoalRejected(f"the {name} must be {what}, not {found:g}")
-    if found < 0.0:
+        size = float(value)
+    if not math.isfinite(size):
+        raise GoalRejected(f"the {name} must be {kind}, not {size:g}")
+    if size < 0.0:
         raise GoalRejected(f"the {name} must not be negative, not {value}")
-    return found
+    return size
 
 
 def grip_words(result: Result) -> str:
-    """Return at what opening a goal ended, and with what force, estimated from what."""
-    said = f"{1e3 * (result.opening or 0.0):.1f} mm"
+    """Return the opening of a result in words, and its force with error and source."""
+    words = f"{1e3 * (result.opening or 0.0):.1f} mm"
     if result.force is not None and result.grasped:
         error = 0.0 if result.force_error is None else result.force_error
-        said += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"
-    return said
+        words += f" with {result.force:.1f} ± {error:.1f} N, by the {result.force_source}"
+    return words

@@ -22,7 +22,7 @@ class Tick:
     """One period of the loop.
 
     Attributes:
-        number: The first that happens is 0; a missed tick leaves a gap.
+        number: Number of the tick: 0 for the first; a missed tick leaves a gap.
         due_ns: When it was due, CLOCK_MONOTONIC [ns].
         woken_ns: When the loop woke up for it, CLOCK_MONOTONIC [ns].
         missed: Ticks missed since the one before.
@@ -42,12 +42,12 @@ class Tick:
 
     @property
     def lateness_ns(self) -> int:
-        """Wake-up after the due time [ns]."""
+        """Time from the due time to the wake-up [ns]."""
         return self.woken_ns - self.due_ns
 
 
 class AnyClock(Protocol):
-    """What the loop needs of a clock."""
+    """The interface of a clock that the loop needs."""
 
     rate: float
 
@@ -69,7 +69,7 @@ def _period_ns(rate: float) -> int:
 
 
 class _TickTimer(timerfd.Timer):
-    """A timerfd that counts its expiries as ticks; the first that happens is tick 0."""
+    """A timerfd that counts its expiries as ticks, from tick 0."""
 
     def __init__(self, period_ns: int) -> None:
         self._start = time.monotonic_ns() + period_ns
@@ -78,14 +78,14 @@ class _TickTimer(timerfd.Timer):
         super().__init__(self._start, period_ns)
 
     def tick(self, passed: int) -> Tick:
-        """Return the tick for some expiries since the last one; all but one were missed."""
+        """Return the tick for some expiries since the last tick; all but one were missed."""
         woken, wall = time.monotonic_ns(), time.time_ns()
         if self._number < 0:
-            # Late before the first tick: the count starts here, so that nothing counts as missed.
+            # Late for the first tick: counting starts here, so that nothing counts as missed.
             self._start += (passed - 1) * self._period_ns
             passed = 1
         self._number += passed
-        # From the start, not from the tick before: rounding and delays never add up to drift.
+        # From the start, not from the last tick: rounding and delays must not add up to drift.
         due = self._start + self._number * self._period_ns
         # Somebody may set the wall clock at any time: it is read once and shifted by the lateness.
         return Tick(self._number, due, woken, passed - 1, wall - (woken - due))
@@ -95,7 +95,7 @@ class Clock:
     """Ticks at a fixed rate: ``async for tick in Clock(1000)``.
 
     On Linux a timerfd wakes the event loop within some ten microseconds of the due time. Elsewhere
-    a sleep does, as exactly as the event loop can: asyncio rounds to a millisecond.
+    the clock sleeps, as precisely as the event loop can: asyncio rounds to a millisecond.
 
     Args:
         rate: Ticks per second [Hz], 1 to 2000.
@@ -167,7 +167,7 @@ class Clock:
         try:
             while True:
                 if expired:
-                    # The last tick took longer than a period: the others must still get their turn.
+                    # The last tick took longer than a period: other tasks must get their turn.
                     await asyncio.sleep(0)
                 else:
                     waiter = loop.create_future()
@@ -189,9 +189,9 @@ class Clock:
             # asyncio may wake up to a millisecond early; the next turn then sleeps for the rest.
             await asyncio.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
             woken, wall = time.monotonic_ns(), time.time_ns()
-            # Woken a period or more too late: go on with the tick that is due now.
+            # Woken a period or more too late: continue with the tick that is due now.
             number = max(number, (woken - start) // self.period_ns)
-            if last < 0:  # the first tick that happens is tick 0
+            if last < 0:  # the first tick is tick 0, however late
                 start += number * self.period_ns
                 number = 0
             due = start + number * self.period_ns
@@ -202,16 +202,16 @@ class Clock:
 
 
 class ManualClock:
-    """A clock that is moved by hand: for tests and replay, at any speed.
+    """A clock whose time is set by the program: for tests and replay, at any speed.
 
-    Iterating over it gives ticks as fast as the loop takes them; in between, every other task runs
+    Iterating over it yields ticks as fast as the loop takes them; in between, every other task runs
     until it waits.
 
     Args:
-        rate: Ticks per second of its own time [Hz].
-        ticks: End the iteration after as many; ``None``: never.
-        start: Its time at the beginning [s].
-        turns: How often the other tasks get their turn between two ticks.
+        rate: Ticks per second of the clock's own time [Hz].
+        ticks: Number of ticks after which the iteration ends; ``None``: never.
+        start: The clock's time at the beginning [s].
+        turns: Turns of the event loop that the other tasks get between two ticks.
     """
 
     def __init__(
@@ -230,11 +230,11 @@ class ManualClock:
         return self.period_ns * 1e-9
 
     def now(self) -> float:
-        """Return its time [s]; stands in for `time.monotonic`."""
+        """Return the clock's time [s]; replaces `time.monotonic`."""
         return (self._start_ns + max(self._number, 0) * self.period_ns) * 1e-9
 
     def next(self, missed: int = 0) -> Tick:
-        """Move on by one tick, or by one and those missed."""
+        """Advance by one tick, plus ``missed`` ticks, and return it."""
         self._number += 1 + missed
         due = self._start_ns + self._number * self.period_ns
         return Tick(self._number, due, due, missed, due)
@@ -242,7 +242,7 @@ class ManualClock:
     async def settle(self) -> None:
         """Let the other tasks run."""
         for _ in range(self.turns):
-            # One turn is not enough: a task that was woken may itself wake another one.
+            # Several turns: a task that was woken may itself wake another one.
             await asyncio.sleep(0)
 
     async def drive(self, function: Callable[[Tick], None]) -> None:

@@ -1,4 +1,4 @@
-"""Turn a hand.yaml that was read into the loop's plain settings; does not import pydantic."""
+"""Derive the loop's plain settings from a hand.yaml that was read; does not import pydantic."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINEMATIC = "kinematic"
 """The driver that needs no device."""
 
 DEVICES = "devices"
-"""Means the devices of hand.yaml."""
+"""Stands for the devices of hand.yaml."""
 
 
 def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSettings:
@@ -46,7 +46,7 @@ def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSetti
 
 
 def profile_words(config: HandConfig, settings: LoopSettings) -> str:
-    """Return which profile moves a hand's references, and why if it is another than configured."""
+    """Return the profile's name, and the reason if it is not the configured one."""
     kind = settings.profile.kind
     if kind == config.profile.kind:
         return str(kind)
@@ -54,20 +54,20 @@ def profile_words(config: HandConfig, settings: LoopSettings) -> str:
 
 
 def realtime_settings(config: HandConfig, *, enabled: bool = False) -> RealtimeSettings:
-    """Return the real-time settings of a hand; ``enabled`` switches them on whatever it says."""
+    """Return the real-time settings of a hand; ``enabled`` overrides those of hand.yaml."""
     return replace(config.realtime, enabled=config.realtime.enabled or enabled)
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceChoice:
-    """What drives a hand.
+    """The user's choice of drivers for a hand.
 
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
-        options: Options of the driver, before those that hand.yaml has for its device.
+        options: Options of the driver, which take precedence over those in hand.yaml.
         source: The hand.yaml, for messages.
-        lines: Where in it each device is.
+        lines: Line of each device in it, for messages.
         folder: The hand's folder.
     """
 
@@ -82,16 +82,16 @@ class DeviceChoice:
 def device_settings(
     hand: Hand, config: HandConfig, rate: float, choice: DeviceChoice
 ) -> list[DeviceSettings]:
-    """Return the devices to run a hand with.
+    """Return the settings of the devices to run a hand with.
 
-    A driver's name picks the devices of hand.yaml that use it, and kinematic ones stand in for the
-    other actuators. A driver that no device of hand.yaml uses gets all actuators.
+    A driver's name selects the devices of hand.yaml that use it; a kinematic device replaces the
+    others. A driver that no device of hand.yaml uses drives all actuators.
 
     Args:
         hand: The hand.
         config: Its hand.yaml.
         rate: Rate of the loop [Hz].
-        choice: What drives it.
+        choice: The choice of drivers.
 
     Raises:
         ConfigError: if hand.yaml has no devices, they leave an actuator out, or options are given
@@ -106,24 +106,24 @@ def device_settings(
             )
         chosen = list(config.devices.items())
     else:
-        # One of several drivers: its own devices keep their options, stand-ins get the rest.
+        # The devices of this driver keep their options; a stand-in drives the other actuators.
         chosen = [(n, d) for n, d in config.devices.items() if d.driver == driver]
-    # Drivers have different options: given to several, most would be a mistake for one of them.
+    # Drivers have different options: most would be a mistake for one of several devices.
     if choice.options and len(chosen) > 1:
         raise ConfigError(
             f"--option is for one device, and {hand.name} has {', '.join(n for n, _ in chosen)}; "
             f"give their options in {choice.source or 'hand.yaml'}"
         )
-    made = [_made(hand, name, device, rate, choice) for name, device in chosen]
-    taken = {actuator.name for device in made for actuator in device.spec.actuators}
-    left = [name for name in hand.actuator_names if name not in taken]
+    settings = [_settings_of(hand, name, device, rate, choice) for name, device in chosen]
+    driven = {actuator.name for device in settings for actuator in device.spec.actuators}
+    left = [name for name in hand.actuator_names if name not in driven]
     if not left:
-        return made
+        return settings
     if driver == DEVICES:
         raise ConfigError(
             f"{choice.source or hand.name}: no device drives the actuator '{left[0]}'"
         )
-    stand_in = KINEMATIC if made else driver
+    stand_in = KINEMATIC if settings else driver
     spec = DeviceSpec(
         name=_free_name(stand_in, [name for name, _ in chosen]),
         hand=hand.name,
@@ -135,7 +135,7 @@ def device_settings(
         source=f"--driver {driver}" if choice.driver or choice.options else choice.source,
         folder=choice.folder,
     )
-    return [*made, DeviceSettings(spec)]
+    return [*settings, DeviceSettings(spec)]
 
 
 def _free_name(driver: str, taken: Sequence[str]) -> str:
@@ -145,11 +145,11 @@ def _free_name(driver: str, taken: Sequence[str]) -> str:
     return name
 
 
-def _made(
+def _settings_of(
     hand: Hand, name: str, device: DeviceSection, rate: float, choice: DeviceChoice
 ) -> DeviceSettings:
     names = hand.actuator_names if device.actuators == "all" else tuple(device.actuators)
-    # In the hand's order, whatever the order in hand.yaml: drivers and arrays rely on it.
+    # In the hand's order, not that of hand.yaml: drivers and arrays rely on it.
     ordered = [actuator for actuator in hand.actuators if actuator.name in names]
     spec = DeviceSpec(
         name=name,

@@ -1,4 +1,4 @@
-"""The link to one device: connect, exchange, notice what breaks, connect again."""
+"""The link to one device: connect, exchange, detect errors, connect again."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BACKOFF = (0.2, 5.0)
 second, and a device that is switched off must not fill its bus and the log."""
 
 CONNECT_WITHIN = 20.0
-"""Time that connecting and identifying may take [s]; the slowest devices boot for ten."""
+"""Time that connecting and identifying may take [s]; the slowest devices boot for ten seconds."""
 
 ACTIVATE_WITHIN = 120.0
 """Time that activation, or another request, may take [s]: homing takes up to a minute."""
@@ -58,7 +58,7 @@ class ExchangeCounters:
 
     Attributes:
         exchanges: Exchanges done.
-        overruns: Times it was due again before an exchange was over.
+        overruns: Times that the next exchange was due before the last one was over.
         errors: Exchanges that failed.
         in_row: Exchanges that failed since the last one that worked.
         reconnects: Times the link was re-established.
@@ -95,17 +95,17 @@ class Connection:
 
     Attributes:
         lifecycle: State of the device.
-        state: What it measured last, or ``None``.
-        states: Number of states it has given.
-        counters: What the exchanges came to.
-        every: It is due every n ticks.
-        deadline: Time an exchange may take [s].
-        trouble: Why it can't be moved, in words; empty when it can.
+        state: Its newest state, or ``None``.
+        states: Number of states that it has returned.
+        counters: Counts of exchanges and their errors.
+        every: Ticks from one exchange to the next.
+        deadline: Time that an exchange may take [s].
+        trouble: Why the device can't be moved, in words; empty when it can.
         message: The last error in words.
-        fault: The fault it reports, if any.
-        rejected: Why it refused a reference, until that is read and emptied.
+        fault: The fault that the device reports, if any.
+        rejected: Why the device refused a reference; emptied by its reader.
         tried: Set after the first attempt to connect.
-        mistake: The user's mistake that prevents any connection.
+        mistake: The mistake in the configuration that prevents any connection.
     """
 
     def __init__(
@@ -135,10 +135,10 @@ class Connection:
         self._report = report
         self._now = now
         self._size = len(settings.spec.actuators)
-        # Only the first time: a device that comes back must not move before somebody recovers it.
+        # Only the first time: a device that reconnects must not move before somebody recovers it.
         self._activate_on_connect = True
         self._linked_before = False
-        self._told = ""
+        self._reported = ""
         self._backoff = BACKOFF[0]
         # Connect at the first tick.
         self._next_at = -math.inf
@@ -146,7 +146,7 @@ class Connection:
         self._warned: tuple[str, ...] = ()
 
     def due(self) -> bool:
-        """Return whether to exchange with the device, or to try to connect to it, now."""
+        """Return whether it is time to exchange with the device, or to try to connect to it."""
         if self.lifecycle is Lifecycle.UNCONFIGURED:
             return self._now() >= self._next_at
         if self.lifecycle is Lifecycle.FAULT:
@@ -172,10 +172,10 @@ class Connection:
             self.counters.in_row = 0
 
     def accept(self, state: ActuatorState) -> None:
-        """Keep a state that the driver gave.
+        """Keep a state that the driver returned.
 
         Raises:
-            DriverError: if it has not one value for each actuator.
+            DriverError: if it does not have one value for each actuator.
         """
         n = self._size
         # A wrong length would only show much later, as values of another actuator.
@@ -194,24 +194,25 @@ class Connection:
     # --- connecting --------------------------------------------------------------------------
 
     async def connect(self) -> None:
-        """Try to connect, and to activate the device if it is to be; cannot raise."""
+        """Try to connect, then to activate the device where that is configured; cannot raise."""
         self._runner.begin(CONNECT_WITHIN)
         then = "" if self._activate_on_connect else "; it is inactive until recovered"
         try:
             await self._configure()
             if self._activate_on_connect:
-                # Homing takes longer than connecting: it gets a limit for itself.
+                # Homing takes longer than connecting: it has a limit of its own.
                 self._runner.begin(ACTIVATE_WITHIN)
                 await self._activate()
         except Exception as error:
-            # Anything else is a bug of the driver, for which the traceback matters.
+            # Anything else is a bug in the driver, which its author finds by the traceback.
             if not isinstance(error, RteeError | OSError | EOFError):
                 log.exception("the driver of device '%s' failed", self._spec.name)
             # A device in fault answers: it keeps its link and waits to be recovered.
             if not isinstance(error, DeviceFault):
                 self.lifecycle = Lifecycle.UNCONFIGURED
             await self.failed(error)
-        # Not before it is active, too: one that fails there is tried again as rarely as any other.
+        # This resets the back-off, so it comes after activation: a device that fails to activate
+        # is retried as seldom as one that fails to connect.
         if self.lifecycle is not Lifecycle.UNCONFIGURED:
             self._linked(then)
         self._runner.end()
@@ -228,18 +229,18 @@ class Connection:
         self.message = ""
 
     def _linked(self, then: str) -> None:
-        """Note that the link stands; ``then``: what the device waits for, in words."""
+        """Record that the link is up; ``then`` says in words what the device waits for."""
         self._backoff = BACKOFF[0]
-        self._told = ""
+        self._reported = ""
         if self._linked_before:
             self.counters.reconnects += 1
             self._report("reconnected", f"is connected again{then}", "info")
         self._linked_before = True
 
     def _pace(self) -> None:
-        """Choose every how many ticks it is due, by what its wire gives."""
+        """Choose the number of ticks per exchange and its deadline by the best rate of the wire."""
         rate, best = self._spec.rate, self._driver.capabilities.best_rate
-        # Rounding must not halve the rate of a device whose best is just that of the loop.
+        # Rounding must not halve the rate of a device whose best rate equals that of the loop.
         least = max(1, math.ceil(rate / best - 1e-9)) if best > 0 else 1
         self.every = self._spec.every or least
         if self.every < least:
@@ -251,7 +252,7 @@ class Connection:
         # No timeout here: the runner watches over the whole attempt.
         await self._driver.activate()
         self.accept(await self._driver.sense())
-        # From here on, a lost link means that the hand may have been touched meanwhile.
+        # From here on, somebody may have touched the hand by the time that a lost link is back.
         self._activate_on_connect = self._settings.reconnect_active
         self.fault = None
         self.message = self.trouble = ""
@@ -261,7 +262,7 @@ class Connection:
         """Bring the device out of a fault, or connect and activate it.
 
         Raises:
-            Exception: whatever the driver raises; it has been dealt with.
+            Exception: the driver's error, which has been handled already.
         """
         if self.lifecycle is Lifecycle.ACTIVE:
             return
@@ -282,25 +283,26 @@ class Connection:
         self._report("recovered", "is active again", "info")
 
     def deactivated(self, trouble: str) -> None:
-        """Note that the device was made inactive; it stays so until `recover`."""
+        """Record that the device was made inactive; it stays inactive until `recover`."""
         self.lifecycle = Lifecycle.INACTIVE
         self.trouble = trouble
         self._activate_on_connect = False
 
-    # --- what breaks -------------------------------------------------------------------------
+    # --- errors ------------------------------------------------------------------------------
 
     async def failed(self, error: Exception) -> None:
-        """Do what an error of the driver calls for."""
+        """Handle an error of the driver by its type."""
         match error:
             case DeviceFault():
                 self._enter_fault(error)
-            # The device is fine, only the reference is not: `Devices` starts again where it is.
+            # The device works, but not with this reference: `Devices` restarts it from where the
+            # device is.
             case CommandRejected():
                 self.counters.errors += 1
                 self.message = self.rejected = _words(error)
             case _ if self.lifecycle is Lifecycle.UNCONFIGURED:
                 await self._not_connected(error)
-            # These cannot pass by themselves: connect again at once, without counting to three.
+            # These do not pass by themselves: connect again at once, without counting to three.
             case BusBroken() | BusClosed() | NotConnected() | HandshakeError():
                 await self._lose(error)
             # One lost answer is normal on a noisy wire.
@@ -313,7 +315,7 @@ class Connection:
                 await self._lose(error)
 
     def _enter_fault(self, fault: DeviceFault) -> None:
-        # A fault is seen at every look; one event for each is enough.
+        # The device repeats its fault in every answer; one event is enough.
         new = self.fault is None or self.fault.name != fault.name
         self.message = _words(fault)
         self.trouble = f"it is in fault: {fault.name}"
@@ -325,21 +327,21 @@ class Connection:
             self._report("device_fault", text, "error")
 
     async def _not_connected(self, error: Exception) -> None:
-        """Wait longer before the next attempt to connect; the same reason is reported once."""
+        """Schedule the next attempt to connect; report each reason once."""
         self.tried.set()
         if isinstance(error, UserError):
             self.mistake = error
         self._next_at = self._now() + self._backoff
-        # Doubling: quick after a loose plug, quiet with a device that stays off.
+        # Doubled: quick after a loose plug, quiet with a device that stays off.
         self._backoff = min(2 * self._backoff, BACKOFF[1])
         text = _words(error)
-        if text != self._told:
+        if text != self._reported:
             self._report("device_unreachable", f"cannot be reached: {text}", "warning")
-        self._told = self.message = self.trouble = text
+        self._reported = self.message = self.trouble = text
         await self.close()
 
     async def _miss(self, error: Exception) -> None:
-        """Count an exchange that failed; too many of them mean that the device is lost."""
+        """Count an exchange that failed; after too many of them, the device is lost."""
         self.counters.errors += 1
         self.counters.in_row += 1
         self.message = _words(error)
@@ -349,18 +351,18 @@ class Connection:
 
     async def _lose(self, error: Exception) -> None:
         self.counters.errors += 1
-        self._told = self.message = _words(error)
+        self._reported = self.message = _words(error)
         self.trouble = f"it is lost: {self.message}"
         self.lifecycle = Lifecycle.UNCONFIGURED
         self.fault = None
         self._next_at = self._now() + self._backoff
         self._report("device_lost", f"is lost: {self.message}", "error")
-        # The driver starts from a closed bus next time: half-read answers are gone with it.
+        # The next attempt starts from a closed bus, which has discarded half-read answers.
         await self.close()
 
     async def close(self) -> None:
         """Close the driver in bounded time; cannot raise."""
-        # Twice the time: the timeout below fires first, and its cancellation needs some, too.
+        # Twice the time: the timeout below fires first, and cancelling takes some time, too.
         self._runner.begin(2 * CLOSE_WITHIN)
         try:
             async with asyncio.timeout(CLOSE_WITHIN):

@@ -1,4 +1,4 @@
-"""Detect for each actuator, from its state, whether it is blocked, grasps or has lost its grasp."""
+"""Detect from an actuator's state whether it is blocked, grasps, or has lost its grasp."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from rtee.sample import FloatArray, Measurements
 from rtee.types import ActuatorSpec
 
 _LOST_AFTER = 0.05
-"""A grasp counts as lost when it looks lost for this long [s]: measurements are noisy, and a few
-periods of the slowest devices pass in this time."""
+"""A grasp counts as lost when it looks lost for this long [s]: longer than noise, and a few periods
+of the slowest devices."""
 
 _LOST_MOVE = 0.02
 """A grasp looks lost once the actuator has closed further by this fraction of its range, more than
 a soft object gives way."""
 
 TIP_FORCE = "contact_force"
-"""The channel of a device's state with the contact force on every finger of the hand, summed over
-all of its links."""
+"""The channel of a device's state with the contact force on every finger of the hand [N], summed
+over all links of the finger."""
 
 _FELT = 0.1
-"""A fingertip counts as touching for this long after it was last felt [s]: contacts chatter."""
+"""A fingertip counts as touching for this long after its last contact force [s]: contacts
+chatter."""
 
 _DELIVERED = 3
-"""A device has certainly received a reference that led at this many of its measurements: a driver
-measures before it sends, and may return what came back in the exchange before. The third is a
+"""After this many measurements with a leading reference, the device has certainly received one: a
+driver measures before it sends, and may return the answer to the exchange before. The third is a
 margin."""
 
 _SILENCE = 3.0
@@ -37,22 +38,23 @@ _SILENCE = 3.0
 actuator may or may not have been at rest."""
 
 _USUAL_SHARE = 0.125
-"""Weight of the newest interval in the usual one: it follows a change of rate within 8 of them."""
+"""Weight of the newest interval in the usual one, which follows a change of rate within 8
+intervals."""
 
 
 @dataclass(slots=True)
 class Measured:
-    """What a controller is given at a tick; lists in the hand's order of actuators.
+    """The measured state that a controller is given at a tick; lists in the hand's actuator order.
 
     Attributes:
         position: Measured positions [rad | m]; ``NaN``: not measured.
         effort: Measured efforts [N·m | N].
         temperature: Measured temperatures [°C].
         fresh: Whether the measurement is newer than at the tick before.
-        grasped: The device's own word: 1 holding, 0 not, -1 none.
-        current: Measured currents [A]; empty: none at all.
+        grasped: The device's own report: 1 holding, 0 not holding, -1 no report.
+        current: Measured currents [A]; empty: no device measures any.
         touch: Measured contact forces on the fingers [N], in the hand's order; ``NaN``: not
-            measured; empty: none at all.
+            measured; empty: no device measures any.
     """
 
     position: Sequence[float]
@@ -64,7 +66,7 @@ class Measured:
     touch: Sequence[float] = ()
 
     def update(self, sample: Measurements, before: Measurements | None = None) -> None:
-        """Copy from a sample what a controller needs.
+        """Copy the quantities that a controller needs from a sample.
 
         Args:
             sample: The sample.
@@ -82,24 +84,24 @@ class Measured:
 
 
 def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
-    """Return the forces on the fingers [N] from what some devices measured, for `Measured`.
+    """Return the forces on the fingers [N], merged from the measurements of some devices.
 
     Args:
-        measured: The channel `TIP_FORCE` of each; what is not measured is ``NaN``.
+        measured: The channel `TIP_FORCE` of each device ``(fingers,)``; ``NaN``: not measured.
     """
     if not measured:
         return []
-    together = measured[0]
+    merged = measured[0]
     for other in measured[1:]:
-        if other.shape == together.shape:
+        if other.shape == merged.shape:
             # `fmax` prefers a number to NaN: each device knows only the fingers it measures.
-            together = np.fmax(together, other)
-    return [float(force) for force in together]
+            merged = np.fmax(merged, other)
+    return [float(force) for force in merged]
 
 
 @dataclass(slots=True)
 class _Grip:
-    """What an actuator was last known to hold: in which direction it presses, and where it is."""
+    """The last known grip of an actuator: direction of pressing, and its position [rad | m]."""
 
     direction: float
     position: float
@@ -116,32 +118,31 @@ class _Watched:
     led: int = 0
     blocked_at: float = math.nan
     grasping: bool = False
-    own_word: bool = False
-    old_word: bool = False
+    own_report: bool = False
+    old_report: bool = False
     new: bool = True
     hold_position: float = math.nan
     losing_since: float = math.nan
 
 
 class ContactWatch:
-    """Watches the actuators of the last goal or stream.
+    """Watches the actuators of the last goal or stream for contacts.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
-    or its device reports that it holds something. Time in which its device is silent does not count
-    as time at rest. A blocked one *grasps* when its effort is above a threshold, or when its device
-    reports a grasp. Where the forces at its fingertips are measured, they decide instead: it
-    grasps with those fingers whose tips touch, and does not grasp if no tip does.
+    or when its device reports that it holds an object. Time in which its device is silent does not
+    count as time at rest. A blocked actuator *grasps* when its effort is above a threshold, or when
+    its device reports a grasp. Where the forces at its fingertips are measured, they decide
+    instead: it grasps with those fingers whose tips touch, and does not grasp if no tip touches.
 
     The device's report doesn't count at the end of the range, where devices report the mechanical
-    stop. It counts only for the motion it belongs to: a report from before the device can have
-    begun this motion, because it is older than the motion or about an older set-point, counts only
-    once the actuator has stalled. Where the motion leads away from what is held, nothing counts as
-    a grasp until the actuator has left it.
+    stop. It counts only for the motion it belongs to: a report that the device made before it can
+    have begun this motion counts only once the actuator has stalled. Where the motion leads away
+    from a held object, nothing counts as a grasp until the actuator has left the object.
 
     Args:
         actuators: The hand's actuators.
         stall: When an actuator counts as stalled.
-        grasp: When a stalled one counts as holding.
+        grasp: When a stalled actuator counts as grasping.
         fingers: The hand's fingers, in its order.
     """
 
@@ -161,24 +162,24 @@ class ContactWatch:
         self._watched: dict[int, _Watched] = {}
         self._grips: list[_Grip | None] = [None] * len(actuators)
         self._usual = [math.nan] * len(actuators)
-        # Slower than this way [rad | m] in the stall time is "hardly moving".
+        # An actuator that moves less than this in the stall time [rad | m] "hardly moves".
         self._slow = [stall.speed * actuator.velocity * stall.time for actuator in actuators]
 
     def begin(
         self, targets: Mapping[int, float], tolerance: Mapping[int, float], stamp: float
     ) -> None:
-        """Start to watch some actuators; what was known of them is forgotten.
+        """Start to watch some actuators, forgetting their earlier contacts.
 
         Args:
-            targets: Where they go, by index [rad | m].
-            tolerance: Error that counts as none, by index [rad | m].
+            targets: Their target positions, by index [rad | m].
+            tolerance: Position error that counts as none, by index [rad | m].
             stamp: Now [s].
         """
         for i, target in targets.items():
             self._watched[i] = _Watched(tolerance[i], target, math.nan, stamp, stamp)
 
     def aim(self, i: int, target: float) -> None:
-        """Note that a watched actuator now goes to another target [rad | m]."""
+        """Set another target position for a watched actuator [rad | m]."""
         watched = self._watched.get(i)
         if watched is not None:
             watched.target = target
@@ -189,30 +190,30 @@ class ContactWatch:
             self._watched.pop(i, None)
 
     def pin(self, i: int, stamp: float, position: float, *, grasping: bool) -> None:
-        """Record that an actuator was stopped because it touches something.
+        """Record that an actuator was stopped because it touches an object.
 
         Until `unpin` it must not be passed to `update`.
 
         Args:
             i: The actuator.
             stamp: Now [s].
-            position: Where it stays [rad | m].
-            grasping: It counts as holding what it touches.
+            position: Where it was stopped [rad | m].
+            grasping: Whether it counts as holding the object.
         """
         watched = self._watched.get(i)
         if watched is not None:
             watched.blocked_at, watched.grasping = stamp, grasping
-            watched.own_word, watched.hold_position = False, position
+            watched.own_report, watched.hold_position = False, position
 
     def unpin(self, i: int, stamp: float) -> None:
-        """Watch an actuator as if its motion had just begun; what its device said is forgotten."""
+        """Watch an actuator as if its motion had just begun."""
         watched = self._watched.get(i)
         if watched is not None:
             watched.anchor, watched.since, watched.seen = math.nan, stamp, stamp
             watched.blocked_at, watched.grasping = math.nan, False
 
     def tolerance(self, i: int) -> float:
-        """Return the error of an actuator that counts as none [rad | m]."""
+        """Return the position error of an actuator that counts as none [rad | m]."""
         watched = self._watched.get(i)
         return math.inf if watched is None else watched.tolerance
 
@@ -222,19 +223,19 @@ class ContactWatch:
         return watched is not None and not math.isnan(watched.blocked_at)
 
     def grasping(self, i: int) -> bool:
-        """Return whether an actuator holds something."""
+        """Return whether an actuator holds an object."""
         watched = self._watched.get(i)
         return watched is not None and watched.grasping
 
     def presses(self, i: int, reference: float, position: float) -> bool:
-        """Return whether an actuator holds something, or is still kept from its reference."""
+        """Return whether an actuator holds an object, or is still kept from its reference."""
         if not self.blocked(i):
             return False
         watched = self._watched[i]
         return watched.grasping or abs(reference - position) > watched.tolerance
 
     def clasped(self, i: int, reference: float) -> bool:
-        """Return whether an actuator holds something, and its reference still leads into that."""
+        """Return whether an actuator holds an object that its reference still leads into."""
         grip = self._grips[i]
         if grip is None or not self.grasping(i):
             return False
@@ -242,43 +243,43 @@ class ContactWatch:
 
     @property
     def fingers(self) -> tuple[str, ...]:
-        """The fingers that hold something, each once; where tips are measured, those that touch."""
-        found: dict[str, None] = {}
+        """The fingers that hold an object, each once; where tips are measured, those that touch."""
+        holding: dict[str, None] = {}
         for i, watched in self._watched.items():
             if watched.grasping:
                 touching = (f for f in self._actuators[i].fingers if self._touches(f) is not False)
-                found.update(dict.fromkeys(touching))
-        return tuple(found)
+                holding.update(dict.fromkeys(touching))
+        return tuple(holding)
 
     def feel(self, stamp: float, touch: Sequence[float]) -> None:
-        """Note the forces at the fingertips; called at every tick, before all else.
+        """Record the forces at the fingertips; called first at every tick.
 
         Args:
             stamp: Now [s].
-            touch: As measured; see `Measured`.
+            touch: Forces on the fingers [N]; see `Measured`.
         """
         self._now = stamp
-        if len(touch) != len(self._fingers):  # from a device of another hand, or none
+        if len(touch) != len(self._fingers):  # a driver for another hand, or no forces
             return
         for finger, force in zip(self._fingers, touch, strict=True):
             if force >= self._grasp.touch:
                 self._felt[finger] = stamp
-            # Not NaN, so this finger is measured, even if it has never touched anything.
+            # Not NaN: this finger is measured, even if it has never touched anything.
             elif force == force:
                 self._felt.setdefault(finger, -math.inf)
-            elif self._felt:  # a sensor that has gone silent must not say "lost"
+            elif self._felt:  # a sensor that has gone silent must not count as "lost"
                 self._felt.pop(finger, None)
 
     def _touches(self, finger: str) -> bool | None:
-        """Return whether a fingertip touches something; ``None``: that is not measured."""
+        """Return whether a fingertip touches something; ``None``: not measured."""
         felt = self._felt.get(finger)
         return None if felt is None else self._now - felt <= _FELT
 
     def _touch(self, i: int) -> bool | None:
         """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
-        words = {self._touches(finger) for finger in self._actuators[i].fingers}
-        # One tip that is not measured may be the one that touches: that is "unknown", not "no".
-        return True if True in words else None if None in words or not words else False
+        tips = {self._touches(finger) for finger in self._actuators[i].fingers}
+        # A tip that is not measured may be the one that touches, so the answer is "unknown".
+        return True if True in tips else None if None in tips or not tips else False
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
         """Return the actuators that have been blocked for longer than a time [s]."""
@@ -292,56 +293,56 @@ class ContactWatch:
         limits: Sequence[float],
         indices: Iterable[int],
     ) -> None:
-        """Look at actuators on their way.
+        """Evaluate the measurements of actuators in motion.
 
         Args:
             stamp: Now [s].
-            measured: What was measured.
+            measured: The measured state.
             reference: Positions sent [rad | m].
             limits: Effort limits sent [N·m | N].
-            indices: The actuators to look at.
+            indices: The actuators to evaluate.
         """
         for i in indices:
             watched = self._watched.get(i)
-            # The same measurement again says nothing about standing still.
+            # A repeated measurement is not evidence of rest.
             if watched is None or not measured.fresh[i]:
                 continue
             position = measured.position[i]
-            word = measured.grasped[i]
+            report = measured.grasped[i]
             self._listen(i, watched, position, stamp)
-            # Pushed the other way (a grip that is being opened), it has not come to its motion yet.
             ahead = 1.0 if watched.target >= position else -1.0
             tolerance = watched.tolerance
             behind = (reference[i] - position) * ahead > tolerance
             watched.led = watched.led + 1 if behind else 0
-            # A device that reports grasping itself does so once its target is at rest.
-            arriving = word == 0 and abs(reference[i] - watched.target) > tolerance
-            # "not ... <=", since the anchor is NaN at first.
+            # A device that reports grasps reports them once its target is at rest.
+            arriving = report == 0 and abs(reference[i] - watched.target) > tolerance
+            # "not ... <=", since the anchor is NaN at first. An actuator pushed backwards (a grip
+            # that is being opened) is not behind: its motion has not begun.
             if not abs(position - watched.anchor) <= self._slow[i] or not behind or arriving:
                 watched.anchor, watched.since = position, stamp
                 watched.blocked_at = math.nan
                 watched.grasping = False
             stalled = behind and stamp - watched.since >= self._stall.time
-            # Nearly always neither holds, and this runs for each actuator at each tick.
-            away = own_word = False
-            if word == 1 or self._grips[i] is not None:
-                own_word = self._own_word(i, watched, position, word, ahead, stalled)
-                away = self._leads_away(i, watched, position, word, ahead)
-                own_word = own_word and not away
+            # Skipped in nearly every tick: this runs for each actuator at each tick.
+            away = own_report = False
+            if report == 1 or self._grips[i] is not None:
+                own_report = self._own_report(i, watched, position, report, ahead, stalled)
+                away = self._leads_away(i, watched, position, report, ahead)
+                own_report = own_report and not away
             else:
-                watched.old_word = False
+                watched.old_report = False
             watched.new = False
-            if stalled or own_word:
-                self._block(i, watched, measured, limits[i], own_word, away, ahead, stamp)
+            if stalled or own_report:
+                self._block(i, watched, measured, limits[i], own_report, away, ahead, stamp)
 
-    def _own_word(
-        self, i: int, watched: _Watched, position: float, word: int, ahead: float, stalled: bool
+    def _own_report(
+        self, i: int, watched: _Watched, position: float, report: int, ahead: float, stalled: bool
     ) -> bool:
-        """Return whether the device's own word that it holds something counts."""
+        """Return whether the device's own report of a grasp counts."""
         begun = watched.led >= _DELIVERED or (position - watched.start) * ahead > watched.tolerance
-        watched.old_word = word == 1 and (watched.old_word or watched.new or not begun)
-        believed = stalled or not watched.old_word
-        return word == 1 and believed and not self._at_end(i, position, watched)
+        watched.old_report = report == 1 and (watched.old_report or watched.new or not begun)
+        believed = stalled or not watched.old_report
+        return report == 1 and believed and not self._at_end(i, position, watched)
 
     def _block(
         self,
@@ -349,30 +350,29 @@ class ContactWatch:
         watched: _Watched,
         measured: Measured,
         limit: float,
-        own_word: bool,
+        own_report: bool,
         away: bool,
         ahead: float,
         stamp: float,
     ) -> None:
-        """Note that an actuator is blocked, and whether it holds something."""
+        """Record that an actuator is blocked, and whether it holds an object."""
         if math.isnan(watched.blocked_at):
             watched.blocked_at = stamp
         effort = abs(measured.effort[i])
-        word = measured.grasped[i]
-        holds = own_word or (word != 0 and not away and effort >= self._grasp.effort * limit)
-        # A sensor at the tip knows better than efforts, which friction falsifies.
+        report = measured.grasped[i]
+        holds = own_report or (report != 0 and not away and effort >= self._grasp.effort * limit)
+        # A sensor at the tip is better evidence than efforts, which include friction.
         touch = self._touch(i) if self._felt else None
         if touch is not None:
             holds = touch and not away
         if holds:
             watched.grasping = True
-            watched.own_word = own_word
+            watched.own_report = own_report
             watched.hold_position = measured.position[i]
             self._grips[i] = _Grip(ahead, measured.position[i])
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
-        """Note the time since the last measurement; silence does not count as standing still."""
-        # Everything below is about measurements that come late.
+        """Record the time since the last measurement; silence does not count as rest."""
         gap, watched.seen = stamp - watched.seen, stamp
         if watched.new:
             watched.start = position
@@ -384,20 +384,20 @@ class ContactWatch:
             watched.anchor, watched.since = position, stamp
         elif gap > _SILENCE * usual:
             watched.since += gap - _SILENCE * usual
-        # One long silence must not raise what counts as usual by much.
+        # A single long silence must not raise the usual interval by much.
         newest = gap if gap < 2.0 * usual else 2.0 * usual
         self._usual[i] = usual + _USUAL_SHARE * (newest - usual)
 
     def _leads_away(
-        self, i: int, watched: _Watched, position: float, word: int, ahead: float
+        self, i: int, watched: _Watched, position: float, report: int, ahead: float
     ) -> bool:
-        """Return whether the motion leads away from what the actuator holds or has just held."""
+        """Return whether the motion leads away from the object the actuator holds or just held."""
         grip = self._grips[i]
         left = grip is not None and abs(position - grip.position) > watched.tolerance
-        if left and (watched.new or (word != 1 and watched.led >= _DELIVERED)):
+        if left and (watched.new or (report != 1 and watched.led >= _DELIVERED)):
             grip = self._grips[i] = None
-        if grip is None and watched.new and word == 1:
-            # Held since before: by closing, that is away from the rest posture.
+        if grip is None and watched.new and report == 1:
+            # Held since before this motion: hands close away from the rest posture.
             off = position - self._actuators[i].rest
             direction = 0.0 if abs(off) <= watched.tolerance else math.copysign(1.0, off)
             grip = self._grips[i] = _Grip(direction, position)
@@ -412,13 +412,13 @@ class ContactWatch:
     def lost(
         self, stamp: float, measured: Measured, reference: Sequence[float], limits: Sequence[float]
     ) -> list[int]:
-        """Return the actuators that have just lost what they held.
+        """Return the actuators that have just lost their object.
 
-        Either no fingertip touches any more where that is measured, or the device takes back its
-        word while its target stands still, or the actuator moves on towards its target and its
-        effort is gone.
+        An object is lost when no fingertip touches it any more (where that is measured), when the
+        device withdraws its report while its target is at rest, or when the actuator moves on
+        towards its target without effort.
         """
-        found: list[int] = []
+        lost: list[int] = []
         for i, watched in self._watched.items():
             if not (watched.grasping and measured.fresh[i]):
                 continue
@@ -429,8 +429,8 @@ class ContactWatch:
             elif stamp - watched.losing_since >= _LOST_AFTER:
                 watched.grasping = False
                 watched.losing_since = math.nan
-                found.append(i)
-        return found
+                lost.append(i)
+        return lost
 
     def _looks_lost(
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
@@ -438,16 +438,16 @@ class ContactWatch:
         if self._felt and self._touch(i) is False:
             return True
         # The report is trusted only while the target is at rest: devices clear it when they move.
-        if watched.own_word:
+        if watched.own_report:
             return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
         push = reference - watched.hold_position
         moved = (measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0)
         spec = self._actuators[i]
         span = spec.upper - spec.lower
-        # Further than noise, but never more than half of what it could still close.
+        # Further than noise, but no more than half of the way that is left to close.
         enough = max(3.0 * watched.tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
         if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * watched.tolerance:
             return False
         effort = abs(measured.effort[i])
-        # Half of the threshold: what has just been found to grasp must not be lost by noise.
+        # Half of the threshold: noise must not end a grasp that has just been found.
         return math.isnan(effort) or effort < 0.5 * self._grasp.effort * limit

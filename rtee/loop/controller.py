@@ -55,7 +55,7 @@ less is within the tolerance of goals, and not worth a motion."""
 
 @dataclass(slots=True)
 class Outbox:
-    """What a controller reports, in order.
+    """The reports of a controller, in order.
 
     Attributes:
         items: Feedback, results and events.
@@ -82,9 +82,9 @@ class Controller:
         reference_effort: Effort limits to be sent [N·m | N].
         max_velocity: Velocity limits to be sent [rad/s | m/s].
         active: Whether an actuator's device may be moved.
-        outbox: What is to be reported; the caller empties it.
-        stream: The stream that may move the hand, if there is one.
-        ended_stream: The last one that has ended.
+        outbox: Reports, which the caller takes out.
+        stream: The open stream, if there is one.
+        ended_stream: Identifier of the stream that ended last.
     """
 
     def __init__(self, hand: Hand, settings: LoopSettings) -> None:
@@ -131,7 +131,7 @@ class Controller:
             hand, self._contact, self._limiter.position, self.reference_effort, self._holding
         )
 
-    # --- what steers it ----------------------------------------------------------------------
+    # --- goals and commands ------------------------------------------------------------------
 
     @property
     def running(self) -> Plan | None:
@@ -140,7 +140,7 @@ class Controller:
 
     @property
     def grip_effort(self) -> float:
-        """Effort kept on what is held, as a fraction of the effort limit."""
+        """Effort kept on a held object, as a fraction of the effort limit."""
         return self._grasp.grip_effort
 
     @property
@@ -163,19 +163,19 @@ class Controller:
         return self._thermal.words({i: self.hand.actuators[i].name for i in indices})
 
     def doubts(self, indices: Iterable[int]) -> str:
-        """Return in words which of some actuators have a measured position that is not believed."""
+        """Return in words which of some actuators have an implausible measured position."""
         return "; ".join(words for i in indices if (words := self._plausible.words(i)))
 
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
-        # Before anything is forgotten: its result says what it holds.
+        # Before contacts are forgotten: the result says which fingers grasp.
         self._executor.end(stamp, self._measured, preempted=True)
         self._let_go(plan.legs[0].targets)
         self._leave_hold(plan.involved)
         kept = {i: e for i, e in self._goal_effort.items() if i not in plan.involved}
         self._goal_effort = kept | dict(plan.effort)
-        # A force that was asked for is kept; other efforts are lowered while something is held.
+        # A requested force is kept; without one, the effort is lowered while an object is held.
         self._kept -= plan.involved
         if plan.goal.force is not None:
             self._kept |= plan.involved
@@ -185,10 +185,10 @@ class Controller:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
     def _let_go(self, targets: Mapping[int, float]) -> None:
-        """Restart references that press on something from where the actuators are.
+        """Restart references that lead into an object from the actuators' measured positions.
 
-        They lie inside what is held: on the way back from there, they would press with whatever
-        effort is allowed. Where targets are further inside, what is held is not let go.
+        On its way back out of the object, such a reference would press with the full effort limit.
+        Where the target leads further into the object, the grip is kept.
         """
         there: dict[int, float] = {}
         for i, target in targets.items():
@@ -206,7 +206,7 @@ class Controller:
             self._limiter.seed(i, position)
 
     def apply(self, command: Command, stamp: float) -> None:
-        """Apply a command at a time [s]; one that concerns nothing has no effect."""
+        """Apply a command at a time [s]; one for an unknown goal or stream has no effect."""
         match command:
             case Cancel(goal_id):
                 plan = self.running
@@ -252,17 +252,17 @@ class Controller:
         return [self.hand.actuator_index(name) for name in actuators]
 
     def _free(self) -> list[int]:
-        """Return the actuators that nothing blocks; the others may be holding something."""
+        """Return the actuators that are not blocked; blocked ones may be holding an object."""
         return [i for i in range(self._profile.size) if not self._contact.blocked(i)]
 
     def _hold(self, stamp: float, indices: Collection[int]) -> None:
-        """Brake; when that is done, hold what is measured: a blocked finger stops pushing."""
+        """Brake, then hold the measured position, so that a blocked finger stops pushing."""
         self._profile.go({}, brake=indices)
         self._leave_hold(indices)
         self._settling.update(dict.fromkeys(indices, stamp + _SETTLE))
 
     def posture_to_keep(self) -> list[float]:
-        """Return where to leave the hand: as measured, but blocked fingers keep their grip."""
+        """Return the positions to leave the hand in [rad | m]; blocked fingers keep their grip."""
         return [
             position
             if math.isnan(measured := self._measured.position[i]) or self._contact.blocked(i)
@@ -303,7 +303,7 @@ class Controller:
                 self._end_stream(stamp, f"the device of {name} is not active any more")
 
     def _take_sample(self, sample: StreamSample, stamp: float) -> None:
-        """Let a sample move its actuators; the first one pre-empts a running goal."""
+        """Pass a sample to the stream; the first one pre-empts a running goal."""
         stream = self.stream
         if stream is None or stream.name != sample.stream:
             return
@@ -329,7 +329,7 @@ class Controller:
     def _begin_streaming(
         self, stream: StreamPlayer, targets: Mapping[int, float], stamp: float
     ) -> None:
-        """Have actuators follow a stream: with its efforts, and watched for what they hold."""
+        """Have actuators follow a stream, with its effort limits and with contact detection."""
         self._let_go(targets)
         self._kept -= targets.keys()
         for i in targets:
@@ -340,7 +340,7 @@ class Controller:
         self._stream_hold.begin(targets, stamp)
 
     def _hand_back(self, stream: StreamPlayer) -> None:
-        """Brake the actuators of a stream, and keep the reference at which they stop."""
+        """Return the actuators of a stream to the profile, which brakes them and holds there."""
         position, velocity = self._limiter.position, self._limiter.velocity
         self._profile.resume({i: (position[i], velocity[i]) for i in stream.indices})
 
@@ -354,7 +354,7 @@ class Controller:
         self.outbox.items.append(stream.ended(why, stamp))
 
     def _streamed(self, stream: StreamPlayer, stamp: float) -> list[float]:
-        """Return where all actuators should be, those of a stream where the stream wants them."""
+        """Return the wanted positions of all actuators [rad | m], by the stream or the profile."""
         if stream.overdue(stamp):
             self._hand_back(stream)
             self.outbox.items.append(stream.pause(stamp))
@@ -374,11 +374,11 @@ class Controller:
     # --- a tick ------------------------------------------------------------------------------
 
     def step(self, stamp: float, measured: Measured) -> None:
-        """Do one tick: look at the state, move the reference on by one period.
+        """Run one tick: evaluate the state and advance the reference by one period.
 
         Args:
             stamp: When the tick was due [s].
-            measured: What was measured; a position must be finite once it has been.
+            measured: The measured state; positions stay finite from their first measurement on.
         """
         self._measured = measured
         if measured.touch:
@@ -410,7 +410,7 @@ class Controller:
             self._report_limited(stamp)
 
     def _seed(self, stamp: float, measured: Measured) -> None:
-        """Set the reference of actuators that may not move, or may only now, to where they are."""
+        """Set the reference to the measured position for actuators that are inactive or were."""
         start: dict[int, float] = {}
         allowed: list[int] = []
         for i, active in enumerate(self.active):
@@ -424,7 +424,7 @@ class Controller:
                     allowed.append(i)
         if start:
             self._restart(start)
-        if allowed:  # a goal may have come between the permission and this tick
+        if allowed:  # a goal may have begun between activation and this tick
             self._executor.seeded(allowed, stamp, measured)
 
     def _settle(self, stamp: float, measured: Measured) -> None:
@@ -439,14 +439,14 @@ class Controller:
                     profile.go({i: position})
 
     def _ease_off(self, stamp: float, measured: Measured) -> None:
-        """Reduce the effort of blocked actuators after a time; report when a grasp is lost."""
+        """Lower the effort of actuators blocked for some time; report grasps that are lost."""
         grasp = self._grasp
         streamed = () if self.stream is None else self.stream.indices
         for i in self._contact.blocked_longer_than(grasp.grip_after, stamp):
             if i in self._holding or i in self._kept or i in self._reflexes.effort:
                 continue
             self._holding.add(i)
-            # A stream says itself where its actuators go: only their effort can be lowered.
+            # A stream commands the positions of its actuators: only their effort can be lowered.
             if i not in streamed and not (
                 self._accepts[i] and math.isfinite(self._effort_limit(i))
             ):
@@ -465,7 +465,7 @@ class Controller:
         return self._goal_effort.get(i, self.hand.actuators[i].effort)
 
     def _limit(self, i: int) -> float:
-        """Return the effort limit that the device of an actuator keeps [N·m | N], or ``inf``."""
+        """Return the effort limit that an actuator's device enforces [N·m | N], or ``inf``."""
         return self._effort_limit(i) if self._accepts[i] else math.inf
 
     def _set_efforts(self) -> None:

@@ -1,4 +1,4 @@
-"""The devices of one hand: which drives which actuator, which may be moved, and common requests."""
+"""The devices of one hand: their actuators, which of them may be moved, and common requests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONFIRM_WITHIN = 0.15
 """Time a device has to confirm a stop [s]: several exchanges on the slowest bus."""
 
 _REPEAT_AFTER = 1.0
-"""A device may refuse references at every tick; the same refusal is one event in this time [s]."""
+"""The same refusal is reported once in this time [s]: a device may repeat it at every tick."""
 
 Steer = Callable[[Command], None]
 """Passes a command to the controller."""
@@ -46,7 +46,7 @@ class Devices:
 
     Attributes:
         by_name: The devices' supervisors, by name.
-        state: What they measured, as the state of the hand.
+        state: Merges their states into the state of the hand.
 
     Raises:
         ConfigError: if an actuator is driven by no device, or by two.
@@ -79,17 +79,19 @@ class Devices:
             self.by_name[spec.name] = supervisor
         missing = [name for name in hand.actuator_names if name not in driven]
         if missing or len(self.by_name) != len(devices):
-            what = f"the actuator '{missing[0]}'" if missing else "a device's name is used twice:"
-            raise ConfigError(f"{hand.name}: {what} is driven by no device of its own")
+            text = f"no device drives the actuator '{missing[0]}'"
+            raise ConfigError(
+                f"{hand.name}: {text if missing else 'two devices have the same name'}"
+            )
         self._all = tuple(self.by_name.values())
-        self.state = StateAggregator(self._all, TouchGatherer(hand, self._complain))
+        self.state = StateAggregator(self._all, TouchGatherer(hand, self._refuse_touch))
         self._active = dict.fromkeys(self.by_name, False)
         self._masks = {d.name: np.ones(len(d.indices), dtype=np.bool_) for d in self._all}
         self._max_velocity: list[float] = []
         self._velocity_limits: FloatArray = np.empty(0)
-        self._refusals: dict[str, float] = {}
+        self._warned: dict[str, float] = {}
 
-    # --- which may be moved ------------------------------------------------------------------
+    # --- active devices ----------------------------------------------------------------------
 
     @property
     def any_active(self) -> bool:
@@ -97,16 +99,16 @@ class Devices:
         return any(self._active.values())
 
     def follow(self, steer: Steer, on_lost: Callable[[str], None]) -> None:
-        """Notice devices that may be moved now, or not any more, or that refused a reference.
+        """Detect devices that became active or inactive, or that refused a reference.
 
         Args:
-            steer: Called with the commands for the controller that follow from it.
-            on_lost: Called with the reason when a device can't be moved any more, but others can.
+            steer: Called with the resulting commands for the controller.
+            on_lost: Called with the reason when a device became inactive while others are active.
         """
         active = self._active
         for device in self._all:
             link = device.connection
-            if not device.indices:  # it only measures: nothing that moves depends on it
+            if not device.indices:  # it only measures, and moves nothing
                 continue
             if (link.lifecycle is Lifecycle.ACTIVE) is not active[device.name]:
                 self._follow(device, steer, on_lost)
@@ -116,7 +118,7 @@ class Devices:
     def _follow(self, device: Supervisor, steer: Steer, on_lost: Callable[[str], None]) -> None:
         names = device.actuators
         if device.active:
-            # Without a measured position there is nothing that the reference could start from.
+            # The reference starts from the measured position, so there must be one.
             if self.state.known(device):
                 self._active[device.name] = True
                 accepts = "max_effort" in device.driver.capabilities.accepts
@@ -134,24 +136,23 @@ class Devices:
             on_lost(text)
 
     def _refused(self, device: Supervisor, steer: Steer) -> None:
-        """Begin again where the device is, since it did not take a reference."""
-        # The device is somewhere other than the reference says: both have to meet again.
+        """Restart the reference from where a device is, since it refused one."""
         text, device.connection.rejected = device.connection.rejected, ""
         steer(Abort(text, device.actuators))
         steer(Freeze(text, device.actuators))
-        now = self._now()
-        if now - self._refusals.get(text, -math.inf) >= _REPEAT_AFTER:
-            # Only the last one is kept: a text may hold a value, and a dictionary of them would
-            # grow.
-            self._refusals = {text: now}
-            self._on_event(Event("rejected", device.name, text, now, "warning"))
+        self._warn("rejected", device.name, text)
 
-    def _complain(self, device: str, text: str) -> None:
-        """Tell of a device's reading that cannot be used, once in a while."""
+    def _refuse_touch(self, device: str, text: str) -> None:
+        self._warn("touch_refused", device, text)
+
+    def _warn(self, kind: str, device: str, text: str) -> None:
+        """Report a warning, unless the same one was reported a moment ago."""
         now = self._now()
-        if now - self._refusals.get(text, -math.inf) >= _REPEAT_AFTER:
-            self._refusals = {text: now}
-            self._on_event(Event("touch_refused", device, text, now, "warning"))
+        if now - self._warned.get(text, -math.inf) >= _REPEAT_AFTER:
+            # Only the last one is kept: a text may contain a value, and a dictionary of all texts
+            # would grow.
+            self._warned = {text: now}
+            self._on_event(Event(kind, device, text, now, "warning"))
 
     def movable(self) -> frozenset[int]:
         """Return the actuators that may be moved."""
@@ -163,10 +164,10 @@ class Devices:
 
         Args:
             indices: The actuators.
-            movable: Those that may; ``None``: to be found out.
+            movable: The result of `movable`, where the caller has it already.
 
         Raises:
-            GoalRejected: if not.
+            GoalRejected: if one of them may not be moved.
         """
         movable = self.movable() if movable is None else movable
         idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
@@ -181,7 +182,7 @@ class Devices:
         return dict(self.forces().refused)
 
     def forces(self) -> DeviceForces:
-        """Return what the devices do about efforts and forces."""
+        """Return which efforts and forces the devices can limit."""
         return device_forces(self._hand, self._all)
 
     # --- at a tick ---------------------------------------------------------------------------
@@ -190,12 +191,12 @@ class Devices:
         """Have every device that is due exchange with its part of a tick's reference.
 
         Args:
-            record: What is known at the tick.
+            record: The record of the tick.
             max_velocity: Velocity limits of all actuators [rad/s | m/s].
         """
         if max_velocity != self._max_velocity:
             self._max_velocity = list(max_velocity)
-            # Converted only when it changes: with every goal, not with every tick.
+            # Converted only when they change: with every goal, not with every tick.
             self._velocity_limits = readonly(max_velocity)
         for device in self._all:
             if device.due(record.tick):
@@ -210,21 +211,22 @@ class Devices:
             return Reference(position, effort, top, mask, velocity)
         return Reference(position[where], effort[where], top[where], mask, velocity[where])
 
-    # --- all at once -------------------------------------------------------------------------
+    # --- requests to all devices -------------------------------------------------------------
 
     def mute(self, muted: bool) -> None:
-        """Send no references to any device, or send them again."""
+        """Suspend (``True``) or resume (``False``) the sending of references to all devices."""
         for device in self._all:
             device.muted = muted
 
     async def confirm(
-        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
+        self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        """Make all devices do something at the same time.
+        """Make a request to all devices at the same time.
 
         Args:
             reason: Why, for the log.
-            what: What a device does within a time [s]; returns whether it was confirmed.
+            request: Called with a device and the time it may take [s]; returns whether the device
+                confirmed.
 
         Returns:
             Every device with whether it confirmed.
@@ -233,8 +235,8 @@ class Devices:
 
         async def one(device: Supervisor) -> None:
             try:
-                # One that fails must not keep the others from stopping.
-                confirmed[device.name] = await what(device, CONFIRM_WITHIN)
+                # A device that fails must not keep the others from stopping.
+                confirmed[device.name] = await request(device, CONFIRM_WITHIN)
             except Exception:
                 log.exception("device '%s' could not be reached: %s", device.name, reason)
 
@@ -244,11 +246,11 @@ class Devices:
         return list(confirmed.items())
 
     async def recover(self, name: str | None) -> None:
-        """Recover a device, or all at the same time without a name.
+        """Recover a device, or without a name all devices at the same time.
 
         Raises:
             ConfigError: if there is no such device.
-            RteeError: the error of one that could not be recovered; the others were.
+            RteeError: the error of a device that cannot be recovered; the others were recovered.
         """
         chosen, errors = self._chosen(name), list[RteeError]()
 
@@ -256,7 +258,7 @@ class Devices:
             try:
                 await device.recover()
             except RteeError as error:
-                # Gathered, so that the task group does not cancel the others with the first error.
+                # Collected, so that the task group does not cancel the others with the first error.
                 errors.append(error)
 
         async with anyio.create_task_group() as group:
@@ -267,7 +269,7 @@ class Devices:
 
     @property
     def object_description(self) -> ObjectDescription | None:
-        """What a simulated device of the hand grasps, if one does."""
+        """The object that a simulated device of the hand grasps, if there is one."""
         return next(filter(None, (device.driver.object_description for device in self._all)), None)
 
     async def set_gains(self, gains: Mapping[str, float], name: str | None) -> None:
@@ -275,14 +277,14 @@ class Devices:
 
         Raises:
             ConfigError: if there is no such device, no device has such a gain, or a value is bad.
-            RteeError: if a device doesn't take them.
+            RteeError: if a device refuses them.
         """
         chosen = self._chosen(name)
         known = {gain for device in chosen for gain in device.driver.capabilities.gains}
         for gain, value in gains.items():
             if gain not in known:
                 raise ConfigError(f"unknown gain '{gain}'; {suggestion(gain, known)}")
-            # All are checked before the first is set: a mistake changes nothing.
+            # All are checked before the first is set, so that a mistake changes nothing.
             if not math.isfinite(value):
                 raise ConfigError(f"the gain '{gain}' must be a number, not {value:g}")
         for device in chosen:
@@ -297,7 +299,7 @@ class Devices:
 
 
 def device_forces(hand: Hand, devices: Iterable[Supervisor]) -> DeviceForces:
-    """Return what devices do about efforts and forces; any thread may call it.
+    """Return which efforts and forces devices can limit; any thread may call it.
 
     Args:
         hand: The hand.

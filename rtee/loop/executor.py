@@ -1,4 +1,4 @@
-"""Execute one goal at a time: time and state in; set-points, feedback and results out."""
+"""Execute one goal at a time: time and state in, set-points, feedback and results out."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from rtee.loop.settings import LoopSettings
 from rtee.types import Feedback, JointKind, Result
 
 _RANGE_SHARE = 0.05
-"""A prismatic actuator is never within the tolerance if it is off by more than this of its range:
-0.01 is a small angle, but a fifth of the way of many a gripper's jaw in metres."""
+"""A prismatic actuator's error must be below this share of its range as well: the usual tolerance
+of 0.01 is a small angle [rad], but in metres a fifth of the stroke of many a gripper's jaw."""
 
 _REST_IN = 0.05
-"""A goal is reached when the reference would not leave the tolerance within this time [s]."""
+"""A goal is reached when the reference, at its velocity, would stay within the tolerance for this
+time [s]: it must not merely pass the target."""
 
 
 class GripValues(TypedDict, total=False):
-    """What a result says of the opening and the force of the fingertips; see `Result`."""
+    """The fields of a `Result` about the opening and the force of the fingertips."""
 
     elements: tuple[str, ...]
     opening: float | None
@@ -38,7 +39,7 @@ class GripValues(TypedDict, total=False):
 
 
 class Phase(Enum):
-    """Where in a leg the executor is."""
+    """Part of a leg: waiting before it, moving, or waiting after it."""
 
     BEFORE = "before"
     MOVING = "moving"
@@ -68,15 +69,15 @@ class _Run:
 
 
 class Executor:
-    """Runs at most one goal; a new one replaces it from the present reference.
+    """Runs at most one goal; a new one replaces it, starting from the present reference.
 
     Args:
         hand: The hand.
         settings: The loop's settings.
         profile: Moves the reference.
-        contact: Watches the actuators that move.
-        plausible: Says whether what is measured can be believed.
-        reflexes: Act when fingers touch something.
+        contact: Detects blocked and grasping actuators.
+        plausible: Detects implausible measured positions.
+        reflexes: React to contacts of the fingers.
         report: Called with feedback, and with the result of every goal, exactly once.
 
     Attributes:
@@ -100,7 +101,7 @@ class Executor:
         self._contact = contact
         self._plausible = plausible
         self._reflexes = reflexes
-        self._tell = report
+        self._emit = report
         self._run: _Run | None = None
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
@@ -113,12 +114,12 @@ class Executor:
     def start(self, plan: Plan, stamp: float, measured: Measured) -> None:
         """Begin a plan; the running one ends as pre-empted.
 
-        Actuators that the new one doesn't involve stop where they are.
+        Actuators that the new plan doesn't involve stop where they are.
 
         Args:
             plan: The plan.
             stamp: Now [s].
-            measured: What was measured last.
+            measured: The last measurements.
         """
         self.end(stamp, measured, preempted=True)
         legs = len(plan.legs)
@@ -137,11 +138,11 @@ class Executor:
         reference: Sequence[float],
         limits: Sequence[float],
     ) -> None:
-        """Look at the state; go on to the next leg or end the goal where it is time.
+        """Evaluate the state; proceed to the next leg, or end the goal, when it is time.
 
         Args:
             stamp: Now [s].
-            measured: What was measured.
+            measured: The measured state.
             reference: Positions sent last [rad | m].
             limits: Effort limits sent last [N·m | N].
         """
@@ -157,20 +158,20 @@ class Executor:
             if not reflexes.active:
                 self._contact.update(stamp, measured, reference, limits, targets)
             else:
-                # Those that a reflex has stopped would look stalled.
+                # Actuators that a reflex has stopped would look stalled.
                 free = [i for i in targets if i not in reflexes.busy]
                 self._contact.update(stamp, measured, reference, limits, free)
                 reflexes.step(stamp, measured)
             if not self._plausible.doubted(targets):
                 self._judge(run, stamp, measured)
-            # A goal must neither succeed nor stall by a position that cannot be right; one
+            # A goal must neither succeed nor stall by a position that cannot be right. A single
             # implausible step is waited out.
             elif (broken := self._plausible.broken(targets)) is not None:
                 self._profile.go({}, brake=self._moving(except_for=()))
                 self.end(stamp, measured, aborted=True, reason=self._plausible.words(broken))
                 return
         self._proceed(run, stamp, measured)
-        # The last leg is over: its result is out.
+        # The last leg is over, and its result was reported.
         if self._run is not run:
             return
         if stamp - run.started >= run.plan.timeout:
@@ -180,7 +181,7 @@ class Executor:
             self._report(run, stamp)
 
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
-        """Restart the leg if the reference of its actuators was set to where the hand is."""
+        """Restart the leg after the references of some of its actuators were reset."""
         run = self._run
         if (
             run is not None
@@ -211,7 +212,7 @@ class Executor:
         fingers = self._contact.fingers
         plan = run.plan
         grasped = any(self._contact.grasping(i) for i in plan.involved)
-        self._tell(
+        self._emit(
             Result(
                 goal_id=plan.goal.goal_id,
                 action=plan.action,
@@ -231,15 +232,15 @@ class Executor:
                     zip(self._hand.actuator_names, map(float, measured.position), strict=True)
                 ),
                 touched=self._reflexes.touched,
-                **self._gripped(run, measured, grasped),
+                **self._grip_values(run, measured, grasped),
             )
         )
 
     def _note_touch(self, run: _Run, measured: Measured, limits: Sequence[float]) -> None:
-        """Note where the actuators were when the fingertips met something.
+        """Record the actuators' positions at which the fingertips met an object.
 
         From there on, adaptive fingers bend while the force builds up: their actuators move on, and
-        their positions no longer give the width of what is held.
+        their positions no longer give the width of the object.
         """
         grip = run.plan.grip
         least = self._settings.grasp.touch
@@ -250,8 +251,8 @@ class Executor:
         elif not run.touched:
             run.touched = tuple(measured.position)
 
-    def _gripped(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
-        """Return what a result says of the opening and the force of the fingertips."""
+    def _grip_values(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
+        """Return the fields of the result about opening and force of the fingertips."""
         plan = run.plan
         grip, goal = plan.grip, plan.goal
         if grip is None:
@@ -277,7 +278,7 @@ class Executor:
         run.until = stamp + run.present.before
 
     def _proceed(self, run: _Run, stamp: float, measured: Measured) -> None:
-        """Leave the phases whose time has come; a leg without margins starts at once."""
+        """Leave the phases that are over; a leg without waiting times starts at once."""
         while True:
             if run.phase is Phase.BEFORE and stamp >= run.until:
                 self._set_out(run, stamp, measured)
@@ -289,7 +290,7 @@ class Executor:
                 run.leg += 1
                 self._wait(run, stamp)
                 self._report(run, stamp)
-                # The next leg may have no margin before it, and then begins at this very tick.
+                # The next leg may have no time to wait, and then starts at this very tick.
                 continue
             return
 
@@ -305,7 +306,7 @@ class Executor:
         run.angle = self._tolerance(run.plan)
         run.length = self._length_tolerance(leg.targets, run.angle)
         run.shares = self._shares(run)
-        # After `go`: what a stalled actuator did before belongs to another motion.
+        # After `go`: a stall of before belongs to another motion.
         self._contact.begin(leg.targets, run.shares, stamp)
         self._reflexes.begin(run.plan, run.leg, run.shares, measured, stamp)
         # Progress is measured from here.
@@ -355,7 +356,7 @@ class Executor:
         for i, target in targets.items():
             error = target - position[i]
             if self._prismatic[i]:
-                # Angles and lengths are never added up: one norm for each.
+                # Angles and lengths have different units: one norm for each.
                 length += error * error
             else:
                 angle += error * error
@@ -381,7 +382,7 @@ class Executor:
         return error[0] <= run.angle and error[1] <= run.length
 
     def _settled(self, run: _Run) -> bool:
-        """Return whether the reference has come to the targets and isn't just passing them."""
+        """Return whether the reference has arrived at the targets, and is not just passing them."""
         profile, targets = self._profile, run.present.targets
         # The reference is at rest: where the hand is, it stays.
         if not profile.moving:
@@ -419,7 +420,7 @@ class Executor:
         run.reported = stamp
         plan = run.plan
         inner = {leg.name: run.progress[k] for k, leg in enumerate(plan.legs)} if plan.timed else {}
-        self._tell(
+        self._emit(
             Feedback(
                 goal_id=plan.goal.goal_id,
                 progress=sum(run.progress) / len(run.progress),

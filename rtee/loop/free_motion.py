@@ -1,37 +1,36 @@
-"""The effort that an actuator needs to move freely, learned while it moves."""
+"""A model of the effort that an actuator needs to move freely, learned while it moves."""
 
 from __future__ import annotations
 
 from typing import Final
 
 _FORGET: Final = 0.995
-"""Weight that a measurement keeps at the next one: some 200 of them count, so that the model
-follows a friction that changes with temperature and load."""
+"""Forgetting factor per measurement: some 200 measurements count, so that the model follows
+friction as it changes with temperature and load."""
 
 _PRIOR: Final = 10.0
 """Variance of the parameters before anything is known; they are shares of the limits, at most 1."""
 
 _LEAST: Final = 12
-"""Measurements that the parameters are learned from before they are believed: four for each."""
+"""Measurements before the parameters are used: four for each parameter."""
 
 _SPREADS: Final = 4.0
-"""A deviation counts from this many mean deviations on: about three standard deviations, which
-noise exceeds once in some thousand measurements."""
+"""A deviation counts above this many mean deviations: about three standard deviations, which noise
+exceeds once in some thousand measurements."""
 
 _SPREAD_SHARE: Final = 1.0 / 16.0
-"""Weight of the newest deviation in the mean one: it settles while the model does, and a power of
-two is exact."""
+"""Weight of the newest deviation in the mean deviation, which settles as fast as the model; a power
+of two is exact."""
 
 _SURELY_FREE: Final = 0.5
 """Deviations above this share of the threshold are not learned from: they may be a soft contact."""
 
 _RELATIVE: Final = 0.5
-"""Without a threshold in physical units, a deviation counts from this share of the largest effort
-of free motion on: friction varies by less along the way."""
+"""Without a threshold in physical units, a deviation counts above this share of the largest effort
+of free motion: friction varies by less over a motion."""
 
 _STEADY: Final = 1.0 / 64.0
-"""How fast the largest effort of free motion is forgotten, per measurement: over some 64 of
-them."""
+"""Decay of the largest effort of free motion per measurement: it is forgotten over some 64."""
 
 
 class FreeMotion:
@@ -49,7 +48,7 @@ class FreeMotion:
 
     Attributes:
         spread: Mean size of the deviations [N·m | N].
-        most: Size of the largest effort of free motion of late [N·m | N].
+        most: Size of the largest recent effort of free motion [N·m | N].
     """
 
     __slots__ = ("_count", "_limit", "_matrix", "_parameters", "_scale", "most", "spread")
@@ -64,15 +63,15 @@ class FreeMotion:
 
     @property
     def known(self) -> bool:
-        """Whether it has been learned from enough measurements."""
+        """Whether the model was learned from enough measurements."""
         return self._count >= _LEAST
 
     def expected(self, velocity: float, acceleration: float) -> float:
         """Return the effort of free motion [N·m | N] at a velocity and an acceleration."""
         features = self._features(velocity, acceleration)
         # A list, not a generator: for three terms it takes half of the time.
-        found = sum([p * x for p, x in zip(self._parameters, features, strict=True)])
-        return min(max(found, -self._limit), self._limit)
+        effort = sum([p * x for p, x in zip(self._parameters, features, strict=True)])
+        return min(max(effort, -self._limit), self._limit)
 
     def _features(self, velocity: float, acceleration: float) -> tuple[float, float, float]:
         direction = 1.0 if velocity > 0.0 else -1.0 if velocity < 0.0 else 0.0
@@ -81,19 +80,18 @@ class FreeMotion:
     def exceeds(
         self, effort: float, velocity: float, acceleration: float, threshold: float
     ) -> bool:
-        """Return whether an effort is above that of free motion; learn from it if it is not.
+        """Return whether an effort exceeds that of free motion; learn from it if it does not.
 
         Args:
             effort: Measured effort [N·m | N], or current [A].
             velocity: Velocity of the reference [rad/s | m/s], not 0.
             acceleration: Its acceleration [rad/s² | m/s²].
-            threshold: By how much it must be above [N·m | N]; 0: in relation to what free motion
-                takes.
+            threshold: Least excess [N·m | N]; 0: a share of the effort of free motion.
         """
         if not threshold > 0.0:
             threshold = _RELATIVE * self.most
         deviation = effort - self.expected(velocity, acceleration)
-        # Servos lag behind their references: what inertia takes comes at another time.
+        # Servos lag behind their references, so the effort of inertia comes at another time.
         inertia = abs(self._parameters[2] * acceleration) * self._scale[1]
         least = max(threshold, _SPREADS * self.spread) + inertia
         ahead = deviation if velocity > 0.0 else -deviation
@@ -108,7 +106,7 @@ class FreeMotion:
         deviation = effort - self.expected(velocity, acceleration)
         features = self._features(velocity, acceleration)
         size = abs(effort)
-        # Up at once, down slowly.
+        # It rises at once and falls slowly.
         self.most += (size - self.most) * (1.0 if size > self.most else _STEADY)
         # The update of recursive least squares: `along` is P·x, and P is symmetric.
         matrix = self._matrix
@@ -116,15 +114,15 @@ class FreeMotion:
         weight = _FORGET + sum([a * x for a, x in zip(along, features, strict=True)])
         limit = self._limit
         for k, gain in enumerate(along):
-            moved = self._parameters[k] + gain / weight * deviation
-            # Kept within the limit, a bad start cannot run away.
-            self._parameters[k] = min(max(moved, -limit), limit)
-        # Without excitation, what is forgotten is not replaced: the variance is bounded.
+            parameter = self._parameters[k] + gain / weight * deviation
+            # Clamped, so that a bad start cannot diverge.
+            self._parameters[k] = min(max(parameter, -limit), limit)
+        # Without excitation, forgetting would let the variance grow without bound.
         forget = _FORGET if matrix[0][0] + matrix[1][1] + matrix[2][2] < 3.0 * _PRIOR else 1.0
         for j in range(3):
             for k in range(3):
                 matrix[j][k] = (matrix[j][k] - along[j] * along[k] / weight) / forget
         size = abs(deviation)
-        if self._count >= 3:  # as many parameters fit as many measurements exactly
+        if self._count >= 3:  # three parameters fit the first three measurements exactly
             self.spread += _SPREAD_SHARE * (size - self.spread)
         self._count += 1

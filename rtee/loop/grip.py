@@ -1,7 +1,7 @@
 """The opening of the fingertips and the force between them, from measurements of the actuators.
 
-A few small tables are computed when a goal begins. From these, both follow with a handful of sums,
-in the loop and in the threads that publish and record.
+A few small tables are computed when a goal begins. The loop and the threads that publish and record
+then compute both with a handful of sums.
 """
 
 from __future__ import annotations
@@ -21,41 +21,42 @@ from rtee.loop.contact import TIP_FORCE, tip_forces
 from rtee.sample import TickRecord
 
 TIPS: Final = "tip forces"
-"""The force is the sum of what sensors at the fingertips measure."""
+"""The force is measured by sensors at the fingertips."""
 
 DEVICE: Final = "device"
-"""The force is what the device measures, in newtons by its sheet."""
+"""The force is measured by the device, in newtons by its data sheet."""
 
 EFFORT: Final = "effort"
-"""The force is estimated from the efforts that the devices measure."""
+"""The force is estimated from measured efforts."""
 
 LIMIT: Final = "effort limit"
 """The force is estimated from the effort limits of actuators that are blocked."""
 
 _EFFORT_SHARE: Final = 0.15
-"""How far an estimate from measured efforts may be off, as a share of it, besides dry friction: the
-object is seldom exactly where the table has the tips meet."""
+"""Error of an estimate from measured efforts, as a share of the force, besides dry friction: the
+object is seldom exactly where the fingertips meet in the table."""
 
 _LIMIT_SHARE: Final = 0.25
-"""The same for an estimate from effort limits: motors keep their limits no more exactly."""
+"""Error of an estimate from effort limits, likewise: motors do not keep them more exactly."""
 
 _TIP_SHARE: Final = 0.05
-"""The same for sensors at the fingertips: better than either estimate, though they drift."""
+"""Error of sensors at the fingertips, likewise: better than either estimate, though they drift."""
 
 _SQUEEZES: Final = 0.1
-"""An actuator takes part in squeezing if it closes the tips by at least this share of what the most
-effective one does; the others would need efforts smaller than their friction."""
+"""An actuator takes part in squeezing if it closes the tips by at least this share of the most
+effective one; the others would need efforts smaller than their friction."""
 
 _PRESSES: Final = 0.5
-"""Without sensors at the tips, an actuator presses from this share of its effort limit on: free
+"""Without sensors at the tips, an actuator presses above this share of its effort limit: free
 motion takes less."""
 
 _AHEAD: Final = 0.01
-"""A reference presses if it leads by more than this share of the action's way: above rounding."""
+"""A reference presses if it leads by more than this share of the action's travel: above
+rounding."""
 
 _LEAST_TRAVEL: Final = 1e-9
-"""A squared way of the actuators shorter than this counts as none [rad² | m²]: a division by it
-would only amplify rounding."""
+"""Below this, the squared travel of the actuators counts as zero [rad² | m²]: dividing by it would
+only amplify rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +64,18 @@ class Grip:
     """The opening and the force of one action's fingertips.
 
     Attributes:
-        indices: The actuators that move on the action's way.
+        indices: The actuators that the action moves.
         rest: Their positions at intensity 0 [rad | m].
         target: Their positions at intensity 1 [rad | m].
         intensity: Intensities of the table, rising.
-        width: The opening there [m].
-        lever: What it loses by a unit of each actuator there [m/rad | 1].
-        friction: Effort that each loses to dry friction [N·m | N].
-        efficiency: Share of the effort of each that reaches the fingertips.
+        width: Opening at each intensity [m].
+        lever: Decrease of the opening per unit of each actuator, at each intensity [m/rad | 1].
+        friction: Effort that each actuator loses to dry friction [N·m | N].
+        efficiency: Share of each actuator's effort that reaches the fingertips.
         fingers: Indices of the fingers on the first side.
-        others: Indices of those on the other sides.
-        around: The tips close from more than two sides.
-        sheet: Force by effort limit from the device's sheet, for a single actuator.
+        others: Indices of the fingers on the other sides.
+        around: Whether the tips close from more than two sides.
+        sheet: Force by effort limit from the device's data sheet, for a single actuator.
     """
 
     indices: tuple[int, ...]
@@ -103,8 +104,8 @@ class Grip:
         Args:
             hand: The hand.
             opening: The action's table.
-            targets: Where the action's actuators go at intensity 1, by index [rad | m].
-            grips: What the devices' sheets say, by actuator.
+            targets: Positions of the action's actuators at intensity 1, by index [rad | m].
+            grips: Forces by the devices' data sheets, by actuator index.
         """
         indices = tuple(hand.actuator_index(name) for name in opening.actuators)
         known = [hand.dynamics.get(name, ActuatorDynamics()) for name in opening.actuators]
@@ -131,14 +132,14 @@ class Grip:
     def opening(self, position: Sequence[float]) -> float:
         """Return the opening at actuator positions of the hand [m]; ``NaN`` if unknown.
 
-        The table gives it at the point of the way that is nearest, and the levers what the
-        actuators' distances from that point add.
+        Interpolates the table at the nearest posture of the action, and corrects by the levers for
+        the actuators' distances from that posture.
 
         Args:
             position: Positions of all actuators of the hand [rad | m].
         """
         share = self._nearest(position)
-        # NaN: the way is empty, or a position is not measured.
+        # NaN: the action does not move, or a position is not measured.
         if share != share:
             return math.nan
         low, high = self.intensity[0], self.intensity[-1]
@@ -147,9 +148,9 @@ class Grip:
         for i, rest, target, lever in zip(
             self.indices, self.rest, self.target, self._levers(at), strict=True
         ):
-            # First order in what leads away from the table's line; enough for a few degrees.
+            # First order in the distance from the action's line; enough for a few degrees.
             width -= lever * (position[i] - rest - at * (target - rest))
-        # The levers are those of the surface: inside the object they would go on below zero.
+        # The levers hold up to contact of the tips; beyond it they would lead below zero.
         return max(width, 0.0)
 
     def _nearest(self, position: Sequence[float]) -> float:
@@ -162,7 +163,7 @@ class Grip:
         return along / length if length > _LEAST_TRAVEL else math.nan
 
     def intensity_at(self, width: float) -> float:
-        """Return the intensity of an opening [m]; beyond the table, that at its end."""
+        """Return the intensity of an opening [m], clamped into the table."""
         widths = self.width
         if width >= widths[0]:
             return self.intensity[0]
@@ -185,22 +186,22 @@ class Grip:
         return self._interpolated(self.width, intensity)
 
     def slope_at(self, intensity: float) -> float:
-        """Return how fast the opening falls at an intensity [m per unit of intensity]."""
+        """Return the decrease of the opening per unit of intensity, at an intensity [m]."""
         k, _ = self._cell(intensity)
-        # Over a few cells, since a single one may be as short as rounding allows.
+        # Over a few cells, since a single cell may be as short as rounding.
         low, high = max(k - 2, 0), min(k + 3, len(self.width) - 1)
         way = self.intensity[high] - self.intensity[low]
         return (self.width[low] - self.width[high]) / way
 
     def error_of(self, width: float, intensity: float) -> float:
-        """Return how far actuators may be off where the opening is off by a width [m].
+        """Return the actuators' error that corresponds to an error of the opening.
 
         Args:
-            width: How far the opening may be off [m].
-            intensity: Where.
+            width: Error of the opening [m].
+            intensity: Where on the action.
 
         Returns:
-            The norm of the errors of all actuators [rad | m], whichever way they are off.
+            The norm of the errors of all actuators [rad | m], in the worst direction.
         """
         levers = self._levers(intensity)
         return width / max(math.sqrt(sum([lever * lever for lever in levers])), _LEAST_TRAVEL)
@@ -224,7 +225,8 @@ class Grip:
         """Return the actuators that press the tips together at an intensity.
 
         Returns:
-            Number within ``indices``, index in the hand and size of the lever [m/rad | 1] of each.
+            For each actuator its place in ``indices``, its index in the hand, and the size of its
+            lever [m/rad | 1].
         """
         closes = [
             lever * (target - rest)
@@ -237,7 +239,7 @@ class Grip:
         return [(k, self.indices[k], abs(levers[k])) for k, by in enumerate(closes) if by >= least]
 
     def forces(self, hand: Hand, intensity: float) -> tuple[float, float]:
-        """Return the weakest and the strongest force that can be asked for at an intensity [N]."""
+        """Return the weakest and the strongest force that can be requested at an intensity [N]."""
         if self.sheet is not None:
             where = self.position_at(intensity)[self.indices[0]]
             low, high = self.sheet.range_at(where)
@@ -247,13 +249,13 @@ class Grip:
             return low, high
         strongest = math.inf
         for k, i, lever in self.squeezing(intensity):
-            # The weakest actuator decides: the others can always press less.
+            # The weakest actuator decides, since the others can press less.
             left = hand.actuators[i].effort - self.friction[k]
             strongest = min(strongest, max(left, 0.0) * self.efficiency[k] / lever)
         return 0.0, strongest
 
     def efforts(self, force: float, intensity: float) -> dict[int, float]:
-        """Return the effort limits, by index, that give a force [N] at an intensity [N·m | N]."""
+        """Return the effort limits [N·m | N] for a force [N] at an intensity, by actuator index."""
         if self.sheet is not None:
             where = self.position_at(intensity)[self.indices[0]]
             return {self.indices[0]: self.sheet.effort_for(force, where)}
@@ -263,7 +265,7 @@ class Grip:
         }
 
     def effort_slopes(self, intensity: float) -> dict[int, float]:
-        """Return the effort per force [N·m/N | 1] at an intensity, by actuator's index."""
+        """Return the effort per newton of force [N·m/N | 1] at an intensity, by actuator index."""
         if self.sheet is not None:
             where = self.position_at(intensity)[self.indices[0]]
             low, high = self.sheet.range_at(where)
@@ -286,12 +288,12 @@ class Grip:
             effort: Measured efforts [N·m | N]; ``NaN``: not measured.
             limits: Effort limits sent [N·m | N].
             touch: Forces at the fingertips [N], if they are measured.
-            least: Force from which on a fingertip touches [N].
+            least: Least force at which a fingertip counts as touching [N].
         """
         sides = [[touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others)]
         felt = [[force for force in side if force == force] for side in sides]
         if all(felt):
-            # Each side on its own: two fingers of one side touching hold nothing.
+            # Both sides must touch: two fingers of one side hold nothing.
             return all(max(side) >= least for side in felt)
         share = self._nearest(position)
         if share != share:
@@ -300,10 +302,10 @@ class Grip:
         return any(abs(effort[i]) >= _PRESSES * limits[i] for _, i, _ in chosen)
 
     def tip_force(self, touch: Sequence[float]) -> float:
-        """Return the force that sensors at the fingertips measure [N]; ``NaN``: there are not all.
+        """Return the force that sensors at the fingertips measure [N]; ``NaN``: not at all of them.
 
-        Two sides press equally on what they hold: what one side measures more is fingers, or links
-        of a finger, that press against one another.
+        Two sides press equally on an object: an excess on one side comes from fingers, or links of
+        a finger, that press against one another.
 
         Args:
             touch: Forces at the fingertips [N], if they are measured.
@@ -311,7 +313,7 @@ class Grip:
         if not touch or max(*self.fingers, *self.others) >= len(touch):
             return math.nan
         one, other = (sum([touch[i] for i in side]) for side in (self.fingers, self.others))
-        # A side that is not measured is `NaN`, which `min` would lose as its second argument.
+        # A side that is not measured is NaN, which `min` would lose as its second argument.
         return one + other if self.around else min(one, other) if other == other else other
 
     def force(
@@ -322,7 +324,7 @@ class Grip:
         touch: Sequence[float],
         pressing: bool,
     ) -> tuple[float, float, str]:
-        """Return the force between the tips, how far it may be off [N], and what it is from.
+        """Return the force between the tips and its error [N], and the source of the figure.
 
         Args:
             position: Positions of all actuators of the hand [rad | m].
@@ -330,6 +332,9 @@ class Grip:
             limits: Effort limits sent [N·m | N].
             touch: Forces at the fingertips [N], if they are measured.
             pressing: Whether actuators are known to be blocked, so that they exert their limits.
+
+        Returns:
+            Force and error, ``NaN`` if unknown, and `TIPS`, `DEVICE`, `EFFORT`, `LIMIT` or nothing.
         """
         felt = self.tip_force(touch)
         if felt == felt:
@@ -341,54 +346,54 @@ class Grip:
         chosen = self.squeezing(at)
         if self.sheet is not None and effort[self.indices[0]] == effort[self.indices[0]]:
             i = self.indices[0]
-            found = self.sheet.force_for(abs(effort[i]), position[i])
-            return found, _EFFORT_SHARE * found, DEVICE
+            force = self.sheet.force_for(abs(effort[i]), position[i])
+            return force, _EFFORT_SHARE * force, DEVICE
         if chosen and all(effort[i] == effort[i] for _, i, _ in chosen):
             return self._from_efforts(chosen, effort)
         if pressing and chosen and all(math.isfinite(limits[i]) for _, i, _ in chosen):
             if self.sheet is not None:
                 i = self.indices[0]
-                found = self.sheet.force_for(limits[i], position[i])
+                force = self.sheet.force_for(limits[i], position[i])
             else:
-                found = min(
+                force = min(
                     max(limits[i] - self.friction[k], 0.0) * self.efficiency[k] / lever
                     for k, i, lever in chosen
                 )
-            return found, _LIMIT_SHARE * found, LIMIT
+            return force, _LIMIT_SHARE * force, LIMIT
         return math.nan, math.nan, ""
 
     def _from_efforts(
         self, chosen: Sequence[tuple[int, int, float]], effort: Sequence[float]
     ) -> tuple[float, float, str]:
-        """Return the force that fits measured efforts best (least squares)."""
+        """Return the force that fits measured efforts best, by least squares."""
         along = square = lost = 0.0
         for k, i, lever in chosen:
             closing = math.copysign(1.0, self.target[k] - self.rest[k])
-            # An effort that opens the fingers presses on nothing.
+            # An effort that opens the fingers does not press.
             held = max(effort[i] * closing, 0.0)
             along += lever * max(held - self.friction[k], 0.0) * self.efficiency[k]
             lost += lever * self.friction[k] * self.efficiency[k]
             square += lever * lever
         # The force f that minimises the sum of (lever·f - effort)².
-        found = along / square
-        return found, lost / square + _EFFORT_SHARE * found, EFFORT
+        force = along / square
+        return force, lost / square + _EFFORT_SHARE * force, EFFORT
 
 
 def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float, str]:
-    """Return the opening [m], the force and its error [N], and what that is estimated from.
+    """Return the opening [m], the force and its error [N], and the source of the force.
 
-    Those who publish and record work it out in their own threads, not the loop.
+    The publisher and the recorder call this in their own threads, so that the loop needn't.
 
     Args:
-        grip: That of the last action that was given an opening or a force; ``None``: none was.
-        record: What was known at a tick.
+        grip: Grip of the last goal with an opening or a force; ``None``: there was none.
+        record: The record of a tick.
     """
     if grip is None:
         return math.nan, math.nan, math.nan, ""
     position, effort = record.position.tolist(), record.effort.tolist()
     limits = record.reference_effort.tolist()
     felt = [values for name, values in record.channels.items() if name.endswith(f"/{TIP_FORCE}")]
-    # A reference that leads on from where the actuator is presses, if something is in its way.
+    # An actuator that holds an object presses if its reference leads further into the object.
     ahead = record.reference_position - record.position
     pressing = any(
         ahead[i] * (target - rest) > _AHEAD * (target - rest) ** 2 and record.grasped[i] == 1
@@ -401,17 +406,17 @@ def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float,
 
 
 def check_force(grip: Grip, hand: Hand, label: str, force: float, intensity: float) -> None:
-    """Refuse a force that cannot be given, with the nearest that can.
+    """Refuse a force that cannot be exerted, naming the nearest that can.
 
     Args:
         grip: The grip.
         hand: The hand.
         label: The action, for the sentence.
         force: The force asked for [N].
-        intensity: Where it is to be given.
+        intensity: Intensity at which it is to be exerted.
 
     Raises:
-        GoalRejected: if it cannot be given.
+        GoalRejected: if it cannot be exerted.
     """
     low, high = grip.forces(hand, intensity)
     if math.isinf(high):

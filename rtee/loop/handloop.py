@@ -1,4 +1,4 @@
-"""One hand's loop: the cycle of a tick, the goals that are given to it, and its devices."""
+"""The loop of one hand: the cycle of a tick, its goals, its devices and its observers."""
 
 from __future__ import annotations
 
@@ -46,18 +46,19 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ITSELF = "rtee"
-"""The client of goals that the loop gives itself."""
+"""Name of the client of those goals that the loop submits itself."""
 
 GRIP_EFFORT = "grip_effort"
-"""The gain of the hand itself: the effort kept on what is held."""
+"""The hand's own gain: effort kept on a held object, as a fraction of the effort limit."""
 
 
 class HandLoop:
     """The loop of one hand.
 
-    ``async with`` starts the devices' tasks and, at the end, closes them. `tick` is called by the
-    owner of the clock and never waits. All methods are called in the thread of the event loop; only
-    `submit`, `cancel`, `hold` and `jog` may be called in any thread: they only check and append.
+    ``async with`` starts the devices' tasks on entry and closes the devices on exit. The owner of
+    the clock calls `tick`, which never waits. Methods must be called in the thread of the event
+    loop, except for `submit`, `cancel`, `hold` and `jog`: they only check and append, and are safe
+    in any thread.
 
     Args:
         hand: The hand.
@@ -70,10 +71,10 @@ class HandLoop:
         hand: The hand.
         library: Its grasping actions.
         settings: The loop's settings.
-        controller: The pure part.
+        controller: Computes the references; pure.
         devices: The devices' supervisors, by name.
-        streams: Takes the samples of a stream; any thread may use it, one at a time.
-        clock_statistics: Statistics of the clock that ticks it, once it ticks.
+        streams: Checks and queues the samples of a stream; one thread at a time may use it.
+        clock_statistics: Statistics of the loop's clock, from its first tick on.
 
     Raises:
         ConfigError: if an actuator is driven by no device, or by two.
@@ -134,46 +135,46 @@ class HandLoop:
         """Wait until every device has tried to connect once.
 
         Raises:
-            UserError: if a device can't ever be connected by a mistake of the user.
+            UserError: if a mistake in the configuration keeps a device from ever connecting.
         """
         try:
             for device in self.devices.values():
                 await device.ready()
         finally:
-            # A goal may come before the first tick would have noticed them.
+            # A goal may arrive before the first tick, which would only then find the devices.
             self._devices.state.collect()
             self._devices.follow(self._pending.append, self._on_lost)
 
     def end(self) -> None:
-        """End all goals once there are no more ticks; the observers get their results."""
+        """End all goals after the last tick; the observers receive their results."""
         if not self._ended:
             self._ended = True
-            while self._pending:  # no tick came for it
+            while self._pending:  # queued after the last tick
                 self._begin_now(self._pending.popleft())
             self._begin_now(Freeze("the loop ended"))
 
     # --- the cycle ---------------------------------------------------------------------------
 
     def tick(self, tick: Tick) -> None:
-        """Do one tick; takes no time to speak of and never waits."""
+        """Run one tick: `cycle`, then `notify_observers`; never waits."""
         self.cycle(tick)
         self.notify_observers()
 
     def cycle(self, tick: Tick) -> None:
-        """Do one tick up to the devices; `notify_observers` does the rest.
+        """Run one tick from sensing to moving; `notify_observers` reports it afterwards.
 
-        They are apart for hands on one clock: observers may wake threads, which then want the
-        interpreter, so the devices of all hands come before the observers of any.
+        The two are separate for hands that share a clock: observers may wake threads, which then
+        compete for the interpreter, so the devices of all hands go before any observer.
         """
         stamp = tick.due_ns * 1e-9
         devices, state, controller = self._devices, self._devices.state, self.controller
-        # Sense: what the devices measured in the exchanges of the last tick, or since.
+        # Sense: collect the states that the devices have returned since the last tick.
         state.collect(stamp)
         devices.follow(self._pending.append, self._on_lost)
-        # Goals and commands, in their order.
+        # Start goals and apply commands, in the order of their arrival.
         while self._pending:
             self._begin(self._pending.popleft(), tick.number, stamp)
-        # Executor, profile and limiter: from goal and state to the reference.
+        # Control: executor, profile and limiter turn goal and state into the reference.
         controller.step(stamp, state.measured)
         if self.settings.safety.idle_disable is not None:
             self._disable_when_idle(stamp, self.settings.safety.idle_disable)
@@ -190,11 +191,11 @@ class HandLoop:
             channels=state.channels_with(controller.stream),
             touch=state.touch,
         )
-        # Move: send the reference; a device that answers at once is also sensed again here.
+        # Move: send the reference. A device that answers at once is also read again here.
         devices.move(record, controller.max_velocity)
 
     def notify_observers(self) -> None:
-        """Report to the observers what the last `cycle` did."""
+        """Report the last `cycle` to the observers."""
         record = self._record
         if self._begun:
             self._report_begun()
@@ -209,33 +210,33 @@ class HandLoop:
             if self._status_at > 0.0:
                 self._status_at = record.stamp + window
                 self._observers.status(self.statuses(), self.statistics())
-            else:  # hands on one clock take turns
+            else:  # spread out, so that hands on one clock do not all report at the same tick
                 self._status_at = record.stamp + crc32(self.name.encode()) / 2**32 * window
 
-    def _begin(self, what: Plan | Command, tick: int, stamp: float) -> None:
-        if isinstance(what, Plan):
-            self._begun.append((what, stamp))
-            self.controller.accept(what, stamp)
+    def _begin(self, item: Plan | Command, tick: int, stamp: float) -> None:
+        if isinstance(item, Plan):
+            self._begun.append((item, stamp))
+            self.controller.accept(item, stamp)
         else:
-            self._begun.append((CommandRecord(tick, stamp, what), stamp))
-            self.controller.apply(what, stamp)
+            self._begun.append((CommandRecord(tick, stamp, item), stamp))
+            self.controller.apply(item, stamp)
 
-    def _begin_now(self, what: Plan | Command) -> None:
-        """Begin something without a tick."""
-        self._begin(what, 0 if self._record is None else self._record.tick + 1, self._now())
+    def _begin_now(self, item: Plan | Command) -> None:
+        """Begin a plan or a command after the last tick, and report it."""
+        self._begin(item, 0 if self._record is None else self._record.tick + 1, self._now())
         self._report_begun()
         self._deliver()
 
     def _report_begun(self) -> None:
         begun, self._begun = self._begun, []
-        for what, stamp in begun:
-            if isinstance(what, Plan):
-                self._observers.goal(what, stamp)
+        for item, stamp in begun:
+            if isinstance(item, Plan):
+                self._observers.goal(item, stamp)
             else:
-                self._observers.command(what)
+                self._observers.command(item)
 
     def _deliver(self) -> None:
-        """Hand on what the controller has to report, and disable what it found too hot."""
+        """Pass the controller's reports to the observers, and disable devices that are too hot."""
         outbox = self.controller.outbox
         items, outbox.items[:] = list(outbox.items), []
         for item in items:
@@ -257,7 +258,7 @@ class HandLoop:
                     self._start(device.disable, CONFIRM_WITHIN)
 
     def _disable_when_idle(self, stamp: float, within: float) -> None:
-        """Disable the hand once it was idle for a time [s]."""
+        """Disable the hand once it has been idle for ``within`` seconds."""
         busy = not self._devices.any_active or not self.controller.idle
         if busy or math.isinf(self._busy_at):
             self._busy_at = stamp
@@ -270,14 +271,14 @@ class HandLoop:
     # --- goals -------------------------------------------------------------------------------
 
     def submit(self, goal: Goal, *, partly: bool = False) -> None:
-        """Accept a goal; it begins at the next tick. Its result comes to the observers.
+        """Accept a goal, which begins at the next tick; the observers receive its result.
 
         Args:
             goal: The goal.
-            partly: Leave out the actuators whose device is not active, unless it is all of them.
+            partly: Leave out the actuators whose device is not active, unless none would be left.
 
         Raises:
-            GoalRejected: if a value of it cannot be used, or a device is not active.
+            GoalRejected: if one of its values cannot be used, or a device is not active.
             UnknownAction: if there is no such action.
             ActionError: if the action doesn't exist with these elements.
         """
@@ -297,7 +298,7 @@ class HandLoop:
         self._pending.append(plan)
 
     async def execute(self, goal: Goal, *, partly: bool = False) -> Result:
-        """Submit a goal and wait for its result; being cancelled cancels the goal. See `submit`."""
+        """Submit a goal (see `submit`) and return its result; cancelling this cancels the goal."""
         done, results = anyio.Event(), list[Result]()
         self._waiters[goal.goal_id] = (done, results)
         try:
@@ -311,19 +312,19 @@ class HandLoop:
         return results[0]
 
     def cancel(self, goal_id: str) -> None:
-        """Cancel a goal: the hand brakes and holds the measured posture. Unknown: nothing."""
+        """Cancel a goal: the hand brakes and holds the measured posture. Ignores unknown goals."""
         self._pending.append(Cancel(goal_id))
 
     def hold(self, reason: str = "") -> None:
-        """Brake and hold the measured posture; what blocked fingers may hold, they keep."""
+        """Brake and hold the measured posture; blocked fingers keep pressing on their object."""
         self._pending.append(Hold(reason))
 
     def jog(self, positions: Mapping[str, float], max_velocity: float | None = None) -> None:
-        """Move some actuators by hand; a running goal is pre-empted.
+        """Move some actuators directly; a running goal is pre-empted.
 
         Args:
-            positions: Where to, by actuator [rad | m]; clamped into the limits.
-            max_velocity: Velocity not to be exceeded [rad/s | m/s]; ``None``: the actuators' own.
+            positions: Target positions by actuator [rad | m], clamped into the limits.
+            max_velocity: Velocity limit [rad/s | m/s]; ``None``: the actuators' own.
 
         Raises:
             GoalRejected: if an actuator is unknown or not active, or a value is not a number.
@@ -358,13 +359,13 @@ class HandLoop:
         return confirmed
 
     async def disable(self, reason: str = "disabled") -> list[tuple[str, bool]]:
-        """Disable all devices; they are limp and inactive afterwards. Returns as `stop`."""
+        """Disable all devices, which leaves them limp and inactive. Returns the same as `stop`."""
         return await self._freeze_while(reason, Supervisor.disable)
 
     async def keep(self, reason: str = "") -> list[tuple[str, bool]]:
-        """Send every device its last reference: where it is, or what it holds with.
+        """Send every device a last reference: the measured posture, or the grip on its object.
 
-        Afterwards no references are sent any more, though the loop may still tick. Returns as
+        No references are sent afterwards, though the loop may still tick. Returns the same as
         `stop`.
         """
         posture = self.controller.posture_to_keep()
@@ -381,36 +382,36 @@ class HandLoop:
         return await self._devices.confirm(reason, keep)
 
     async def _freeze_while(
-        self, reason: str, what: Callable[[Supervisor, float], Awaitable[bool]]
+        self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        """Send no references while the devices do something; then begin where the hand is."""
+        """Send no references while the devices serve a request; then start from where they are."""
         self._devices.mute(True)
         self._pending.append(Freeze(reason))
         try:
-            return await self._devices.confirm(reason, what)
+            return await self._devices.confirm(reason, request)
         finally:
-            # Again, for whatever moved meanwhile.
+            # Again: the hand may have moved meanwhile.
             self._pending.append(Freeze(reason))
             self._devices.mute(False)
 
     async def recover(self, device: str | None = None) -> None:
-        """Bring a device, or all, out of fault or inactivity; nothing moves by it.
+        """Bring a device, or all, out of fault or inactivity, without moving it.
 
         Raises:
             ConfigError: if there is no such device.
-            RteeError: what the device says if it doesn't work; the others were recovered.
+            RteeError: the error of a device that cannot be recovered; the others were recovered.
         """
         await self._devices.recover(device)
 
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
         """Change gains of a device, or of every device that has them.
 
-        Without a device, ``grip_effort`` is the effort kept on what is held, 0 to 1 of the
+        Without a device, ``grip_effort`` is the effort kept on a held object, 0 to 1 of the
         effort limit.
 
         Raises:
             ConfigError: if there is no such device, no device has such a gain, or a value is bad.
-            RteeError: if a device doesn't take them.
+            RteeError: if a device refuses them.
         """
         gains = dict(gains)
         grip = gains.pop(GRIP_EFFORT, None) if device is None else None
@@ -420,10 +421,10 @@ class HandLoop:
         if grip is not None:
             self._pending.append(SetGripEffort(float(grip)))
 
-    # --- when it is no longer driven ---------------------------------------------------------
+    # --- lost clients and devices ------------------------------------------------------------
 
     def client_lost(self, client: str) -> None:
-        """Do what is configured for when the client that holds the hand has died."""
+        """Apply the configured behaviour after the client that holds the lease has died."""
         text = f"the client '{client}' is lost"
         self._observers.event(Event("client_lost", client, text, self._now(), "warning"))
         self.behave(self.settings.safety.on_client_lost, text)
@@ -432,7 +433,7 @@ class HandLoop:
         self.behave(self.settings.safety.on_link_lost, reason)
 
     def behave(self, behaviour: Behaviour, reason: str) -> None:
-        """Do what the settings say for a hand that is no longer driven; returns at once."""
+        """Apply a behaviour of the safety settings; returns at once."""
         match behaviour:
             case Behaviour.HOLD:
                 self.hold(reason)
@@ -448,7 +449,7 @@ class HandLoop:
                     log.warning("%s cannot open: %s", self.name, error)
 
     def _start(self, work: Callable[..., Coroutine[Any, Any, object]], *arguments: object) -> None:
-        """Have something done in a task of its own."""
+        """Run a coroutine function in a task of its own."""
         if self._group is not None:
             self._group.start_soon(work, *arguments)
 
@@ -459,7 +460,7 @@ class HandLoop:
         self._observers.add(observer)
 
     def remove_observer(self, observer: LoopObserver) -> None:
-        """Report nothing more to an observer."""
+        """Stop reporting to an observer."""
         self._observers.remove(observer)
 
     def announce(self, event: Event) -> None:
@@ -471,27 +472,27 @@ class HandLoop:
         return self._now()
 
     def snapshot(self) -> TickRecord:
-        """Return what was known at the last tick.
+        """Return the record of the last tick.
 
         Raises:
-            RteeError: if there was none yet.
+            RteeError: if the loop has not ticked yet.
         """
         if self._record is None:
             raise RteeError(f"{self.name}: the loop has not ticked yet")
         return self._record
 
     def statuses(self) -> list[DeviceStatus]:
-        """Return how the devices are doing."""
-        found = []
+        """Return the status of every device, with doubtful positions and temperatures."""
+        statuses = []
         for device in self.devices.values():
             status, heat = device.status(), self.controller.heat(device.indices)
             doubts = self.controller.doubts(device.indices)
-            said = "; ".join(text for text in (status.message, doubts, heat) if text)
-            found.append(replace(status, message=said) if heat or doubts else status)
-        return found
+            message = "; ".join(text for text in (status.message, doubts, heat) if text)
+            statuses.append(replace(status, message=message) if heat or doubts else status)
+        return statuses
 
     def statistics(self) -> LoopStatistics:
-        """Return how the clock is doing."""
+        """Return the statistics of the clock."""
         clock = self.clock_statistics
         if clock is None:
             return LoopStatistics(rate=self.settings.rate)

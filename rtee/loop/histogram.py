@@ -7,7 +7,7 @@ from itertools import accumulate
 
 from rtee.types import LoopStatistics
 
-_FIRST = 5  # bits that a bucket keeps of a duration: 1/32, so that buckets are 3 % wide
+_FIRST = 5  # leading bits that a bucket keeps of a duration: 1/32, so that buckets are 3 % wide
 _SUB = 1 << _FIRST
 
 
@@ -31,7 +31,7 @@ class Histogram:
 
     def add(self, nanoseconds: int) -> None:
         """Count a duration [ns]; a negative one counts as 0."""
-        # As `_bucket`, which it does not call: this happens twice at every tick.
+        # Repeats `_bucket` instead of calling it: this runs twice at every tick.
         bucket = nanoseconds
         if nanoseconds >= _SUB:
             shift = nanoseconds.bit_length() - _FIRST - 1
@@ -44,21 +44,20 @@ class Histogram:
             self.maximum = nanoseconds
 
     def percentile(self, percent: float) -> float:
-        """Return the value [s] that ``percent`` of the durations don't exceed; 0 without any."""
+        """Return the duration [s] that ``percent`` of all do not exceed; 0 if there are none."""
         return self.percentiles((percent,))[0]
 
     def percentiles(self, percents: tuple[float, ...]) -> list[float]:
-        """Return several percentiles [s] at once."""
+        """Return several percentiles [s] in one pass."""
         if not self.count:
             return [0.0] * len(percents)
-        # One pass serves all percentiles.
         seen = list(accumulate(self._counts))
         buckets = (bisect_left(seen, percent / 100 * self.count) for percent in percents)
-        # A bucket's upper end may lie above everything that was counted.
+        # The upper end of the last bucket may lie above the longest duration.
         return [min(_upper(min(k, self._last)), self.maximum) * 1e-9 for k in buckets]
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Forget all durations."""
         self._counts = [0] * len(self._counts)
         self.count = 0
         self.maximum = 0
@@ -86,7 +85,7 @@ class TickStatistics:
         rate: Configured rate [Hz].
 
     Attributes:
-        started: Whether there was a first tick, which has no busy time yet.
+        started: Whether the first tick has passed, which has no busy time yet.
     """
 
     def __init__(self, rate: float) -> None:

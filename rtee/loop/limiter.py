@@ -1,4 +1,4 @@
-"""The last stage between set-points and the bus: its output is safe, and is what is logged."""
+"""The last stage between set-points and the bus: its output is safe to send, and is logged."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from rtee.loop.motion import Limits, approach, bounded
 
-_SLACK = 1e-6  # excess that may be rounding: share of a limit, and [rad | m]
+_SLACK = 1e-6  # excess that counts as rounding: share of a limit, and [rad | m]
 
 
 class Limiter:
-    """Bounds position, step, velocity and acceleration of what is sent; never emits ``NaN``.
+    """Bounds position, step, velocity and acceleration of the set-points; never emits ``NaN``.
 
-    The profiles keep the same limits by themselves; this one does not rely on them. A set-point
-    that cannot be reached within a period is approached as fast as the limits allow.
+    The profiles keep the same limits; the limiter does not rely on them. A set-point that cannot be
+    reached within a period is approached as fast as the limits allow.
 
     Args:
         limits: Limits of the actuators.
@@ -21,9 +21,9 @@ class Limiter:
         max_step: Largest change per tick [rad | m]; ``None``: one period at the velocity limit.
 
     Attributes:
-        position: What was sent last [rad | m].
-        velocity: Its velocity [rad/s | m/s].
-        limited: Whether the last `apply` changed anything, per actuator.
+        position: Positions sent last [rad | m].
+        velocity: Their velocities [rad/s | m/s].
+        limited: Whether the last `apply` limited each actuator.
     """
 
     def __init__(self, limits: Limits, period: float, max_step: float | None = None) -> None:
@@ -53,13 +53,13 @@ class Limiter:
         self.limited[index] = False
 
     def apply(self, wanted: Sequence[float]) -> bool:
-        """Apply the next set-points; `position` and `velocity` are what may be sent.
+        """Move `position` and `velocity` to the next set-points, as far as the limits allow.
 
         Args:
             wanted: Wanted positions [rad | m]; one that is not finite counts as "stop".
 
         Returns:
-            Whether anything was limited.
+            Whether any actuator was limited.
         """
         dt, any_limited = self._period, False
         position, velocity, limited = self.position, self.velocity, self.limited
@@ -70,7 +70,7 @@ class Limiter:
                 limited[i] = False
                 continue
             lower, upper, top, acceleration, change = self._bounds[i]
-            # Nearly always a set-point is far from all limits; then this is all there is to do.
+            # The fast path: nearly always, a set-point is far from all limits.
             if lower <= target <= upper and not limited[i]:
                 step = (target - here) / dt
                 size, room = (step, upper - target) if step > 0.0 else (-step, target - lower)
@@ -89,17 +89,17 @@ class Limiter:
         """Apply a set-point that may be beyond a limit; return whether it was."""
         here, dt, acceleration = self.position[i], self._period, self._limits.acceleration[i]
         if target - target != 0.0:  # NaN or infinite
-            # Going nowhere is a stop within the acceleration limit, as for any other set-point.
+            # Staying here means to stop within the acceleration limit, as for any set-point.
             target = here
-        # Outside of the limits already (a device was pushed): it may come back, not go further.
+        # An actuator outside of the limits (it was pushed) may come back, but not go further.
         target, beyond = self._inside(i, here, target)
         step = (target - here) / dt
-        # What lags behind must come to its target slowly enough to stop there.
+        # An actuator that lagged behind must reach its target slowly enough to stop there.
         follows = not self.limited[i] or abs(step) <= acceleration * dt
         if follows and self._close(i, step):
             self._take(i, target, step, limited=beyond)
             return beyond
-        # It cannot follow within this period: approach, so as not to pass it later.
+        # The set-point cannot be reached within this period: approach without passing it later.
         allowed = self._allowed(i, approach(here, target, acceleration, dt))
         self._take(i, here + allowed * dt, allowed, limited=True)
         return True
@@ -130,7 +130,7 @@ class Limiter:
         )
 
     def _take(self, i: int, position: float, velocity: float, *, limited: bool) -> None:
-        # Once more, after all arithmetic: rounding must not end up outside.
+        # Clamped again after all arithmetic, since rounding must not end up outside.
         self.position[i] = self._inside(i, self.position[i], position)[0]
         self.velocity[i] = velocity
         self.limited[i] = limited

@@ -1,7 +1,8 @@
 """One actuator's motion in steps of one period, inside limits that can always be kept.
 
-A velocity here is the change of position during a period, divided by it, and an acceleration the
-change of that velocity, divided by it: what a device that gets one position per period sees.
+A velocity here is the change of position during a period, divided by the period, and an
+acceleration the change of that velocity, divided by the period: what a device observes that
+receives one position per period.
 """
 
 from __future__ import annotations
@@ -34,18 +35,18 @@ class Limits:
 
     @classmethod
     def of(cls, actuators: Sequence[ActuatorSpec]) -> Limits:
-        """Take the limits from the actuators.
+        """Return the limits of some actuators.
 
         Raises:
             ConfigError: if a velocity, acceleration or jerk limit is not a positive number, or the
                 position limits are the wrong way round.
         """
         for actuator in actuators:
-            for what in ("velocity", "acceleration", "jerk"):
-                value = getattr(actuator, what)
+            for limit in ("velocity", "acceleration", "jerk"):
+                value = getattr(actuator, limit)
                 if not (math.isfinite(value) and value > 0):
                     raise ConfigError(
-                        f"the actuator '{actuator.name}' has the {what} limit {value:g};"
+                        f"the actuator '{actuator.name}' has the {limit} limit {value:g};"
                         f" a positive number is needed (limits: in hand.yaml)"
                     )
             if not actuator.lower <= actuator.upper:
@@ -67,22 +68,21 @@ class Limits:
 
 
 def stopping_velocity(distance: float, acceleration: float, dt: float) -> float:
-    """Return the largest velocity from which one can still stop within a distance.
+    """Return the largest velocity from which an actuator can still stop within a distance.
 
     Moving at m·a·dt and slowing down by a·dt every period takes (k + 1)·m − k·(k + 1)/2 times
     a·dt², k = ⌊m⌋: the arithmetic series, solved for m.
 
     Args:
-        distance: To the point not to be passed, 0 or more [rad | m].
+        distance: Distance to the point that must not be passed, 0 or more [rad | m].
         acceleration: Largest deceleration [rad/s² | m/s²].
         dt: Period [s].
     """
     if distance <= 0.0:
         return 0.0
     step = acceleration * dt
-    # Without units, the way and the answer fit one formula for all actuators.
     units = distance / (step * dt)
-    # Actuators without position limits have an infinite way.
+    # Actuators without position limits have an infinite distance.
     if math.isinf(units):
         return math.inf
     k = math.floor((math.sqrt(1.0 + 8.0 * units) - 1.0) / 2.0)
@@ -90,7 +90,7 @@ def stopping_velocity(distance: float, acceleration: float, dt: float) -> float:
 
 
 def approach(position: float, target: float, acceleration: float, dt: float) -> float:
-    """Return the velocity with which to go to a target and stop there without passing it."""
+    """Return the largest velocity towards a target from which to stop there without passing it."""
     distance = target - position
     velocity = stopping_velocity(abs(distance), acceleration, dt)
     return velocity if distance >= 0.0 else -velocity
@@ -106,7 +106,7 @@ def bounded(
     lower: float,
     upper: float,
 ) -> float:
-    """Return the velocity nearest to the wanted one that keeps all limits, now and ever after.
+    """Return the velocity nearest to the wanted one that keeps all limits, now and later.
 
     If the state came from this function (or is at rest), then slowing down by ``acceleration`` is
     always enough to stop before a position limit. Outside of the position limits an actuator may
@@ -123,7 +123,7 @@ def bounded(
         lower: Lower position limit [rad | m].
         upper: Upper position limit [rad | m].
     """
-    # In the order of priority, the last one wins: velocity, acceleration, position.
+    # In rising priority, so that the last limit prevails: velocity, acceleration, position.
     result = min(max(wanted, -limit), limit)
     change = acceleration * dt
     result = min(max(result, velocity - change), velocity + change)

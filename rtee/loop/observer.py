@@ -1,4 +1,4 @@
-"""Observers of the loop: the recorder and the server each observe every hand."""
+"""Observers of the loop: the recorder and the server, for example, each observe every hand."""
 
 from __future__ import annotations
 
@@ -19,63 +19,63 @@ log = logging.getLogger(__name__)
 class LoopObserver(Protocol):
     """Receives everything that happens in one hand's loop.
 
-    An observer may also have ``on_plan(plan, stamp)``: it is called after `on_goal` with what the
-    goal comes to, a `rtee.loop.plan.Plan`. And ``on_object(thing, stamp)``: it is called with what
-    a simulated device grasps, a `rtee.object_description.ObjectDescription`, once that is known.
+    An observer may have two more methods: ``on_plan(plan, stamp)``, called after `on_goal` with the
+    goal's `rtee.loop.plan.Plan`, and ``on_object(description, stamp)``, called once with the
+    `rtee.object_description.ObjectDescription` of the object that a simulated device grasps.
 
     All methods are called in the loop's thread and must return at once: no I/O, no waiting. An
     observer that raises is dropped with an event; the hand goes on.
     """
 
     def on_tick(self, record: TickRecord) -> None:
-        """Receive what was known at a tick; called at every tick."""
+        """Receive the record of a tick; called at every tick."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Receive a goal that was accepted, at the tick it takes effect, before its set-points."""
+        """Receive an accepted goal, at the tick at which it begins, before its first reference."""
 
     def on_command(self, record: CommandRecord) -> None:
-        """Receive a call that steered the controller; goals and commands come in their order."""
+        """Receive a command to the controller; goals and commands arrive in their order."""
 
     def on_feedback(self, feedback: Feedback) -> None:
         """Receive a goal's progress."""
 
     def on_result(self, result: Result) -> None:
-        """Receive how a goal ended; follows every accepted goal exactly once."""
+        """Receive the result of a goal; called exactly once for every accepted goal."""
 
     def on_event(self, event: Event) -> None:
         """Receive an event."""
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Receive how devices and clock are doing; called about once a second."""
+        """Receive the status of devices and clock; called about once a second."""
 
 
 class Observer:
-    """An observer that does nothing; derive from it and override what matters."""
+    """An observer that does nothing; subclass it and override the methods you need."""
 
     def on_tick(self, record: TickRecord) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_goal(self, goal: Goal, stamp: float) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_command(self, record: CommandRecord) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_feedback(self, feedback: Feedback) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_result(self, result: Result) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_event(self, event: Event) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Ignore it."""
+        """Do nothing."""
 
 
 class Observers:
-    """The observers of one hand. One that fails is dropped with an event; the hand goes on."""
+    """The observers of one hand. An observer that fails is dropped with an event."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -83,14 +83,13 @@ class Observers:
         self._object: ObjectDescription | None = None
 
     def add(self, observer: LoopObserver) -> None:
-        """Add one, unless it is there."""
+        """Add an observer, unless it was added before."""
         if observer not in self._all:
-            # A new tuple each time: an observer may remove itself while the old one is iterated
-            # over.
+            # A new tuple: an observer may remove itself while the old tuple is iterated over.
             self._all = (*self._all, observer)
 
     def remove(self, observer: LoopObserver) -> None:
-        """Remove one, if it is there."""
+        """Remove an observer, if it is there."""
         self._all = tuple(other for other in self._all if other is not observer)
 
     @property
@@ -106,7 +105,7 @@ class Observers:
                 self._failed(observer, error)
 
     def _failed(self, observer: LoopObserver, error: Exception) -> None:
-        # Before the event, which would otherwise reach it and fail again, without end.
+        # Before the event, which would otherwise reach the observer and fail again, without end.
         self.remove(observer)
         name = type(observer).__name__
         log.error("the observer %s failed and is dropped", name, exc_info=error)
@@ -114,7 +113,7 @@ class Observers:
         self.event(Event("observer_failed", name, text, self._now(), "error"))
 
     def tick(self, record: TickRecord) -> None:
-        """Report what was known at a tick."""
+        """Report the record of a tick."""
         for observer in self._all:
             try:
                 observer.on_tick(record)
@@ -122,12 +121,12 @@ class Observers:
                 self._failed(observer, error)
 
     def goal(self, plan: Plan, stamp: float) -> None:
-        """Report a goal that begins, and to those with ``on_plan`` what it comes to."""
+        """Report a goal that begins, and its plan to observers that have ``on_plan``."""
         self._each(lambda observer: observer.on_goal(plan.goal, stamp))
         self._each(lambda observer: getattr(observer, "on_plan", _ignore)(plan, stamp))
 
     def describe_object(self, thing: ObjectDescription | None, stamp: float) -> None:
-        """Report what a simulated device grasps, unless that was done, to those who want it."""
+        """Report a new simulated object to observers that have ``on_object``."""
         if thing is not self._object and thing is not None:
             self._object = thing
             self._each(lambda observer: getattr(observer, "on_object", _ignore)(thing, stamp))
@@ -149,9 +148,9 @@ class Observers:
         self._each(lambda observer: observer.on_event(event))
 
     def status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        """Report how devices and clock are doing."""
+        """Report the status of devices and clock."""
         self._each(lambda observer: observer.on_status(statuses, statistics))
 
 
-def _ignore(what: Plan | ObjectDescription, stamp: float) -> None:
-    """Stand in for the ``on_plan`` or ``on_object`` of an observer that has none."""
+def _ignore(_: Plan | ObjectDescription, stamp: float) -> None:
+    """Replace the ``on_plan`` or ``on_object`` of an observer that has none."""

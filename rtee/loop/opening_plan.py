@@ -1,4 +1,4 @@
-"""Plan goals in millimetres and newtons: which action, how far, and with what efforts."""
+"""Plan goals in millimetres and newtons: the action, its intensity and the effort limits."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
 
 _ROUNDING: Final = 5e-5
-"""An opening outside of the table by less than this is the one at its end [m]: what people read is
-rounded to 0.1 mm."""
+"""An opening beyond the table by less than this counts as the one at its end [m]: people read
+openings rounded to 0.1 mm."""
 
 _CONTACT_SPEED: Final = 0.01
-"""A force that is asked for does not slow the opening to less than this when it closes [m/s]: as a
-touch, within a second over the margin."""
+"""Least closing speed of the opening for a goal with a force [m/s]: that of a touch, which crosses
+the margin within a second."""
 
 _SPEED_PER_FORCE: Final = 2e-3
-"""Speed of the opening at which an object is met, per newton that is asked for [m/s/N]. In MuJoCo a
-2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
+"""Speed of the opening at which the fingers meet an object, per requested newton [m/s/N]. In MuJoCo
+a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
 _SAMPLES: Final = 8
-"""Openings at which the range of the force is sampled, besides the first: it varies smoothly."""
+"""Openings at which the range of the force is sampled, besides the first: the range varies
+smoothly."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceForces:
-    """What the devices of a hand do about efforts and forces.
+    """Which efforts and forces the devices of a hand can limit.
 
     Attributes:
-        refused: Actuators whose device takes no effort limit, with its reason in words, or nothing.
-        grips: What the devices' sheets say of forces, by actuator.
+        refused: Reason why a device takes no effort limit, in words or empty, by actuator index.
+        grips: Forces by the devices' data sheets, by actuator index.
         unlimited: Actuators whose effort their device cannot limit, though it limits others.
     """
 
@@ -55,11 +56,11 @@ class OpeningPlan:
     """The result of planning a goal in millimetres and newtons.
 
     Attributes:
-        goal: The goal, with its speed.
+        goal: The goal, with its speed as a share of the velocity limits.
         action: The action.
         intensities: The intensities to go to, one after the other.
         effort: Effort limits by actuator index [N·m | N].
-        grip: Gives opening and force from what is measured.
+        grip: Computes opening and force from measurements.
     """
 
     goal: Goal
@@ -70,22 +71,22 @@ class OpeningPlan:
 
 
 def wants_opening(goal: Goal) -> bool:
-    """Return whether a goal is one in millimetres or newtons."""
+    """Return whether a goal is given in millimetres or newtons."""
     given = (goal.opening, goal.force, goal.tip_speed)
     return not goal.touch and (goal.grasp or any(value is not None for value in given))
 
 
 def check_opening(goal: Goal) -> None:
-    """Refuse a goal in millimetres and newtons whose values cannot be used.
+    """Refuse a goal in millimetres and newtons with unusable values.
 
     Raises:
         GoalRejected: if a value cannot be used.
     """
     if goal.opening is None:
-        what = (
+        request = (
             "a grasp" if goal.grasp else "a force" if goal.force is not None else "a speed in m/s"
         )
-        raise GoalRejected(f"{what} needs the opening, or the width of the object, in metres")
+        raise GoalRejected(f"{request} needs the opening, or the width of the object, in metres")
     name = "width" if goal.grasp else "opening"
     if not 0.0 <= goal.opening < math.inf:
         raise GoalRejected(f"the {name} must be 0 m or more, not {goal.opening:g}")
@@ -104,7 +105,7 @@ def check_opening(goal: Goal) -> None:
 
 
 def check_tip_speed(goal: Goal) -> None:
-    """Refuse a speed of the opening that cannot be used.
+    """Refuse a goal with an unusable speed of the opening.
 
     Raises:
         GoalRejected: if it cannot be used.
@@ -125,15 +126,15 @@ def plan_opening(
     find: Callable[[], Action],
     targets: Callable[[Action], Mapping[int, float]],
 ) -> OpeningPlan:
-    """Work out a goal in millimetres and newtons.
+    """Plan a goal in millimetres and newtons.
 
     Args:
         goal: The goal; `check_opening` has passed it.
         hand: The hand.
         library: Its actions.
-        devices: What its devices do about forces.
+        devices: Which efforts and forces its devices can limit.
         find: Returns the action of a goal that names one.
-        targets: Returns where an action's actuators go at intensity 1, by index [rad | m].
+        targets: Returns the actuators' positions of an action at intensity 1, by index [rad | m].
 
     Raises:
         GoalRejected: if the opening, the force or the speed is beyond the hand.
@@ -163,7 +164,7 @@ def plan_opening(
         check_force(grip, hand, opening.label, goal.max_force, at)
     intensities: tuple[float, ...] = (at,)
     if goal.grasp:
-        # First around the object, then as far in as the object lets it.
+        # First around the object, then closed until the object stops the fingers.
         wider = min(width + MARGIN, opening.widest)
         intensities = (grip.intensity_at(wider), grip.intensity[-1])
     if goal.tip_speed is not None:
@@ -172,7 +173,7 @@ def plan_opening(
 
 
 def _check_width(opening: Opening, goal: Goal) -> None:
-    """Refuse an opening that an action does not have, with the nearest that it has."""
+    """Refuse an opening that an action does not have, naming the nearest that it has."""
     width = goal.opening or 0.0
     least = opening.narrowest - (goal.narrower if goal.grasp else 0.0)
     if least - _ROUNDING <= width <= opening.widest + _ROUNDING:
@@ -187,7 +188,7 @@ def _check_width(opening: Opening, goal: Goal) -> None:
 def _check_devices(
     hand: Hand, opening: Opening, effort: Mapping[int, float], devices: DeviceForces
 ) -> None:
-    """Refuse a force where a device takes no effort limit, or none of what it takes to limit it."""
+    """Refuse a force if a device takes no effort limit, or cannot limit what the force needs."""
     nearest = "the nearest is the same without a force"
     for i in effort:
         if i in devices.refused:
@@ -195,7 +196,7 @@ def _check_devices(
             raise GoalRejected(
                 f"the device of '{hand.actuators[i].name}' takes no effort limit{why}; {nearest}"
             )
-    # Two sides press equally: it is enough that one of them gives way at the force.
+    # Two sides press equally: it is enough to limit one of them.
     if all(_unlimited(hand, side, effort, devices) for side in opening.sides):
         names = ", ".join(hand.actuators[i].name for i in effort if i in devices.unlimited)
         raise GoalRejected(
@@ -205,15 +206,15 @@ def _check_devices(
 
 
 def force_refused(hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces) -> str:
-    """Return why no force can be asked for with an action, in words; empty if one can.
+    """Return why no force can be requested of an action, in words; empty if one can.
 
     Args:
         hand: The hand.
         opening: The action's opening.
         grip: Its grip.
-        devices: What the hand's devices do about forces.
+        devices: Which efforts and forces the hand's devices can limit.
     """
-    # Infinite limits and devices without limits refuse any force: one in range shows which.
+    # Actuators and devices without limits refuse any force, so one force in range is enough.
     at = grip.intensity[0]
     high = grip.forces(hand, at)[1]
     try:
@@ -250,7 +251,7 @@ def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) 
         for i, rest, target in zip(grip.indices, grip.rest, grip.target, strict=True)
     )
     share = speed * most / slope
-    # Rounding must not refuse the very speed that the refusal has suggested.
+    # Rounding must not refuse the very speed that the refusal suggests.
     if share > 1.0 + 1e-9:
         raise GoalRejected(
             f"{name} opens and closes at {1e3 * speed / share:.3g} mm/s at most there, "
@@ -262,8 +263,8 @@ def tip_speed_share(speed: float, hand: Hand, grip: Grip, at: float, name: str) 
 def closing_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:
     """Return the share of the velocity limits at which a goal closes on its object.
 
-    What an impact does before any reflex comes from the inertia of the motors, and goes with the
-    speed: the less force is asked for, the slower the fingers meet the object.
+    The force of the impact, before any reflex acts, comes from the inertia of the motors and grows
+    with the speed: the smaller the requested force, the slower the fingers meet the object.
     """
     if not goal.grasp or goal.force is None or goal.opening is None or grip is None:
         return goal.speed
@@ -271,12 +272,12 @@ def closing_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:
     try:
         at = grip.intensity_at(goal.opening)
         return min(goal.speed, tip_speed_share(speed, hand, grip, at, ""))
-    except GoalRejected:  # faster than it closes
+    except GoalRejected:  # faster than the action can close
         return goal.speed
 
 
 def closing_time(goal: Goal) -> float:
-    """Return how long a goal may take longer because it closes slowly on its object [s]."""
+    """Return the additional time of a goal that closes slowly on its object [s]."""
     if not goal.grasp or goal.force is None or goal.opening is None:
         return 0.0
     return (goal.opening + MARGIN) / max(_CONTACT_SPEED, _SPEED_PER_FORCE * goal.force)
@@ -291,19 +292,19 @@ def _best(
 ) -> tuple[Action, Opening]:
     """Return the action that suits an object's width, the force and the fingers best.
 
-    What can give the force comes first, then the order is that of `suitability`.
+    Actions that can exert the force come first, then they are ordered by `suitability`.
 
     Raises:
-        GoalRejected: if there is none, with what comes nearest.
+        GoalRejected: if there is none; the sentence names the nearest.
     """
     for name in goal.elements:
         if name not in hand.finger_names:
             raise GoalRejected(f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}")
     width = goal.opening or 0.0
     openings = _openings(library, goal.elements)
-    found: list[tuple[tuple[float, ...], Action, Opening]] = []
+    candidates: list[tuple[tuple[float, ...], Action, Opening]] = []
     for order, (action, opening) in enumerate(openings):
-        # At its widest, an action cannot get around the object any more.
+        # At its widest opening, an action cannot get around the object.
         if not opening.narrowest - goal.narrower <= width < opening.widest:
             continue
         at = opening.intensity_at(width)
@@ -314,21 +315,21 @@ def _best(
             efforts = grip.efforts(goal.force, at)
             weak = not low <= goal.force <= high or not _can(hand, opening, efforts, devices)
         key = (weak, *suitability(hand, action, opening, width), order)
-        found.append((key, action, opening))
-    if not found:
-        raise GoalRejected(_nothing(goal, hand, [opening for _, opening in openings]))
-    _, action, opening = min(found, key=lambda each: each[0])
+        candidates.append((key, action, opening))
+    if not candidates:
+        raise GoalRejected(_no_action(goal, hand, [opening for _, opening in openings]))
+    _, action, opening = min(candidates, key=lambda each: each[0])
     return action, opening
 
 
 def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Action, Opening]]:
-    """Return the actions with an opening, of some fingers if they are given."""
+    """Return the actions with an opening; with fingers given, only those of just these fingers."""
     found, reason = [], ""
     for action in library:
         try:
             opening = library.openings.of(action)
         except ActionError as error:
-            # All would say the same, such as that a file is missing.
+            # All actions give the same reason, such as a missing file.
             reason = reason or str(error)
             continue
         if not fingers or set(fingers) == set(opening.fingers):
@@ -338,8 +339,8 @@ def _openings(library: ActionLibrary, fingers: Sequence[str]) -> list[tuple[Acti
     return found
 
 
-def _nothing(goal: Goal, hand: Hand, openings: Sequence[Opening]) -> str:
-    """Return the sentence that says that no action suits, and what comes nearest."""
+def _no_action(goal: Goal, hand: Hand, openings: Sequence[Opening]) -> str:
+    """Return the sentence that no action suits a goal, with the nearest width."""
     width = goal.opening or 0.0
     fingers = f" of {', '.join(goal.elements)}" if goal.elements else ""
     if not openings:

@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from rtee.loop.settings import LoopSettings
 
 OPEN = "open"
-"""The action that every hand has: to the rest posture, unless its library defines another one."""
+"""The action that every hand has: go to the rest posture, unless its library defines another."""
 
 NO_DEVICES = DeviceForces()
 """Devices that take all effort limits, and whose forces are unknown."""
 
 PRE_GRASP_GAP = 0.05
-"""The pre-grasp of a pinch is this much intensity before the first contact: enough for the
-tolerance of an actuator, little enough to close quickly."""
+"""Intensity from the pre-grasp of a pinch to its first contact: more than the tolerance of an
+actuator, and little enough to close quickly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +41,10 @@ class Leg:
     """One motion to a set of set-points.
 
     Attributes:
-        name: Alias of the inner action of a timed one, else empty.
+        name: Alias of the inner action of a timed action, else empty.
         targets: Position by actuator index [rad | m], inside the limits.
         before: Time to wait before [s].
-        after: Time to wait after it is completed [s].
+        after: Time to wait after the motion [s].
     """
 
     name: str
@@ -66,7 +66,7 @@ class Plan:
         timeout: Longest time [s].
         timed: Whether the legs are inner actions.
         elements: Elements of the action, for a goal with an opening or a force.
-        grip: Gives the opening and the force of the fingertips, for such a goal.
+        grip: Computes opening and force of the fingertips, for such a goal.
     """
 
     goal: Goal
@@ -90,7 +90,7 @@ class Plan:
 
 
 _LONGEST = 86400.0
-"""Most that slowness adds to a timeout [s]: a day, though no share of the limits is too small."""
+"""Most that a low speed adds to a timeout [s]: a day, for shares of the velocity limit near 0."""
 
 
 def make_plan(
@@ -108,7 +108,7 @@ def make_plan(
         hand: The hand.
         library: Its actions.
         settings: Timeouts.
-        devices: What the devices do about efforts and forces.
+        devices: Which efforts and forces the devices can limit.
 
     Raises:
         GoalRejected: if a value of the goal cannot be used.
@@ -142,13 +142,13 @@ def make_plan(
         )
     if goal.touch:
         goal = slowly(goal, hand, grip, action.name)
-    plan = _made(goal, hand, action, legs, effort, settings, timed)
+    plan = _plan_of(goal, hand, action, legs, effort, settings, timed)
     if grip is None and not goal.touch:
         return plan
     return replace(plan, elements=action.elements, grip=grip)
 
 
-def _made(
+def _plan_of(
     goal: Goal,
     hand: Hand,
     action: Action,
@@ -160,26 +160,26 @@ def _made(
     involved = frozenset().union(*[leg.targets for leg in legs])
     timeout = goal.timeout
     if timeout is None:
-        # Waiting that the action asks for must not use up the time for moving.
+        # Waiting times of the action must not use up the time for moving.
         margins = sum([leg.before + leg.after for leg in legs])
         timeout = settings.goal_timeout * len(legs) + margins
-        # Nor must the slowness that the goal asks for.
+        # Nor must the low speed of the goal.
         timeout += slowness(goal.speed, hand, [leg.targets for leg in legs])
     return Plan(goal, action.name, legs, involved, effort, timeout, timed)
 
 
 def slowness(speed: float, hand: Hand, legs: Iterable[Mapping[int, float]]) -> float:
-    """Return how much longer motions take at a share of the velocity limits [s].
+    """Return the additional time of motions at a share of the velocity limits [s].
 
     Args:
         speed: The share, above 0 up to 1.
         hand: The hand.
-        legs: Where its actuators go from rest, one motion after the other, by index [rad | m].
+        legs: Targets of its actuators, by index [rad | m], for one motion after the other.
     """
     at = {i: actuator.rest for i, actuator in enumerate(hand.actuators)}
     time = 0.0
     for targets in legs:
-        # All arrive together, with the one that takes longest.
+        # All actuators arrive together with the slowest one.
         time += max(
             (abs(to - at[i]) / hand.actuators[i].velocity for i, to in targets.items()), default=0.0
         )
@@ -197,7 +197,7 @@ def _opening_plan(
 ) -> Plan:
     """Make the plan for a goal in millimetres and newtons."""
     check_opening(goal)
-    found = plan_opening(
+    opening = plan_opening(
         goal,
         hand,
         library,
@@ -205,11 +205,12 @@ def _opening_plan(
         lambda: _find(goal, hand, library),
         lambda action: _targets(action.waypoints[-1], hand, 1.0),
     )
-    posture = found.action.waypoints[-1]
-    legs = tuple(Leg("", _targets(posture, hand, at)) for at in found.intensities)
-    plan = _made(found.goal, hand, found.action, legs, {**effort, **found.effort}, settings, False)
+    action = opening.action
+    legs = tuple(Leg("", _targets(action.waypoints[-1], hand, at)) for at in opening.intensities)
+    effort = {**effort, **opening.effort}
+    plan = _plan_of(opening.goal, hand, action, legs, effort, settings, False)
     timeout = plan.timeout if goal.timeout is not None else plan.timeout + closing_time(goal)
-    return replace(plan, timeout=timeout, elements=found.action.elements, grip=found.grip)
+    return replace(plan, timeout=timeout, elements=action.elements, grip=opening.grip)
 
 
 def _check_numbers(goal: Goal) -> None:
@@ -226,15 +227,15 @@ def _check_numbers(goal: Goal) -> None:
 def effort_limits(
     efforts: Mapping[str, float], hand: Hand, refused: Mapping[int, str]
 ) -> dict[int, float]:
-    """Return the effort limits that a goal or a stream asks for, by actuator index [N·m | N].
+    """Return the effort limits of a goal or a stream, by actuator index [N·m | N].
 
     Args:
         efforts: The limits by name [N·m | N].
         hand: The hand.
-        refused: Actuators whose device takes no effort limit, with its reason in words, or nothing.
+        refused: Reason why a device takes no effort limit, in words or empty, by actuator index.
 
     Raises:
-        GoalRejected: if one cannot be used.
+        GoalRejected: if a limit cannot be used.
     """
     limits: dict[int, float] = {}
     for name, value in efforts.items():
@@ -259,7 +260,7 @@ def _find(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
     try:
         return library.find(goal.action, goal.elements, goal.kind)
     except UnknownAction:
-        # The library goes first: a hand may define its own "open".
+        # The library takes precedence: a hand may define its own "open".
         if goal.action.lower() != OPEN or goal.elements or goal.kind:
             raise
     rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))

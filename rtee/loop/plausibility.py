@@ -9,41 +9,41 @@ from dataclasses import dataclass
 from rtee.types import ActuatorSpec, Event, JointKind
 
 MARGIN = 5.0
-"""An actuator is believed to move this many times faster than its velocity limit: that one is the
-limit of set-points, and a device that is pushed, slips or catches up exceeds it."""
+"""Plausible speed of an actuator, in multiples of its velocity limit: that limit is one of
+set-points, and an actuator that is pushed, slips or catches up exceeds it."""
 
 _SPARE = 0.1
-"""Extra time at that speed, added to the time between two measurements, since they are not
-taken at the ticks that find them [s]. At the velocity limit it is the way of half a second; a
-device that is silent for longer is lost."""
+"""Extra time at that speed, added to the time between two measurements [s]: they are older than the
+ticks that collect them. It covers half a second at the velocity limit; a device that is silent for
+longer is lost."""
 
 _SLACK = 0.05
-"""Way allowed in addition, as a share of the range: a coarse sensor, an object that slips."""
+"""Travel allowed in addition, as a share of the range: a coarse sensor, an object that slips."""
 
 _OUTSIDE = 0.5
 """A position further outside of its limits than this share of the range is implausible. Devices do
-come to rest outside of them: limits are often narrower than the mechanism."""
+come to rest outside of the limits, which are often narrower than the mechanism."""
 
 _CALM = 0.5
-"""A measurement is believed again after this long without an implausible step [s], some exchanges
-of the slowest device."""
+"""A position is plausible again after this time without an implausible step [s]: some exchanges of
+the slowest device."""
 
 _PERSISTENT = 5
-"""This many implausible steps with less than `_CALM` between them are not a glitch. Being outside
-of the limits is not a step: from there an actuator may come back."""
+"""This many implausible steps with less than `_CALM` between them are not a glitch. A position
+outside of the limits does not count as a step: an actuator may come back from there."""
 
 _LEAP = 0.02
 """A measured step of more than this share of the range is a leap: possible where an actuator is
-measured rarely, but of random positions nearly every step is one."""
+measured rarely, but nearly every step between random positions is one."""
 
 _AGREEING = 2.5
-"""After a leap an arrival is believed when no other has come for this many times the interval
-between measurements: two more of them agree, though they come late."""
+"""After a leap, an actuator counts as arrived once no other leap follows for this many intervals
+between measurements: two more measurements agree, even if they are late."""
 
 
 @dataclass(slots=True)
 class _Doubt:
-    """When a measurement was last implausible [s], and how many steps were."""
+    """Time of the last implausible measurement [s], and the number of implausible steps."""
 
     stamp: float
     steps: int = 0
@@ -52,17 +52,19 @@ class _Doubt:
 class Plausibility:
     """Watches the measured positions for steps that no actuator can make.
 
-    Every actuator has an allowance of way: it grows with time at `MARGIN` times the velocity limit,
-    and each measured way is deducted from it. So measurements may be sparse, late or bunched.
+    Every actuator has an allowance of travel, which grows with time at `MARGIN` times the velocity
+    limit and is reduced by each measured step. So measurements may be sparse, late or bunched.
 
     Args:
         actuators: The hand's actuators.
         report: Called with events.
     """
 
-    def __init__(self, actuators: Sequence[ActuatorSpec], tell: Callable[[Event], object]) -> None:
+    def __init__(
+        self, actuators: Sequence[ActuatorSpec], report: Callable[[Event], object]
+    ) -> None:
         self._actuators = actuators
-        self._tell = tell
+        self._report = report
         n = len(actuators)
         spans = [a.upper - a.lower for a in actuators]
         slack = [_SLACK * span if math.isfinite(span) else _SLACK for span in spans]
@@ -82,20 +84,20 @@ class Plausibility:
         self._doubted: dict[int, _Doubt] = {}
 
     def forget(self, indices: Iterable[int]) -> None:
-        """Forget what is known of some actuators, which may have been moved by hand meanwhile."""
+        """Forget the positions of some actuators, which people may have moved meanwhile."""
         for i in indices:
             self._last[i] = math.nan
             self._leaping_until[i] = -math.inf
             self._doubted.pop(i, None)
 
     def doubted(self, indices: Iterable[int]) -> bool:
-        """Return whether the measured position of one of some actuators is not believed."""
+        """Return whether any of some actuators has an implausible measured position."""
         return bool(self._doubted) and any(i in self._doubted for i in indices)
 
     def leaping(self, indices: Iterable[int], stamp: float) -> bool:
-        """Return whether one of some actuators was measured too rarely to say where it is.
+        """Return whether any of some actuators was measured too rarely to say where it is.
 
-        It has leapt, however plausibly, and not enough measurements have come since that agree.
+        It has leapt, even if plausibly, and too few later measurements agree.
 
         Args:
             indices: The actuators.
@@ -104,36 +106,36 @@ class Plausibility:
         return any(stamp < self._leaping_until[i] for i in indices)
 
     def broken(self, indices: Iterable[int]) -> int | None:
-        """Return the first of some actuators whose measurement goes on being implausible."""
+        """Return the first of some actuators whose position is persistently implausible."""
         for i in indices if self._doubted else ():
             if i in self._doubted and self._doubted[i].steps >= _PERSISTENT:
                 return i
         return None
 
     def words(self, i: int) -> str:
-        """Return in words that the position of an actuator is not believed, else nothing."""
+        """Return in words that the position of an actuator is implausible, else an empty string."""
         name = self._actuators[i].name
         return f"the measured position of {name} is not plausible" if i in self._doubted else ""
 
     def step(
         self, stamp: float, position: Sequence[float], fresh: Sequence[bool], active: Sequence[bool]
     ) -> None:
-        """Look at what was measured.
+        """Check the measured positions of a tick.
 
         Args:
             stamp: Now [s].
             position: Measured positions [rad | m].
-            fresh: Whether they are newer than at the tick before.
-            active: Whether its device drives an actuator; others may be moved by hand.
+            fresh: Whether each is newer than at the tick before.
+            active: Whether its device drives an actuator; people may move the others.
         """
         last = self._last
-        if position != last:  # a hand at rest costs nothing
+        if position != last:  # this test alone for a hand at rest
             for i, here in enumerate(position):
                 if here != last[i]:
                     self._moved(i, here, stamp, active[i])
                     last[i] = here
         if all(fresh):
-            # One time for all in the usual case, instead of a list of equal ones.
+            # Usually all are fresh: one time for all instead of a list of equal times.
             self._all_seen = stamp
         else:
             for i, new in enumerate(fresh):
@@ -145,20 +147,20 @@ class Plausibility:
     def _moved(self, i: int, here: float, stamp: float, active: bool) -> None:
         # Called for each actuator at each tick of a motion, so min() and max() are written out.
         way, most = abs(here - self._last[i]), self._most[i]
-        if way != way or not active:  # the first one, or its device does not drive it
+        if way != way or not active:  # the first measurement, or an undriven actuator
             self._left[i] = most
         else:
             before, rate, left = self._seen[i], self._rate[i], self._left[i]
             if self._all_seen > before:
                 before = self._all_seen
             if before > self._changed[i]:
-                # It was at rest while other actuators were measured: that time counts for the
-                # allowance, too, but not beyond what it may save up.
+                # At rest while other actuators were measured: that time adds to the allowance,
+                # too, up to its maximum.
                 left += rate * (before - self._changed[i])
             if left > most:
                 left = most
             if way > self._leap[i]:
-                # A device may also repeat an answer until it has another one.
+                # A device may repeat an answer until it has a new one.
                 repeated = min(stamp - self._changed[i], _SPARE)
                 self._leaping_until[i] = stamp + _AGREEING * max(stamp - before, repeated)
             rest = left + rate * (stamp - before) - way
@@ -173,7 +175,7 @@ class Plausibility:
     def _outside(self, i: int, here: float) -> bool:
         return not self._lowest[i] <= here <= self._highest[i]
 
-    def _doubt(self, i: int, stamp: float, what: str, how: str, *, step: bool) -> None:
+    def _doubt(self, i: int, stamp: float, moved: str, how: str, *, step: bool) -> None:
         new = i not in self._doubted
         known = self._doubted.setdefault(i, _Doubt(stamp))
         known.stamp = stamp
@@ -181,8 +183,8 @@ class Plausibility:
         if new:
             spec = self._actuators[i]
             unit = "m" if spec.kind is JointKind.PRISMATIC else "rad"
-            text = f"{self.words(i)}: it {what} {unit} {how}"
-            self._tell(Event("implausible", spec.name, text, stamp, "warning"))
+            text = f"{self.words(i)}: it {moved} {unit} {how}"
+            self._report(Event("implausible", spec.name, text, stamp, "warning"))
 
     def _believe(self, stamp: float, active: Sequence[bool]) -> None:
         for i, doubt in list(self._doubted.items()):
@@ -191,4 +193,4 @@ class Plausibility:
                 del self._doubted[i]
                 name = self._actuators[i].name
                 text = f"the measured position of {name} is plausible again"
-                self._tell(Event("implausible", name, text, stamp))
+                self._report(Event("implausible", name, text, stamp))

@@ -1,4 +1,4 @@
-"""Real-time set-up of the loop's thread; what the system does not permit becomes a warning."""
+"""Real-time set-up of the loop's thread; requests that the system refuses become warnings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from rtee.hand.config_schema import RealtimeSettings
 from rtee.loop.memory import lock_memory
 
 SWITCH_INTERVAL = 50e-6
-"""Longest time another thread runs Python while the loop waits [s]: a twentieth of a period at 1
-kHz; much shorter, and the threads spend their time on handing the interpreter over."""
+"""Longest time that another thread runs Python while the loop waits [s]: a twentieth of a period at
+1 kHz. If it were much shorter, the threads would spend their time on handing over the
+interpreter."""
 
 HELPERS_NICE = -15
-"""Nice value of the loop's helper threads, where that is permitted: before all ordinary programs,
-but not before the system's own at -20."""
+"""Nice value of the loop's helper threads, where permitted: ahead of all ordinary programs, but not
+of the system's own at -20."""
 
 # Stack of a thread [byte]: an old kernel locks all of it in memory; the usual 8 MB are not used.
 _STACK = 2 * 1024 * 1024
@@ -37,11 +38,11 @@ EVENT_LOOP = "RTEE_EVENT_LOOP"
 def backend_options() -> dict[str, bool]:
     """Return the ``backend_options`` of `anyio.run` for a run of hands.
 
-    uvloop's event loop takes less processor time for a turn than asyncio's and wakes up sooner.
-    It is chosen where it is installed, unless the environment names the other one.
+    uvloop's event loop takes less processor time per turn than asyncio's and wakes up sooner. It is
+    chosen where it is installed, unless the environment names asyncio.
 
     Raises:
-        ConfigError: if the environment names another one, or uvloop without it being installed.
+        ConfigError: if the environment names an unknown event loop, or uvloop is not installed.
     """
     installed = importlib.util.find_spec("uvloop") is not None
     match os.environ.get(EVENT_LOOP, ""):
@@ -60,16 +61,17 @@ def backend_options() -> dict[str, bool]:
 
 
 def set_up(settings: RealtimeSettings) -> list[str]:
-    """Request what the settings ask for from the system, for the calling thread alone.
+    """Request real-time scheduling for the calling thread.
 
-    Threads started later by this one are ordinary again (SCHED_RESET_ON_FORK); those that run
-    already go before other programs, but have a real-time priority only if one is given for them.
+    Threads that it starts later are ordinary again (SCHED_RESET_ON_FORK). Threads that run already
+    take precedence over other programs, but have a real-time priority only if the settings give
+    one.
 
     Args:
-        settings: What to request; unless they are enabled, only what needs no permission.
+        settings: The settings; unless enabled, only requests that need no permission are made.
 
     Returns:
-        A sentence for everything that was not permitted, with what to configure.
+        A sentence for each refused request, which says what to configure.
     """
     if not settings.enabled:
         ask_for_short_slices()
@@ -81,7 +83,7 @@ def set_up(settings: RealtimeSettings) -> list[str]:
         warnings += lock_memory()
     if settings.cpus:
         warnings += _pin(settings.cpus)
-    # Last: pages are locked and CPUs chosen before the thread may starve others.
+    # Last, so that pages are locked and CPUs chosen before the thread can starve others.
     refused = _schedule(settings.priority)
     if not refused:
         refused = _favour_helpers(min(settings.helper_priority, settings.priority - 1))
@@ -89,13 +91,13 @@ def set_up(settings: RealtimeSettings) -> list[str]:
 
 
 def _favour_helpers(priority: int) -> list[str]:
-    """Let the threads that already run go before other programs; they stay ordinary threads.
+    """Give the threads that run already precedence over other programs.
 
-    They share the interpreter with the loop: one that is interrupted by another program while it
-    holds the interpreter holds up the loop, whatever the loop's own priority.
+    They share the interpreter with the loop: a thread that is preempted by another program while it
+    holds the interpreter delays the loop, whatever the loop's own priority.
 
     Args:
-        priority: A real-time priority for them; 0: none.
+        priority: Their real-time priority; 0: none, only a nice value.
     """
     own = threading.get_native_id()
     for thread in map(int, os.listdir("/proc/self/task")):
@@ -122,17 +124,17 @@ def _favour_helpers(priority: int) -> list[str]:
 
 @contextlib.contextmanager
 def favoured_session(settings: RealtimeSettings) -> Iterator[None]:
-    """Let the programs of this session go before those of others, for as long as this lasts.
+    """Give this session's programs precedence over those of other sessions, within the context.
 
-    Where Linux groups programs by session (autogroup, see sched(7)), nice values only count among
-    those of one; without this, the helper threads would have to wait for other sessions' programs.
-    Does nothing unless real time is enabled, the system groups so, and permits it.
+    Where Linux groups programs by session (autogroup, see sched(7)), nice values only count within
+    a session; without this, the helper threads would wait for the programs of other sessions. Does
+    nothing unless real time is enabled and the system has, and permits, autogroups.
     """
     before = ""
     if settings.enabled:
         with contextlib.suppress(OSError):
             before = _AUTOGROUP.read_text().rpartition(" ")[2].strip()
-    if before:  # the file is empty for a program that is in no such group
+    if before:  # empty for a program without an autogroup
         with contextlib.suppress(OSError):
             _AUTOGROUP.write_text(str(HELPERS_NICE))
     try:
@@ -144,23 +146,23 @@ def favoured_session(settings: RealtimeSettings) -> Iterator[None]:
 
 
 def small_stacks() -> int:
-    """Give threads that are started from now on stacks of 2 MiB instead of Linux' 8.
+    """Give threads that are started from now on stacks of 2 MiB instead of Linux' 8 MiB.
 
-    Memory that is locked is taken up whole.
+    Locked memory is resident as a whole, also where a stack is never used.
 
     Returns:
-        What was set before, for `threading.stack_size`.
+        The previous setting, for `threading.stack_size`.
     """
     return threading.stack_size(_STACK)
 
 
 def share_the_interpreter() -> float:
-    """Make other threads give the interpreter back to the loop at once, not after 5 ms.
+    """Make other threads return the interpreter to the loop within `SWITCH_INTERVAL`, not 5 ms.
 
     A thread that waits for the interpreter requests it from its holder after this time.
 
     Returns:
-        The time that was set before [s].
+        The previous setting [s].
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, SWITCH_INTERVAL))
@@ -182,7 +184,7 @@ def _schedule(priority: int) -> list[str]:
 
 
 def affinity() -> frozenset[int]:
-    """Return the CPUs that the calling thread may run on; none where the system does not say."""
+    """Return the CPUs that the calling thread may run on; empty where the system cannot say."""
     if not hasattr(os, "sched_getaffinity"):
         return frozenset()
     return frozenset(os.sched_getaffinity(0))
@@ -199,14 +201,14 @@ def _pin(cpus: tuple[int, ...]) -> list[str]:
 
 
 class Collector:
-    """Collects garbage between ticks, never during one.
+    """Collects garbage between ticks, never during a tick.
 
-    What exists when it starts is exempted (`gc.freeze`); then it collects young objects often and
-    all of them seldom, when there is time left before the next tick.
+    Objects that exist when it starts are exempted (`gc.freeze`). Later it collects young objects
+    often and all objects seldom, when there is time left before the next tick.
 
     Args:
-        every: How often each of the three generations is collected [ns]; the defaults keep the
-        young ones small, and repeat the long collection seldom.
+        every: Interval of the collection of each of the three generations [ns]; the defaults keep
+            the young ones small, and repeat the long collection seldom.
     """
 
     def __init__(
@@ -218,9 +220,9 @@ class Collector:
         self._was_enabled = False
 
     def start(self) -> None:
-        """Take over from the automatic collection."""
+        """Replace the automatic collection."""
         self._was_enabled = gc.isenabled()
-        # What is left after this lives as long as the program: freezing spares looking at it again.
+        # Objects left after this live as long as the program: frozen, they are not traversed again.
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -228,13 +230,13 @@ class Collector:
         self._due = [now + every for every in self._every]
 
     def stop(self) -> None:
-        """Give the automatic collection back."""
+        """Restore the automatic collection."""
         gc.unfreeze()
         if self._was_enabled:
             gc.enable()
 
     def idle(self, until_ns: int) -> None:
-        """Collect what is due if it can be done in time; else later.
+        """Run a collection that is due, if there is enough time for it.
 
         Args:
             until_ns: When the next tick is due, CLOCK_MONOTONIC [ns].
@@ -245,15 +247,16 @@ class Collector:
         for generation in (2, 1, 0):
             if now < self._due[generation]:
                 continue
-            # A period overdue: memory must not grow for ever because the loop is never idle enough.
+            # Overdue by a whole interval: memory must not grow without bound because the loop is
+            # never idle for long enough.
             late = now - self._due[generation] > self._every[generation]
             if now + 2 * self._cost[generation] > until_ns and not late:
                 return
             gc.collect(generation)
             done = time.monotonic_ns()
-            # A slow collection counts, but is forgotten in time: it may have been preempted.
+            # The cost of a slow collection decays, since it may only have been preempted.
             self._cost[generation] = max(done - now, self._cost[generation] * 7 // 8)
-            # A collection takes the younger generations with it.
+            # Collecting a generation collects the younger ones, too.
             for younger in range(generation + 1):
                 self._due[younger] = done + self._every[younger]
             return

@@ -1,4 +1,4 @@
-"""Check goals whose fingers react to contacts, and plan how a hand closes to touch."""
+"""Check goals whose fingers react to contacts, and plan goals that close until they touch."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
 
 TOUCH_SPEED: Final = 0.01
-"""Speed at which the opening closes until the first contact, unless a goal gives one [m/s]: a loop
-of 100 Hz then stops within 0.2 mm."""
+"""Default speed at which the opening closes until the first contact [m/s]: a loop of 100 Hz then
+stops within 0.2 mm."""
 
 TOUCH_SHARE: Final = 0.05
-"""Share of the velocity limits at which actions without an opening close: some 0.1 rad/s."""
+"""Share of the velocity limits at which actions without an opening close to touch: some
+0.1 rad/s."""
 
 
 def check_reflexes(goal: Goal, hand: Hand) -> None:
-    """Refuse a goal whose reactions to contacts are impossible.
+    """Refuse a goal with impossible reactions to contacts.
 
     Raises:
         GoalRejected: if a finger is unknown or a value cannot be used.
@@ -61,7 +62,7 @@ def grip_of(
     devices: DeviceForces,
     targets: Callable[[Action], Mapping[int, float]],
 ) -> Grip | None:
-    """Return the grip that converts forces at an action's tips to efforts; ``None``: no opening."""
+    """Return the grip of an action, ``None`` if the action has no opening."""
     try:
         opening = library.openings.of(action)
     except ActionError:
@@ -72,9 +73,9 @@ def grip_of(
 def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
     """Return the action that closes some fingers, or the whole hand, to touch something.
 
-    Candidates move the tips of exactly these fingers. Those whose tips close on each other come
-    first, then those that were found clear, then the library's order. Without fingers, all actions
-    that have an opening are candidates, and the one with the most fingers is taken.
+    Candidates move the tips of exactly these fingers, in the order: tips that close on each other,
+    actions found clear of collisions, order of the library. Without fingers, all actions with an
+    opening are candidates, and the one with the most fingers is chosen.
 
     Raises:
         GoalRejected: if there is none.
@@ -83,7 +84,7 @@ def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
         if name not in hand.finger_names:
             raise GoalRejected(f"unknown finger '{name}'; {suggestion(name, hand.finger_names)}")
     wanted = set(goal.elements)
-    found: list[tuple[tuple[float, ...], Action]] = []
+    candidates: list[tuple[tuple[float, ...], Action]] = []
     for order, action in enumerate(library):
         try:
             fingers = set(library.openings.of(action).fingers)
@@ -94,15 +95,15 @@ def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:
             fingers, closes = set(action.fingers), False
         if not wanted or fingers == wanted:
             key = (not closes, doubtful(action), -len(fingers), order)
-            found.append((key, action))
-    if not found:
+            candidates.append((key, action))
+    if not candidates:
         whose = ", ".join(goal.elements) or f"'{hand.name}'"
         raise GoalRejected(f"no action closes the fingertips of {whose}; name one")
-    return min(found, key=lambda each: each[0])[1]
+    return min(candidates, key=lambda each: each[0])[1]
 
 
 def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
-    """Return a goal to touch with the speed at which its fingers close."""
+    """Return a goal to touch with the speed at which its fingers close filled in."""
     if goal.speed != 1.0:
         return goal
     if grip is None:
@@ -110,6 +111,6 @@ def slowly(goal: Goal, hand: Hand, grip: Grip | None, name: str) -> Goal:
             raise GoalRejected(f"{name} has no opening: give the speed as a share")
         return replace(goal, speed=TOUCH_SHARE)
     speed = TOUCH_SPEED if goal.tip_speed is None else goal.tip_speed
-    # Where the opening falls fastest, so that it is nowhere faster than that.
+    # Where the opening falls fastest, so that it closes no faster anywhere else.
     steepest = max(grip.intensity, key=grip.slope_at)
     return replace(goal, speed=tip_speed_share(speed, hand, grip, steepest, name))

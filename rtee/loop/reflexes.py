@@ -1,4 +1,4 @@
-"""Reflexes of the fingers: what they do when they touch something, and when their object slips.
+"""Reflexes: reactions of the fingers to contacts, and to an object that slips.
 
 Pure like the rest of a tick: measurements in, references and effort limits out.
 """
@@ -22,28 +22,30 @@ from rtee.loop.tip_levers import TipLevers
 from rtee.types import Event, OnContact
 
 _CONFIRMED = 2
-"""An effort shows a contact in this many measurements in succession: a single one may be noise."""
+"""Measurements in succession whose effort must show a contact: a single one may be noise."""
 
 _UNKNOWN_SHARE = 0.05
-"""An actuator that moves no fingertip touches at this share of its effort limit more than it needs
-to move freely: no force is known there."""
+"""Threshold of a contact for an actuator that moves no fingertip, as a share of its effort limit
+above the effort of free motion: its lever, and so the force, is unknown."""
 
 _SET_OUT = 0.1
-"""Efforts are not judged for this long after an actuator has set out, while it breaks loose [s]."""
+"""Efforts are not evaluated for this long after an actuator has started, while it overcomes static
+friction [s]."""
 
 _RESOLUTION = 0.01
-"""Less than this share of an actuator's effort limit is not a contact: devices measure no
-better."""
+"""Least threshold of a contact as a share of the effort limit: devices measure no better."""
 
 _LIGHT = 2.0
-"""An approach may take this many thresholds of a contact besides friction: less would hide it."""
+"""Effort limit of an approach besides friction, in thresholds of a contact: with less, the effort
+could not exceed the threshold."""
 
 _LAGS = 0.5
-"""On its way to a contact, an actuator that moves by less than this share of its reference, and is
-behind it, needs more effort."""
+"""During an approach, an actuator that moves by less than this share of its reference, and is
+behind it, gets more effort."""
 
 _LOOKED_AT = 0.02
-"""How it moves is looked at this often [s]: at 1 kHz, the ways of a tick are rounding errors."""
+"""Interval at which the approach's progress is evaluated [s]: at 1 kHz, the travel of a single tick
+is lost in rounding."""
 
 _SLOW = 0.1
 """Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
@@ -52,7 +54,7 @@ enough for the object to centre itself between the fingers."""
 
 @dataclass(slots=True)
 class _Watched:
-    """An actuator on its way to a contact."""
+    """An actuator that approaches a contact."""
 
     mode: OnContact
     target: float
@@ -74,18 +76,18 @@ class _Watched:
 
 @dataclass(slots=True)
 class _Approach:
-    """What a leg of a goal does on contact.
+    """The reactions of a leg of a goal to contacts.
 
     Attributes:
-        watched: Its actuators that close, by index.
-        sides: Fingers of which one each must touch before the force is built up.
-        most: Effort limit that a slip may raise to, by actuator [N·m | N].
-        first: All of them stop at the first contact.
-        force: The force that was asked for, which is not eased; ``None``: none was.
-        grip: Tells the force, where it was asked for.
+        watched: The leg's closing actuators, by index.
+        sides: Fingers on each side; one finger of each must touch before the force is built up.
+        most: Highest effort limit after slips, by actuator [N·m | N].
+        first: Whether all actuators stop at the first contact.
+        force: The requested force [N], which is not eased; ``None``: none.
+        grip: Computes the force, where one was requested.
         pressing: Actuators whose effort makes the force.
-        slips: Slips are answered and reported.
-        speed: Share of the velocity limits at which it squeezes.
+        slips: Whether slips are answered and reported.
+        speed: Share of the velocity limits at which the actuators squeeze.
     """
 
     watched: dict[int, _Watched]
@@ -102,26 +104,26 @@ class _Approach:
 class Reflexes:
     """Stops fingers that touch something, squeezes once enough do, and answers slips.
 
-    A finger touches when a sensor measures at least ``grasp.touch`` on it. Where its fingers have
-    no such sensors, an actuator touches when its effort (or current) is above what it takes to move
-    freely (see `FreeMotion`) by ``grasp.contact_force`` at the fingertips, in two measurements in
-    succession, or when it is blocked, by the device's own word or because it has stalled. Motions
-    towards rest have no reflexes.
+    A finger touches when a sensor on it measures at least ``grasp.touch``. Without such sensors on
+    its fingers, an actuator touches when its effort (or current) exceeds that of free motion (see
+    `FreeMotion`) by ``grasp.contact_force`` at the fingertips in two successive measurements, or
+    when it is blocked: by the device's own report, or because it has stalled. Motions towards rest
+    have no reflexes.
 
     Args:
         hand: The hand.
         grasp: When and how to react.
         profile: Moves the reference.
-        limiter: What is sent.
-        contact: Is given the actuators that have stopped.
-        limit: Returns the effort limit of the goal of an actuator [N·m | N].
+        limiter: Holds the positions sent last.
+        contact: Detects contacts; learns which actuators were stopped.
+        limit: Returns an actuator's effort limit by its goal [N·m | N].
         report: Called with events.
 
     Attributes:
-        active: Whether there is anything to do; else a tick costs nothing.
-        busy: Actuators that are stopped or squeeze, whose contact nothing else judges.
-        effort: Effort limits by actuator, instead of those of the goal [N·m | N].
-        changed: These have changed; the caller resets it.
+        active: Whether any actuator has a reflex; else a tick does nothing here.
+        busy: Actuators stopped or squeezing, which `ContactWatch` must not evaluate.
+        effort: Effort limits by actuator that replace those of the goal [N·m | N].
+        changed: Whether ``effort`` has changed; the caller resets it.
         touched: Fingers that touched something since the goal began.
     """
 
@@ -152,7 +154,7 @@ class Reflexes:
 
     @property
     def held(self) -> Iterable[int]:
-        """The actuators whose efforts are set here while they hold something."""
+        """The actuators that squeeze an object, whose effort limits are set here."""
         return () if self._squeeze is None else self._squeeze.held
 
     # --- goals -------------------------------------------------------------------------------
@@ -187,25 +189,25 @@ class Reflexes:
         Args:
             plan: The plan.
             leg: The leg's number.
-            tolerance: Error that counts as none, by actuator [rad | m].
-            measured: What was measured last.
+            tolerance: Position error that counts as none, by actuator [rad | m].
+            measured: The last measurements.
             stamp: Now [s].
         """
         goal, targets = plan.goal, plan.legs[leg].targets
         self.touched = ()
         self.forget(targets)
-        # The first leg of a grasp only opens wide around the object.
         usual = self._grasp.on_contact
-        # A device with a force of its own in its sheet builds it up by itself.
+        # A device with forces in its data sheet builds up the force by itself.
         if goal.force is not None and plan.grip is not None and plan.grip.sheet is None:
             usual = usual or OnContact.SQUEEZE
+        # The first leg of a grasp only opens wide around the object.
         if not (goal.on_contact or goal.touch or usual) or (goal.grasp and leg == 0):
             return
         watched: dict[int, _Watched] = {}
         for i, target in targets.items():
             spec, here = self._hand.actuators[i], measured.position[i]
             mode = OnContact.STOP if goal.touch else self._mode(goal.on_contact, i, usual)
-            # From rest outwards: hands close so; a hand that opens touches nothing on purpose.
+            # Hands close away from rest; a hand that opens touches nothing on purpose.
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
@@ -239,19 +241,19 @@ class Reflexes:
         self.active = True
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or goal.touch:
-                # A device with a force of its own in its sheet builds it up by itself, but a touch
-                # has none to build up.
+                # A device with forces in its data sheet builds up the force by itself; for a touch
+                # there is none to build up.
                 sheet = None if goal.touch or plan.grip is None else plan.grip.sheet
                 if sheet is None:
                     self._begin_lightly(i, each, measured.position[i])
 
     def _threshold(self, i: int, slope: float) -> float:
-        """Return the effort of a contact [N·m | N], by the effort that a newton takes."""
+        """Return the effort of a contact [N·m | N]; ``slope``: effort per newton at the tips."""
         least = _RESOLUTION * self._hand.actuators[i].effort
         return max(slope * self._grasp.contact_force, least if math.isfinite(least) else 0.0)
 
     def _tip_threshold(self, i: int, stamp: float, measured: Measured) -> float:
-        """Return the effort of a contact where no opening tells it, at the present posture."""
+        """Return the effort of a contact by the tip's lever at the present posture [N·m | N]."""
         spec = self._hand.actuators[i]
         lever = self._levers.of(i, stamp, measured.position)
         if lever != lever:
@@ -261,12 +263,12 @@ class Reflexes:
         return self._threshold(i, lever / efficiency)
 
     def _begin_lightly(self, i: int, each: _Watched, here: float) -> None:
-        """Have an actuator approach with little effort, unless it presses on something already."""
+        """Have an actuator approach with little effort, unless it presses on an object already."""
         full = self._limit(i)
         if not math.isfinite(full):
             return
         if (self._limiter.position[i] - here) * each.ahead > each.tolerance:
-            return  # what it holds would be lost
+            return  # it would drop the object
         known = self._hand.dynamics.get(self._hand.actuators[i].name)
         friction = (known.dry_friction if known is not None else None) or 0.0
         each.limit = min(friction + _LIGHT * each.threshold, full)
@@ -276,20 +278,21 @@ class Reflexes:
     def _mode(
         self, wanted: Mapping[str, OnContact], i: int, usual: OnContact | None
     ) -> OnContact | None:
-        """Return what an actuator does on contact: of its fingers' words the most careful one."""
+        """Return an actuator's reaction to a contact: the most careful one of its fingers."""
         usual = wanted.get("", usual)
         fingers = self._hand.actuators[i].fingers
-        words = {wanted.get(finger, usual) for finger in fingers} or {usual}
-        return next((word for word in OnContact if word in words), None)
+        modes = {wanted.get(finger, usual) for finger in fingers} or {usual}
+        # `OnContact` lists the most careful one first.
+        return next((mode for mode in OnContact if mode in modes), None)
 
     # --- a tick ------------------------------------------------------------------------------
 
     def step(self, stamp: float, measured: Measured) -> None:
-        """Look for contacts of the running goal, and act on them.
+        """Detect contacts of the running goal, and react to them.
 
         Args:
             stamp: Now [s].
-            measured: What was measured.
+            measured: The measured state.
         """
         approach = self._approach
         if approach is None:
@@ -315,7 +318,7 @@ class Reflexes:
         assert self._approach is not None  # noqa: S101 - `step` has seen to that
         watched = self._approach.watched[i]
         forces = self._tip_forces(i, measured)
-        # What is pushed by one of several fingers is not held yet: the others come, too.
+        # An object pushed by one of several fingers is not held yet: the others must touch, too.
         every = watched.mode is OnContact.SQUEEZE
         if forces and all(force == force for force in forces):
             least = self._grasp.touch
@@ -323,11 +326,11 @@ class Reflexes:
         return self._pushes(i, watched, stamp, measured) or self._contact.blocked(i)
 
     def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
-        """Give an actuator that falls behind on its way more effort, up to that of the goal."""
+        """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
         here, reference = measured.position[i], self._limiter.position[i]
         if stamp - watched.looked < _LOOKED_AT:
             return
-        # From the second look on: before, it is not known how far it has come.
+        # From the second time on: before, its travel is unknown.
         if watched.looked == watched.looked:
             moved, wanted = here - watched.was, reference - watched.reference
             behind = (reference - here) * watched.ahead > watched.tolerance
@@ -343,13 +346,13 @@ class Reflexes:
         watched.looked, watched.was, watched.reference = stamp, here, reference
 
     def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:
-        """Return whether an actuator needs more effort than it does to move freely."""
+        """Return whether an actuator needs more effort than free motion does."""
         signal, threshold = measured.effort[i], watched.threshold
         watched.in_effort = signal == signal
         if signal != signal:
             if not measured.current:
                 return False
-            # Amperes cannot be compared with a threshold in newton metres: a relative one is used.
+            # A current [A] has no threshold in newton metres, so a relative one is used.
             signal, threshold = measured.current[i], 0.0
         velocity, dt = self._profile.velocity[i], stamp - watched.seen
         gain = (velocity - watched.velocity) / dt if dt > 0.0 else 0.0
@@ -357,12 +360,12 @@ class Reflexes:
         if signal != signal or velocity * watched.ahead <= 0.0:
             return False
         if abs(watched.target - measured.position[i]) <= watched.tolerance:
-            return False  # it brakes, or meets the end of its range
+            return False  # it brakes, or reaches the end of its range
         if watched.began != watched.began:
             watched.began = stamp
         free = self._free[i]
         if stamp - watched.began < _SET_OUT:
-            # Breaking loose is dry friction: the model has to know it.
+            # Overcoming static friction is a part of free motion that the model must learn.
             free.learn(signal, velocity, gain)
             return False
         if watched.by_tip and threshold > 0.0:
@@ -396,8 +399,8 @@ class Reflexes:
         if not math.isfinite(here):
             return
         if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
-            return  # it carries both sides: there is nothing to wait for
-        # At the measured position, not the reference, which has led on into the object.
+            return  # it moves both sides: there is nothing to wait for
+        # At the measured position: the reference leads on into the object.
         self._profile.seed({i: here})
         self._limiter.seed(i, here)
         self.busy.add(i)
@@ -408,11 +411,11 @@ class Reflexes:
             self.changed = True
 
     def _light(self, i: int, watched: _Watched) -> float:
-        """Return the effort that overcomes friction and presses lightly [N·m | N]."""
+        """Return the effort limit that overcomes friction and presses lightly [N·m | N]."""
         full = self._limit(i)
         if watched.limit < full:
             return watched.limit
-        # What was learned from currents is not an effort.
+        # A model learned from currents has no efforts.
         free = self._free[i].most if watched.in_effort else 0.0
         return min(free + watched.threshold, full)
 
@@ -429,14 +432,14 @@ class Reflexes:
                 touching.update(self._hand.actuators[i].fingers)
         if not touching:
             return False
-        # One finger on either side: then nothing is pushed away.
+        # With one finger on either side, nothing is pushed away.
         if approach.sides:
             return all(touching.intersection(side) for side in approach.sides)
         fingers = {f for i, _ in squeezing for f in self._hand.actuators[i].fingers}
         return len(touching) >= min(self._grasp.contact_fingers, len(fingers))
 
     def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
-        """Build up the force with all actuators that squeeze, together."""
+        """Begin to build up the force with all actuators that squeeze, together."""
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
@@ -448,10 +451,10 @@ class Reflexes:
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
-                # The slowness of the approach is for the impact alone.
+                # Only the impact needs the low speed of the approach.
                 self._profile.go({i: each.target}, velocity={i: approach.speed * spec.velocity})
             else:
-                # Its effort cannot be limited: at least it arrives slowly.
+                # Its effort cannot be limited, so it closes slowly instead.
                 top = _SLOW * self._hand.actuators[i].velocity
                 self._profile.go({i: each.target}, velocity={i: top})
             self.busy.discard(i)
@@ -473,7 +476,7 @@ class Reflexes:
         squeeze.begin(stamp)
 
     def keep(self, stamp: float, measured: Measured) -> None:
-        """Build up the force, and look after what is held; called at every tick while `active`."""
+        """Build up and maintain the force on a held object; called at every tick while `active`."""
         squeeze = self._squeeze
         if squeeze is None:
             return

@@ -13,6 +13,9 @@ from rtee.types import DeviceStatus, Event, Lifecycle, LoopStatistics, Result
 log = logging.getLogger(__name__)
 
 
+_ENDS = ("reached", "stalled", "grasped", "preempted", "cancelled", "timed_out", "aborted")
+
+
 class Tally(Observer):
     """Counts how the goals of a hand ended."""
 
@@ -20,14 +23,13 @@ class Tally(Observer):
         self.ends: Counter[str] = Counter()
 
     def on_result(self, result: Result) -> None:
-        """Count it."""
+        """Count a result."""
         self.ends["goals"] += 1
-        for truth in ("reached", "stalled", "grasped", "preempted", "cancelled", "timed_out"):
-            self.ends[truth] += getattr(result, truth)
-        self.ends["aborted"] += result.aborted
+        for flag in _ENDS:
+            self.ends[flag] += getattr(result, flag)
 
     def text(self) -> str:
-        """Return it in words."""
+        """Return the counts in words."""
         goals = self.ends["goals"]
         parts = [
             f"{count} {name.replace('_', ' ')}"
@@ -38,7 +40,7 @@ class Tally(Observer):
 
 
 def device_words(status: DeviceStatus) -> str:
-    """Return how a device is, in a few words."""
+    """Return a device's identity and lifecycle in a few words."""
     known = status.identity
     parts = [known.get("model") or status.driver]
     parts += [f"{name} {known[name]}" for name in ("firmware", "serial") if known.get(name)]
@@ -49,12 +51,12 @@ def device_words(status: DeviceStatus) -> str:
 
 
 def start_line(loop: HandLoop, log: str, network: str) -> str:
-    """Return the line that says that a hand runs.
+    """Return the line printed when a hand starts to run.
 
     Args:
         loop: The hand.
-        log: Where it is recorded.
-        network: Where it is reached.
+        log: The recording's path, in words.
+        network: The network address, in words.
     """
     hand = loop.hand
     joints, actuators = len(hand.joints), len(hand.actuators)
@@ -91,9 +93,9 @@ def statistics_line(statistics: LoopStatistics, names: Sequence[str]) -> str:
 
 
 class EventLog(Observer):
-    """Writes events to Python's log, so that they are seen where the run was started."""
+    """Writes events to Python's log, so that they appear where the run was started."""
 
     def on_event(self, event: Event) -> None:
-        """Log it."""
+        """Log an event."""
         level = {"warning": logging.WARNING, "error": logging.ERROR}
         log.log(level.get(event.severity, logging.INFO), "%s", event.text)

@@ -1,4 +1,4 @@
-"""One long-lived task whose work begins immediately, inside the call that starts it."""
+"""One long-lived task whose work begins at once, inside the call that starts it."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ Work = Coroutine[Any, Any, object]
 class Runner:
     """Runs coroutines in one task, one at a time, and abandons them at a deadline.
 
-    `start` runs a coroutine inside the call, as a part of the task, until it has to wait; then the
-    task carries on with it. Work that doesn't wait is done when `start` returns. Waking the task
-    by an `asyncio.Event` instead takes another turn of the event loop, which costs more processor
-    time than the exchange with a device that answers at once. (Python 3.12's eager tasks begin
-    like this, too, but a new task would be needed for each exchange.)
+    `start` runs a coroutine inside the call, as a part of the task, until the coroutine has to
+    wait; then the task continues it. A coroutine that doesn't wait is done when `start` returns.
+    Waking the task by an `asyncio.Event` instead takes another turn of the event loop, which costs
+    more processor time than the exchange with a device that answers at once. (Python 3.12's eager
+    tasks start in the same way, but would need a new task for each exchange.)
 
-    Deadlines are kept in the loop's time and checked at its ticks, so that they hold in simulated
-    time, too.
+    Deadlines are in the time of the hand's loop and checked at its ticks, so that they hold in
+    simulated time, too.
 
     Args:
-        now: The loop's clock [s].
+        now: The clock of the hand's loop [s].
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -46,10 +46,10 @@ class Runner:
         return self._idle.resume is not None
 
     def start(self, work: Work) -> bool:
-        """Begin with some work; return whether it is done already.
+        """Begin a coroutine; return whether it is done already.
 
         Raises:
-            RuntimeError: if the task is at work.
+            RuntimeError: if the task is busy with another one.
         """
         idle, task, outer = self._idle, self._task, asyncio.current_task()
         resume, idle.resume = idle.resume, None
@@ -57,14 +57,14 @@ class Runner:
             work.close()
             raise RuntimeError("the task is at work")
         event_loop = task.get_loop()
-        # What asyncio's documentation of custom tasks describes: tell it whose code is run.
+        # As asyncio's documentation of custom tasks describes: tell it which task is running.
         if outer is not None:
             _leave_task(event_loop, outer)
         try:
             _enter_task(event_loop, task)
             try:
-                # The first step, up to where it waits for something; in the task's own context, so
-                # that context variables are its own.
+                # The first step, until the coroutine waits; in the task's own context, for its
+                # context variables.
                 waits_for = idle.context.run(work.send, None)
             except BaseException as error:
                 # Done, or failed at once: the task stays idle.
@@ -74,7 +74,7 @@ class Runner:
                 raise
             finally:
                 _leave_task(event_loop, task)
-            # The task wakes up only to take over what the coroutine waits for, in `carry_on`.
+            # The task wakes up in `carry_on`, only to wait for the same object as the coroutine.
             self._begun = work, waits_for
             idle.context.run(resume, idle)
             return False
@@ -83,7 +83,7 @@ class Runner:
                 _enter_task(event_loop, outer)
 
     async def carry_on(self) -> None:
-        """Wait until some work was started that has to wait, and do the rest of it."""
+        """Wait until `start` has left an unfinished coroutine, and finish it."""
         self.end()
         self._task = asyncio.current_task()
         await self._idle
@@ -95,7 +95,7 @@ class Runner:
 
     @asynccontextmanager
     async def guard(self) -> AsyncIterator[None]:
-        """Let the task work; raises `TimeoutError` at a deadline."""
+        """Enforce the deadlines on the task's code: raises `TimeoutError` when one has passed."""
         try:
             async with asyncio.timeout(None) as self._timeout:
                 yield
@@ -103,7 +103,7 @@ class Runner:
             self._timeout = None
 
     def begin(self, within: float) -> None:
-        """Set the deadline of the present work, from now [s]."""
+        """Set the deadline of the present work to ``within`` seconds from now."""
         self._until = self._now() + within
 
     def end(self) -> None:
@@ -114,23 +114,23 @@ class Runner:
             timeout.reschedule(None)
 
     def check(self) -> None:
-        """Abandon the present work if it is beyond its deadline."""
+        """Abandon the present work if its deadline has passed."""
         if self._now() >= self._until:
             self.interrupt()
 
     def interrupt(self, after: float = 0.0) -> None:
-        """Abandon the present work unless it is done within a time [s] of the event loop."""
+        """Abandon the present work unless it is done ``after`` seconds of the event loop's time."""
         timeout = self._timeout
         if not self.idle and timeout is not None and not timeout.expired():
             timeout.reschedule(asyncio.get_running_loop().time() + after)
 
 
 class _Idle:
-    """What an idle task waits for: a future-like object, as asyncio accepts them.
+    """The future-like object that an idle task awaits.
 
     Attributes:
-        resume: Resumes the task; ``None`` while it does not wait.
-        context: The context of its code.
+        resume: Resumes the task; ``None`` while the task does not wait.
+        context: The context in which the task runs.
     """
 
     # The protocol of asyncio's futures: a task waits for any object that has this attribute.
@@ -169,7 +169,7 @@ class _Idle:
 
 @types.coroutine
 def _rest(work: Work, waits_for: object) -> Generator[object, None, None]:
-    """Carry on with a coroutine that was begun and waits for something."""
+    """Finish a coroutine that was begun and waits for an object."""
     while True:
         try:
             yield waits_for

@@ -1,7 +1,7 @@
-"""The loop as a service: systemd hears that it runs, and the loop's ticks feed its watchdog.
+"""The loop as a systemd service: report the state, and feed the watchdog by the loop's ticks.
 
-The protocol is that of sd_notify(3): datagrams of ``NAME=value`` lines to the socket that
-``NOTIFY_SOCKET`` names.
+The protocol is that of sd_notify(3): datagrams of ``NAME=value`` lines to the socket named by
+``NOTIFY_SOCKET``.
 """
 
 from __future__ import annotations
@@ -17,66 +17,66 @@ from rtee.sample import TickRecord
 from rtee.types import DeviceStatus, LoopStatistics
 
 FEEDS = 10
-"""Feeds in each time that the watchdog waits: a loop that hangs is found within 90 % to 100 %."""
+"""Feeds per watchdog timeout: a loop that hangs is detected after 90 % to 100 % of it."""
 
 MAX_STATUS = 1000
-"""Longest status line [characters]: a datagram is not split."""
+"""Longest status line [characters]: it must fit into one datagram."""
 
 
 class Service:
-    """Tells the service manager how the hands of this process are doing.
+    """Reports the state of this process's hands to the service manager.
 
-    It has no thread or timer: everything is sent by the ticks of the hands, so a loop that hangs
-    feeds nothing. With several hands, each must have ticked since the watchdog was last fed. A
-    message that the manager does not take at once is dropped, and sent again at a later tick.
+    It has no thread or timer: messages are sent by the ticks of the hands, so that a loop that
+    hangs does not feed the watchdog. With several hands, each must have ticked since the last feed.
+    A message that the manager does not accept at once is dropped, and sent again at a later tick.
 
     Args:
         address: The manager's socket: a path, or a name in the abstract namespace after ``@``.
-        watchdog: Time after which the manager ends a process that does not feed it [s]; 0: never.
+        watchdog: Watchdog timeout of the manager [s]; 0: none.
     """
 
     def __init__(self, address: str, watchdog: float = 0.0) -> None:
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-        self._socket.setblocking(False)  # the loop sends, and never waits for the manager
+        self._socket.setblocking(False)  # the loop must not wait for the manager
         self._every = watchdog / FEEDS
         self._hands: dict[str, str] = {}
         self._waits_for: set[str] = set()
         self._ready = False
         self._stopping = False
         self._due = 0.0
-        self._said = ""
+        self._status_sent = ""
 
     @classmethod
     def of(cls, environ: MutableMapping[str, str] = os.environ) -> Self | None:
-        """Return the service that the environment describes; ``None``: this process is not one.
+        """Return the service that the environment describes; ``None``: this process is no service.
 
-        The variables are removed: programs that this one starts are not the service.
+        Removes the variables, since programs started by this process are not the service.
         """
         address = environ.pop("NOTIFY_SOCKET", "")
-        patience = environ.pop("WATCHDOG_USEC", "")
+        timeout = environ.pop("WATCHDOG_USEC", "")
         process = environ.pop("WATCHDOG_PID", "")
         if not address.startswith(("/", "@")):
             return None
-        watched = patience.isdecimal() and process in ("", str(os.getpid()))
-        return cls(address, int(patience) * 1e-6 if watched else 0.0)
+        watched = timeout.isdecimal() and process in ("", str(os.getpid()))
+        return cls(address, int(timeout) * 1e-6 if watched else 0.0)
 
     def watch(self, name: str) -> Observer:
-        """Return what has to observe a hand; add it as the last observer.
+        """Return an observer for a hand, to be added as its last.
 
-        What runs before it in a tick must have come to its end for the tick to count.
+        A tick counts only once all other work of the tick is done.
         """
         self._hands[name] = "connecting"
         self._waits_for.add(name)
         return _Watched(name, self._ticked, self._describe)
 
     def stopping(self) -> None:
-        """Say that the hands are brought to rest: no more ticks are waited for."""
+        """Report that the hands are being brought to rest; the watchdog is no longer fed."""
         self._stopping = True
-        self._send("STOPPING=1", f"STATUS={self._said}")
+        self._send("STOPPING=1", f"STATUS={self._status_sent}")
 
     def __enter__(self) -> Self:
-        """Return it."""
+        """Return the service."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -98,11 +98,11 @@ class Service:
     def _describe(self, name: str, statuses: Sequence[DeviceStatus]) -> None:
         self._hands[name] = ", ".join(f"{each.name} {each.lifecycle}" for each in statuses)
         text = self._status()
-        if self._ready and text != self._said and self._send(f"STATUS={text}"):
-            self._said = text
+        if self._ready and text != self._status_sent and self._send(f"STATUS={text}"):
+            self._status_sent = text
 
     def _status(self) -> str:
-        text = "; ".join(f"{name}: {said}" for name, said in self._hands.items())
+        text = "; ".join(f"{name}: {state}" for name, state in self._hands.items())
         return " ".join(text.split())[:MAX_STATUS]
 
     def _send(self, *lines: str) -> bool:

@@ -1,4 +1,4 @@
-"""The settings of a loop and its devices: those of hand.yaml, and some that it does not have."""
+"""The settings of a loop and its devices: those of hand.yaml, and some fixed ones."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def usual_profile() -> ProfileKind:
 
 @dataclass(frozen=True, slots=True)
 class DeviceSettings:
-    """A device of a hand, as the supervisor needs it.
+    """The settings of a device, for its supervisor.
 
     Attributes:
-        spec: What the driver is made from.
-        reconnect_active: Activate again by itself after the link came back; else stay inactive.
+        spec: The specification of the device, for its driver.
+        reconnect_active: Whether to activate the device after reconnecting; else it stays inactive.
     """
 
     spec: DeviceSpec
@@ -42,14 +42,14 @@ class DeviceSettings:
 
 @dataclass(frozen=True, slots=True)
 class LoopSettings(LoopSection):
-    """The loop of one hand.
+    """The settings of one hand's loop.
 
     Attributes:
         profile: The profile between set-points.
-        safety: What happens when something ends or breaks.
-        thermal: Temperatures.
-        feedback_rate: Feedback is given at most this often [Hz].
-        statistics_window: Device status and loop statistics are given this often [s].
+        safety: Behaviour after the end of a run, and after the loss of clients and devices.
+        thermal: Temperature limits.
+        feedback_rate: Highest rate of feedback [Hz].
+        statistics_window: Interval of device status and loop statistics [s].
 
     Raises:
         ConfigError: if the rate is out of range.

@@ -1,4 +1,4 @@
-"""End a hand's loop: the configured behaviour, within a bounded time in any case."""
+"""End a hand's loop with the configured behaviour, always within a bounded time."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from rtee.types import Event, Goal
 log = logging.getLogger(__name__)
 
 OPEN_WITHIN = 3.0
-"""Time that opening may take at the end [s]: most hands open in less, and a service manager waits
-longer before it kills."""
+"""Time that opening may take at the end [s]: most hands open faster, and service managers wait
+longer before they kill a process."""
 
 REST_WITHIN = 0.18
-"""Time that everything else may take [s]: the devices' time to confirm, and a little for the
+"""Time that the other behaviours may take [s]: the devices' time to confirm, and a little for the
 tasks."""
 
 
 async def bring_to_rest(
     loop: HandLoop, behaviour: Behaviour, reason: str, *, ticking: bool = True
 ) -> list[tuple[str, bool]]:
-    """Bring a hand to rest before its loop ends. Can't raise, can't be cancelled, ends in time.
+    """Bring a hand to rest before its loop ends. Cannot raise or be cancelled; ends in time.
 
     Args:
         loop: The hand.
-        behaviour: What to do.
+        behaviour: The behaviour to apply.
         reason: Why, for the log.
-        ticking: Whether the hand still gets its ticks; else it can't open, and is stopped.
+        ticking: Whether the loop still ticks; else the hand can't open, and is stopped.
 
     Returns:
         Every device with whether it confirmed.
     """
     confirmed = dict.fromkeys(loop.devices, False)
-    # The run is being cancelled: without a shield, the first await would end this.
+    # The run is being cancelled: without the shield, the first await would raise.
     with anyio.CancelScope(shield=True):
         try:
             if behaviour is Behaviour.OPEN:
-                # Opened, it holds there; what could not open is stopped, wherever it is.
+                # An opened hand holds its posture; one that could not open is stopped.
                 opened = ticking and await _open(loop)
                 behaviour = Behaviour.HOLD if opened else Behaviour.STOP
             with anyio.move_on_after(REST_WITHIN):
@@ -53,7 +53,7 @@ async def bring_to_rest(
                         confirmed |= dict(await loop.stop(reason))
                     case _:
                         confirmed |= dict(await loop.keep(reason))
-            if behaviour is not Behaviour.STOP:  # which reports it by itself
+            if behaviour is not Behaviour.STOP:  # `HandLoop.stop` reports itself
                 _report(loop, behaviour, reason, confirmed)
         except Exception:
             log.exception("%s could not be brought to rest (%s)", loop.name, behaviour)

@@ -21,26 +21,28 @@ _SIGNALS = [
 ]
 
 _LOOK_EVERY = 0.5
-"""Time between two looks whether the run beside which a program works is still there [s]."""
+"""Interval at which a companion checks whether its run still exists [s]: short beside a person's
+patience, and no load."""
 
 Signals = AsyncIterator[signal.Signals] | None
-"""Signals as they arrive; ``None`` outside of the main thread, which alone receives them."""
+"""Iterator over received signals; ``None`` outside of the main thread, which alone receives
+them."""
 
 
 def receive_signals() -> AbstractContextManager[Signals]:
-    """Receive the signals that end a run; one that arrives before it is awaited is kept."""
+    """Receive the signals that end a run; signals are kept until they are awaited."""
     if threading.current_thread() is not threading.main_thread():
         return nullcontext()
     return anyio.open_signal_receiver(*_SIGNALS)
 
 
 async def wait_for_end(duration: float | None, until: anyio.Event, signals: Signals) -> str:
-    """Wait for a signal, the end of a duration or an event; return in words what it was.
+    """Wait for a signal, the end of a duration or an event; return the reason in words.
 
     Args:
-        duration: How long to wait at most [s]; ``None``: without end.
+        duration: Longest time to wait [s]; ``None``: without limit.
         until: Ends the wait when it is set; it is always set afterwards.
-        signals: The signals received.
+        signals: The received signals.
     """
     reasons: list[str] = []
 
@@ -65,7 +67,7 @@ async def wait_for_end(duration: float | None, until: anyio.Event, signals: Sign
 
 
 _END_WITHIN = 2.0
-"""Time that a program beside the run has to end by itself [s]: the GUI needs some tenths."""
+"""Time that a companion has to end after SIGTERM [s]: the GUI needs some tenths of a second."""
 
 
 async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
@@ -93,7 +95,7 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
             process.terminate()
             with anyio.move_on_after(_END_WITHIN, shield=True):
                 await process.wait()
-        if process.returncode is None:  # it did not listen; the hand must not wait for it
+        if process.returncode is None:  # it ignored SIGTERM; the hand must not wait for it
             with suppress(ProcessLookupError):
                 process.kill()
         with anyio.CancelScope(shield=True):
@@ -101,24 +103,25 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
 
 
 def beside_this_run(*words: str) -> tuple[str, ...]:
-    """Return the line of an `rtee` command that works beside this process and ends with it.
+    """Return the command line of an `rtee` command that runs beside this process, ending with it.
 
     Args:
-        words: The command and its arguments; it has the option ``--beside`` for `work_beside`.
+        words: The command and its arguments; it must have the option ``--beside``; see
+            `work_beside`.
     """
     return (sys.executable, "-m", "rtee", *words, "--beside", str(os.getpid()))
 
 
 async def work_beside(run: int | None, work: Callable[[], Awaitable[object]]) -> None:
-    """Work until the run that has started this process is gone, even if it was killed.
+    """Await ``work`` until the run that started this process has ended, even if it was killed.
 
     Args:
-        run: Identifier of the run's process; ``None``: work until cancelled.
-        work: What to do; it is cancelled at the end.
+        run: Process id of the run; ``None``: work until cancelled.
+        work: The work to do, which is cancelled at the end.
     """
 
     async def end(scope: anyio.CancelScope) -> None:
-        while os.getppid() == run:  # noqa: ASYNC110 - nobody tells it
+        while os.getppid() == run:  # noqa: ASYNC110 - there is no event for this
             await anyio.sleep(_LOOK_EVERY)
         scope.cancel()
 
@@ -128,7 +131,7 @@ async def work_beside(run: int | None, work: Callable[[], Awaitable[object]]) ->
             group.start_soon(end, group.cancel_scope)
         try:
             await work()
-        except Exception as error:  # a task group would wrap it, which hides a user's mistake
+        except Exception as error:  # a task group would wrap it, and hide a user's mistake
             failure = error
         group.cancel_scope.cancel()
     if failure is not None:

@@ -1,4 +1,4 @@
-"""Actuators that squeeze something together: build up the force, ease it, and answer slips."""
+"""Squeeze an object with several actuators: build up the force, ease it, and answer slips."""
 
 from __future__ import annotations
 
@@ -14,63 +14,68 @@ from rtee.loop.profiles import Profile
 from rtee.types import Event
 
 _SETTLE = 0.15
-"""After a change of force, fingers and object get this time to come to rest [s]: some exchanges of
-the slowest device."""
+"""Time for fingers and object to come to rest after a change of force [s]: some exchanges of the
+slowest device."""
 
 _EASE_EVERY = 0.5
-"""A grasp is eased by one step this often [s]: long enough for a slip to show before the next."""
+"""Interval of the steps by which a grasp is eased [s]: long enough for a slip to show before the
+next step."""
 
 _EASE_STEP = 0.05
-"""Share of the goal's effort limits by which it is eased: small, since friction gives no
+"""Size of these steps as a share of the goal's effort limits: small, since friction gives no
 warning."""
 
 _SLIP_STEP = 0.25
-"""Share of the goal's effort limits by which a slip raises the effort at least; a slip ends within
-a few steps, or what is held is gone."""
+"""Least increase of the effort after a slip, as a share of the goal's effort limits: the slip ends
+within a few steps, or the object is gone."""
 
 _SLIP_SHARE = 0.5
-"""Or by this share of the present effort, if that is more: a load that grows is overtaken."""
+"""Increase of the effort after a slip as a share of the present effort, if that is more: it
+overtakes a growing load."""
 
 _CREEP = 0.5
 """An actuator creeps when it closes further by this share of its tolerance while it holds: more
-than noise, before the grasp counts as lost."""
+than noise, and before the grasp counts as lost."""
 
 _LOAD = 1.15
-"""Something pulls at the object when the force on a finger is above this share of what it was:
-sensors also measure what pulls along the fingertip, before it slips."""
+"""An external force pulls at the object when the force on a finger exceeds its former value by this
+factor: sensors also measure the pull along the fingertip, before a slip."""
 
 _DROP = 0.7
-"""A force has dropped when it is below this share of what it was: sensors are within 10 % or so."""
+"""A force has dropped when it is below this share of its former value: sensors are accurate to
+some 10 %."""
 
-_TOLD_EVERY = 0.5
+_REPORT_EVERY = 0.5
 """Slips are reported at most this often [s]: one event for people, not one for each step."""
 
 _FOLLOW = 0.1
-"""Time constant with which a measured force is brought to the one that was asked for [s]: slower
-than motors answer, so that nothing oscillates."""
+"""Time constant with which the measured force is brought to the requested one [s]: slower than
+motors respond, so that nothing oscillates."""
 
 _AT_LIMIT = 0.9
-"""From this share of its effort limit on, an actuator is at it."""
+"""An actuator counts as at its effort limit from this share of it on: measured efforts scatter."""
 
 _THERE = 0.02
-"""A force that is off by less than this share of the one that was asked for is there."""
+"""The force has arrived when its error is below this share of the requested force, which is less
+than the error of sensors."""
 
 _CORRECTED = 3.0
-"""It is corrected for this long at most after the fingers have come to rest [s]."""
+"""Longest time for which the force is corrected after the fingers have come to rest [s]: thirty
+time constants."""
 
 _BELIEVED = 2.0
-"""A measured force changes effort limits by this factor at most: sensors break, too."""
+"""Largest factor by which a measured force changes the effort limits: sensors break, too."""
 
 _FELT = 0.5
-"""Below this share of the force that was asked for, nothing is corrected: what is held is lost, or
-only a part of the force is felt."""
+"""Below this share of the requested force, nothing is corrected: the object is lost, or the sensors
+measure only a part of the force."""
 
 _CONFIRMED = 2
-"""A force has changed in this many measurements in succession: a single one may be noise."""
+"""Measurements in succession that must show a change of force: a single one may be noise."""
 
 
 def finger_forces(hand: Hand, i: int, measured: Measured) -> list[float]:
-    """Return the forces on the fingers of an actuator [N]; empty: none are measured."""
+    """Return the forces on the fingers of an actuator [N]; empty if none are measured."""
     names = hand.finger_names
     if len(measured.touch) != len(names):
         return []
@@ -84,10 +89,10 @@ class Held:
     Attributes:
         start: Effort limit to begin with [N·m | N].
         full: Effort limit at level 1 [N·m | N].
-        position: Its position then [rad | m]; ``NaN``: it has not come to rest.
-        effort: The size of its effort then [N·m | N].
-        touch: The force on its fingers then [N].
-        low: Measurements in succession with another force.
+        position: Position at rest [rad | m]; ``NaN``: it has not come to rest.
+        effort: Size of the effort at rest [N·m | N].
+        touch: Force on its fingers at rest [N].
+        low: Number of successive measurements with another force.
     """
 
     start: float
@@ -103,22 +108,22 @@ class Squeeze:
 
     Args:
         hand: The hand.
-        grasp: Times and the least effort.
-        profile: Says where the actuators are going.
-        contact: Says whether they hold something.
+        grasp: Settings for times and efforts.
+        profile: Has the targets of the actuators.
+        contact: Detects whether the actuators hold an object.
         report: Called with events.
         held: The actuators, by index.
-        floor: Least level of effort that holding is eased to; 1: the effort limits of the goal.
-        most: Highest level that a slip raises it to.
+        floor: Least level of effort to ease to; 1: the effort limits of the goal.
+        most: Highest level of effort after slips.
 
     Attributes:
         held: The actuators, by index.
         effort: Their effort limits [N·m | N].
-        built: The force has been built up.
-        answers_slips: Slips are answered and reported.
-        force: The force that was asked for [N]; ``NaN``: none was.
-        grip: Tells the force that is measured at the fingertips, if it is.
-        pressing: Those of the actuators whose effort makes the force.
+        built: Whether the force has been built up.
+        answers_slips: Whether slips are answered and reported.
+        force: The requested force [N]; ``NaN``: none.
+        grip: Computes the force measured at the fingertips, for a requested force.
+        pressing: The actuators whose effort makes the force.
     """
 
     def __init__(
@@ -146,7 +151,7 @@ class Squeeze:
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._before = self._enough = self._settled = self._ease = math.inf
-        self._told_at, self._told_limit = -math.inf, False
+        self._reported_at, self._reported_limit = -math.inf, False
 
     def forget(self, i: int) -> None:
         """Forget an actuator."""
@@ -159,11 +164,11 @@ class Squeeze:
         self._since = self._before = self._enough = stamp
 
     def step(self, stamp: float, measured: Measured) -> bool:
-        """Do one tick; return whether ``effort`` has changed.
+        """Run one tick; return whether ``effort`` has changed.
 
         Args:
             stamp: Now [s].
-            measured: What was measured.
+            measured: The measured state.
         """
         if not self.built:
             self._build(stamp, measured)
@@ -179,13 +184,13 @@ class Squeeze:
             return False
         if stamp < self._settled:
             for held in self.held.values():
-                # What is measured while the force changes is not a reference for slips.
+                # Measurements while the force changes are no reference for slips.
                 held.position = math.nan
             return False
         for i, held in self.held.items():
             if measured.fresh[i] and self._slips(i, held, measured):
-                # One at a time: the level is common to all, and they settle again before the next
-                # look.
+                # One slip at a time: the level is common to all actuators, which settle again
+                # before the next check.
                 self._raise(i, stamp)
                 return True
         if self._level > self._floor and stamp >= self._ease:
@@ -194,11 +199,11 @@ class Squeeze:
         return False
 
     def _correct(self, grip: Grip, stamp: float, measured: Measured) -> bool:
-        """Bring the force that sensors measure to the one that was asked for.
+        """Bring the force that sensors measure to the requested one; return whether it changed.
 
-        Adaptive fingers bend and touch elsewhere than the levers have it. Without sensors at the
-        fingertips of both sides, the levers count alone. Once the force is there, it is corrected
-        no more: what pulls at the object is felt, too, and must not loosen the grasp.
+        Adaptive fingers bend, and touch elsewhere than the levers assume. Without sensors at the
+        fingertips of both sides, only the levers count. Once the force has arrived, it is no longer
+        corrected: sensors also measure external forces, which must not loosen the grasp.
         """
         felt = grip.tip_force(measured.touch)
         time, self._corrected = stamp - self._corrected, stamp
@@ -217,25 +222,26 @@ class Squeeze:
             return False
         factor = self._factor
         if felt > wanted:
-            # Where the limit is not reached yet, lowering it would do nothing for a while.
+            # Below its limit, an actuator would not respond until the limit was lowered to its
+            # effort: start from there.
             factor = min([factor, *(self._exerted(i, measured) for i in self.pressing)])
         elif not still:
-            return False  # still on the way to the present limit
+            return False  # the efforts are still rising to the present limit
         factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
         self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
         self._apply()
         return True
 
     def _exerted(self, i: int, measured: Measured) -> float:
-        """Return what an actuator exerts as a share of its effort limit without correction."""
+        """Return an actuator's effort as a share of its effort limit without correction."""
         share = abs(measured.effort[i]) / (self._level * self.held[i].full)
         return share if share == share else math.inf
 
     def _build(self, stamp: float, measured: Measured) -> None:
         time = self._grasp.squeeze_time
         enough = self.grip is not None and self.grip.tip_force(measured.touch) >= self.force
-        # Fingers that meet the object hit it with more force than they press with: the effort waits
-        # for that to pass, and only a force that lasts is there.
+        # The impact of the fingers exceeds the force they press with: the build-up waits until the
+        # impact has passed, and only a lasting force counts.
         if enough:
             self._since += stamp - self._before
         else:
@@ -247,7 +253,7 @@ class Squeeze:
             self.effort[i] = held.start + share * (held.full - held.start)
         if share >= 1.0 or there:
             self.built = True
-            if there:  # with less effort than the levers have it
+            if there:  # with less effort than the levers predict
                 shares = (self._exerted(i, measured) for i in self.pressing)
                 self._factor = max(min(shares, default=1.0), 1.0 / _BELIEVED)
                 self._factor = min(self._factor, 1.0)
@@ -258,7 +264,7 @@ class Squeeze:
                 self._contact.unpin(i, stamp)
 
     def _slips(self, i: int, held: Held, measured: Measured) -> bool:
-        """Return whether the object that an actuator holds seems to slip, or is pulled."""
+        """Return whether the object of an actuator seems to slip, or to be pulled."""
         position, effort = measured.position[i], abs(measured.effort[i])
         forces = finger_forces(self._hand, i, measured)
         touch = sum(forces) if forces else math.nan
@@ -274,16 +280,16 @@ class Squeeze:
         return held.low >= _CONFIRMED
 
     def _raise(self, i: int, stamp: float) -> None:
-        """Answer a slip: more effort, which is not eased again."""
+        """Answer a slip by more effort, and report it."""
         before = self._level
         level = min(before + max(_SLIP_STEP, _SLIP_SHARE * before), self._most)
-        # Eased again, it would slip again.
+        # Never eased below this again: the object would slip again.
         self._floor = max(self._floor, level)
         self._set_level(level, stamp)
         limited = level <= before
-        if stamp - self._told_at < _TOLD_EVERY or (limited and self._told_limit):
+        if stamp - self._reported_at < _REPORT_EVERY or (limited and self._reported_limit):
             return
-        self._told_at, self._told_limit = stamp, self._told_limit or limited
+        self._reported_at, self._reported_limit = stamp, self._reported_limit or limited
         actuator = self._hand.actuators[i]
         who = ", ".join(actuator.fingers) or actuator.name
         does = "the force is at its limit" if limited else "the force is raised"

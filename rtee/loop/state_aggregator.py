@@ -24,26 +24,26 @@ from rtee.sample import (
 from rtee.touch import TouchState
 from rtee.types import readonly
 
-_WORDS = {None: -1, False: 0, True: 1}
+_GRASPED = {None: -1, False: 0, True: 1}  # a device's report, as `Measured.grasped` has it
 
 
 class StateAggregator:
-    """Merges what the devices measured; arrays it has handed out never change.
+    """Merges the states of all devices; published arrays are never changed, but replaced.
 
-    A position that is not measured any more keeps its last value; before the first measurement it
-    is ``NaN``.
+    A position that is no longer measured keeps its last value; before the first measurement it is
+    ``NaN``.
 
     Args:
         devices: The devices, which together have every actuator once.
-        touch: Gathers what their touch sensors measure.
+        touch: Gathers the readings of their touch sensors.
 
     Attributes:
-        sample: What is measured of all actuators.
-        grasped: What the devices themselves report ``(n,)``: 1 holding, 0 not, -1 nothing.
-        fresh: Whether measured since the call before ``(n,)``.
-        channels: Further channels, ``device/channel``; what touch sensors measure on the fingers
-            is one of them.
-        measured: The same as lists, for the controller.
+        sample: The measured quantities of all actuators.
+        grasped: The devices' own reports ``(n,)``: 1 holding, 0 not holding, -1 no report.
+        fresh: Whether each actuator was measured since the last `collect` ``(n,)``.
+        channels: Further channels by ``device/channel``, among them the forces that touch sensors
+            measure on the fingers.
+        measured: The same measurements as lists, for the controller.
     """
 
     def __init__(self, devices: Sequence[Supervisor], touch: TouchGatherer) -> None:
@@ -68,7 +68,7 @@ class StateAggregator:
 
     @property
     def touch(self) -> Mapping[str, TouchState]:
-        """What touch sensors measured last, by device."""
+        """The newest states of the touch sensors, by device."""
         return self._touch.states
 
     def channels_with(self, stream: StreamPlayer | None) -> Mapping[str, FloatArray]:
@@ -76,10 +76,10 @@ class StateAggregator:
         return self.channels if stream is None else {**self.channels, **stream.channels}
 
     def collect(self, stamp: float = -math.inf) -> None:
-        """Merge the states that came since the last call.
+        """Merge the states that arrived since the last call.
 
         Args:
-            stamp: Now [s]; what is older by `STALE_AFTER` becomes stale.
+            stamp: Now [s]; touch readings that are older by `STALE_AFTER` become stale.
         """
         new = 0
         for k, device in enumerate(self._devices):
@@ -87,7 +87,7 @@ class StateAggregator:
             state = link.state
             if state is not None and link.states != self._seen[k]:
                 self._seen[k] = link.states
-                # One bit for each device: the flags of each combination are made once.
+                # One bit for each device, so that the flags of each combination are made once.
                 new |= state.fresh << k
                 self._merge(k, state)
         for name in self._touch.outdate(stamp):
@@ -103,18 +103,18 @@ class StateAggregator:
         return all(map(math.isfinite, (self.measured.position[i] for i in device.indices)))
 
     def where(self, device: Supervisor) -> NDArray[np.intp] | None:
-        """Return the hand's indices of a device's actuators, ``None`` if it has all, in order."""
+        """Return the hand's indices of a device's actuators; ``None``: all of them, in order."""
         return None if self._whole else self._where[device.name]
 
     def _flags(self, devices: int) -> tuple[BoolArray, list[bool]]:
-        found = self._fresh.get(devices)
-        if found is None:
+        cached = self._fresh.get(devices)
+        if cached is None:
             flags = np.zeros(sum(len(i) for i in self._indices), dtype=np.bool_)
             for k, indices in enumerate(self._indices):
                 flags[indices] = bool(devices >> k & 1)
             flags.flags.writeable = False
-            found = self._fresh[devices] = (flags, flags.tolist())
-        return found
+            cached = self._fresh[devices] = (flags, flags.tolist())
+        return cached
 
     def _merge(self, k: int, state: ActuatorState) -> None:
         measured, before = self.measured, self.sample
@@ -124,25 +124,25 @@ class StateAggregator:
             pairs = zip(measured_arrays(before), measured_arrays(state), strict=True)
             sample = Measurements(*(_put(old, where, new) for old, new in pairs))
         measured.update(sample, before)
-        # One sum finds any NaN or infinity, and is much faster than asking each value.
+        # One sum finds any NaN or infinity, and is much faster than testing each value.
         total = sum(measured.position)
-        if total - total != 0.0:  # something in it is not finite
+        if total - total != 0.0:  # a position is not finite
             position = np.where(np.isfinite(sample.position), sample.position, before.position)
             sample = replace(sample, position=position)
             measured.position = position.tolist()
         self.sample = sample
         if state.grasped is not None:
             grasped = self.grasped.copy()
-            grasped[self._indices[k]] = [_WORDS[word] for word in state.grasped]
+            grasped[self._indices[k]] = [_GRASPED[report] for report in state.grasped]
             self.grasped = grasped
             measured.grasped = grasped.tolist()
         name, extras = self._devices[k].name, state.extras
         if state.touch is not None:
             self._touch.take(name, self._devices[k].driver.capabilities, state.touch)
         felt = self._touch.forces.get(name)
-        # What the device itself says of its fingers goes before the sum of its taxels.
+        # The device's own forces on its fingers take precedence over the sums of its taxels.
         if felt is not None and TIP_FORCE not in extras:
-            # Most states come without a new reading and without anything further.
+            # Most states have neither a new touch reading nor new channels.
             known = self._by_taxels.get(name)
             if known is not None and known[0] is extras and known[1] is felt:
                 return
@@ -154,7 +154,7 @@ class StateAggregator:
     def _keep_extras(self, name: str, extras: Mapping[str, FloatArray]) -> None:
         """Keep the further channels of a device."""
         self.measured.touch = self._felt(name, extras)
-        # After `_felt`, which looks at the others' as they are.
+        # After `_felt`, which still needs the other devices' channels only.
         self._extras[name] = extras
         self.channels = {
             f"{device}/{channel}": values
@@ -163,12 +163,12 @@ class StateAggregator:
         }
 
     def _felt(self, device: str, extras: Mapping[str, FloatArray]) -> list[float]:
-        """Return the forces on the fingers, each from the device that measures it."""
-        found = [extras[TIP_FORCE]] if TIP_FORCE in extras else []
+        """Return the forces on the fingers [N], each from the device that measures it."""
+        forces = [extras[TIP_FORCE]] if TIP_FORCE in extras else []
         for other, channels in self._extras.items():
             if other != device and TIP_FORCE in channels:
-                found.append(channels[TIP_FORCE])
-        return tip_forces(found)
+                forces.append(channels[TIP_FORCE])
+        return tip_forces(forces)
 
 
 def _put(into: FloatArray, where: NDArray[np.intp], values: FloatArray) -> FloatArray:

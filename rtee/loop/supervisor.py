@@ -1,4 +1,4 @@
-"""The task that supervises one device: exchanges with it and serves the requests of others."""
+"""The task that supervises one device: it exchanges references and states, and serves requests."""
 
 from __future__ import annotations
 
@@ -32,11 +32,12 @@ class _Request:
 
 
 class Supervisor:
-    """Supervises one device: a long-lived task, the only one to call the device's driver.
+    """Supervises one device in a long-lived task, which alone calls the device's driver.
 
-    At a tick the loop reads the connection's state and calls `exchange`; neither waits. A driver
-    that answers at once is done when `exchange` returns; for any other the task waits. While an
-    exchange is under way, further ones are counted as overruns. All time comes from the ticks.
+    At a tick the loop reads the connection's state and calls `exchange`; neither waits. With a
+    driver that answers at once, the exchange is done when `exchange` returns; otherwise the task
+    waits for the answer. Further exchanges meanwhile count as overruns. All time comes from the
+    ticks.
 
     Args:
         settings: The device.
@@ -52,7 +53,7 @@ class Supervisor:
         actuators: Names of its actuators.
         indices: The hand's indices of its actuators.
         connection: The link to it, with its state.
-        muted: No references are sent, only the state is read.
+        muted: Whether only the state is read, and no references are sent.
     """
 
     def __init__(
@@ -82,26 +83,26 @@ class Supervisor:
 
     @property
     def lifecycle(self) -> Lifecycle:
-        """Its state."""
+        """State of the device."""
         return self.connection.lifecycle
 
     @property
     def active(self) -> bool:
-        """Whether it may be moved."""
+        """Whether the device may be moved."""
         return self.connection.lifecycle is Lifecycle.ACTIVE
 
     async def ready(self) -> None:
-        """Wait until it has tried to connect once.
+        """Wait until the first attempt to connect is over.
 
         Raises:
-            UserError: if it can't ever be connected by a mistake of the user.
+            UserError: if a mistake in the configuration keeps the device from ever connecting.
         """
         await self.connection.tried.wait()
         if self.connection.mistake is not None:
             raise self.connection.mistake
 
     def status(self) -> DeviceStatus:
-        """Return how it is doing."""
+        """Return the status of the device."""
         now, link = self._now(), self.connection
         counters, fault = link.counters, link.fault
         gains, known = self.driver.capabilities.gains, self.driver.gains()
@@ -134,17 +135,17 @@ class Supervisor:
     # --- at a tick ---------------------------------------------------------------------------
 
     def due(self, tick: int) -> bool:
-        """Return whether it is this device's turn; called once per tick."""
+        """Return whether an exchange is due at a tick; called once per tick."""
         if tick < self._next_due:
             return False
         every = self.connection.every
-        # Counted from multiples, not from the last turn: after a missed tick, devices keep their
-        # phase.
+        # At multiples, not counted from the last exchange: devices keep their phase after a missed
+        # tick.
         self._next_due = tick - tick % every + every
         return True
 
     def exchange(self, reference: Reference | None) -> None:
-        """Do one exchange: read the state, then send the reference if there is one."""
+        """Run one exchange: read the state, then send the reference if there is one."""
         link, runner = self.connection, self._runner
         if self.driver.doing != self._doing:
             self._report_doing()
@@ -162,7 +163,7 @@ class Supervisor:
                 runner.begin(link.deadline)
 
     def _report_doing(self) -> None:
-        """Report what the driver has begun to do; of several steps, the first as a warning."""
+        """Report what the driver has begun to do; only the first of several steps is a warning."""
         before, self._doing = self._doing, self.driver.doing
         if self._doing:
             self._report("device_busy", f"is {self._doing}", "info" if before else "warning")
@@ -179,8 +180,7 @@ class Supervisor:
                         if not link.tried.is_set():
                             await link.connect()
                         while True:
-                            # Before waiting: a request may have come while an exchange was under
-                            # way.
+                            # Before waiting: a request may have arrived during an exchange.
                             await self._serve_requests()
                             await runner.carry_on()
                 except TimeoutError:
@@ -193,7 +193,7 @@ class Supervisor:
                 await link.close()
 
     async def _overdue(self) -> None:
-        """Deal with work that took longer than its deadline and was abandoned."""
+        """Handle work that exceeded its deadline and was abandoned."""
         self._exchanging = False
         self._runner.end()
         self.connection.tried.set()
@@ -202,32 +202,32 @@ class Supervisor:
         else:
             await self.connection.failed(BusTimeout(self.name, "no answer within the deadline"))
 
-    # --- requests, done between two exchanges ------------------------------------------------
+    # --- requests, served between two exchanges ----------------------------------------------
 
     async def stop(self, within: float) -> bool:
-        """Stop the device now, and again if there was no answer; cannot raise.
+        """Stop the device, and repeat that if there was no answer; cannot raise.
 
         Args:
-            within: Time it may take [s].
+            within: Time that the stop may take [s].
 
         Returns:
-            Whether the device still answered afterwards.
+            Whether the device answered after the stop.
         """
         return await self._confirmed("stop", self._stop, within)
 
     async def disable(self, within: float) -> bool:
-        """Disable the device; it is limp and inactive afterwards. Returns as `stop`."""
+        """Disable the device, which leaves it limp and inactive. Returns the same as `stop`."""
         return await self._confirmed("disable", self._disable, within)
 
     async def hold(self, reference: Reference | None, within: float) -> bool:
-        """Send one last reference: the given one, else where it is. Returns as `stop`."""
+        """Send a last reference; ``None``: the measured posture. Returns the same as `stop`."""
         return await self._confirmed("hold", lambda: self._send_last(reference), within)
 
     async def recover(self) -> None:
-        """Bring it out of a fault, or connect and activate it; it starts where it is measured.
+        """Bring the device out of a fault, or connect and activate it, without moving it.
 
         Raises:
-            RteeError: if it does not work, or was interrupted by a stop.
+            RteeError: if the device cannot be recovered, or a stop has interrupted the recovery.
         """
         await self._ask("recover", self.connection.recover)
 
@@ -235,8 +235,8 @@ class Supervisor:
         """Change gains of the device.
 
         Raises:
-            DriverError: if it has no such gain.
-            RteeError: if the device doesn't take them.
+            DriverError: if the device has no such gain.
+            RteeError: if the device refuses them.
         """
         known = self.driver.capabilities.gains
         for name in gains:
@@ -258,7 +258,7 @@ class Supervisor:
     async def _send_last(self, reference: Reference | None) -> bool:
         state = await patiently(self.driver.sense)
         self.connection.accept(state)
-        # Inactive: it would refuse a reference, and does not move anyway.
+        # An inactive device would refuse the reference, and does not move anyway.
         if not self.active:
             return False
         last = Reference.at(state.position) if reference is None else reference
@@ -268,12 +268,12 @@ class Supervisor:
     async def _confirmed(
         self, name: str, action: Callable[[], Awaitable[bool | None]], within: float
     ) -> bool:
-        """Do something before all else; return whether it was done in time."""
-        # There is no link to send anything over: not confirmed.
+        """Serve a request before all others; return whether it was served in time."""
+        # Without a link nothing can be confirmed.
         if self.lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.CLOSED):
             return False
-        # The exchange under way gets a third of the time: cut short, its answer would come in
-        # between.
+        # A running exchange gets a third of the time to end: if it were cut short, its answer would
+        # arrive in the midst of the request.
         self._runner.interrupt(within / 3)
         try:
             async with asyncio.timeout(within):
@@ -286,12 +286,12 @@ class Supervisor:
     async def _ask(
         self, name: str, action: Callable[[], Awaitable[Any]], *, first: bool = False
     ) -> Any:
-        """Let the device's task do something; return its result or raise its error.
+        """Have the device's task serve a request; return its result or raise its error.
 
         Args:
-            name: What it is, for messages.
-            action: What to do.
-            first: Do it before what is waiting already.
+            name: Name of the request, for messages.
+            action: Called by the task.
+            first: Whether to serve it before the requests that wait already.
         """
         if self._closed is not None:
             raise self._closed
@@ -305,11 +305,11 @@ class Supervisor:
         return await request.answer
 
     async def _serve_requests(self) -> None:
-        """Serve the requests that wait; an action's exception goes to its caller."""
+        """Serve the waiting requests; exceptions are raised in their callers."""
         while self._requests:
             request = self._requests.popleft()
             answer = request.answer
-            # Its caller has given up waiting.
+            # The caller has given up.
             if answer.cancelled():
                 continue
             self._exchanging = False

@@ -1,4 +1,4 @@
-"""Watch temperatures: warn, derate, disable; and tell a broken sensor from a hot motor."""
+"""Watch temperatures: warn, derate, disable; and distinguish a broken sensor from a hot motor."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _CONFIRM = 0.5
 last."""
 
 _AGAIN = 1.0
-"""An actuator that is too hot and driven all the same is disabled again after this time [s]: its
-device did not answer, or somebody has recovered it. Longer than a level takes to count, so that
-one that has cooled meanwhile is left alone."""
+"""An actuator that is too hot but still driven is disabled again after this time [s]: its device
+did not answer, or somebody has recovered it. Longer than `_CONFIRM`, so that an actuator that has
+cooled meanwhile is left alone."""
 
 _HYSTERESIS = 2.0
-"""A level is left this far below its threshold [K], more than the resolution of 1 K of most
+"""A level ends this far below its threshold [K]: more than the resolution of 1 K of most
 sensors."""
 
 _LEAST = 0.1
-"""Derating leaves this fraction of the effort limit until the device is disabled: what is held
-still has a chance not to fall."""
+"""Derating leaves at least this fraction of the effort limit until the device is disabled: a held
+object may not fall."""
 
 
 class Level(IntEnum):
@@ -55,7 +55,7 @@ class Level(IntEnum):
                 return f"{name} is cool"
 
 
-_SAYING = {
+_EVENTS = {
     Level.OK: ("is cool again:", "info"),
     Level.WARN: ("is warm:", "warning"),
     Level.DERATE: ("is hot and gets less effort:", "warning"),
@@ -67,12 +67,12 @@ _RISING = (Level.WARN, Level.DERATE, Level.DISABLE)
 
 @dataclass(frozen=True, slots=True)
 class ThermalChange:
-    """An actuator reached another level, or is still too hot though it is driven.
+    """An actuator reached another level, or is still driven though it is too hot.
 
     Attributes:
         index: The actuator.
-        level: Its level now.
-        temperature: What was measured [°C].
+        level: Its present level.
+        temperature: Its temperature [°C].
     """
 
     index: int
@@ -85,16 +85,16 @@ class ThermalChange:
         Args:
             name: The actuator's name.
             stamp: Now [s].
-            estimated: The temperature was not measured.
+            estimated: Whether the temperature was estimated, not measured.
         """
-        text, severity = _SAYING[self.level]
+        text, severity = _EVENTS[self.level]
         text = f"{name} {text} {self.temperature:.0f} °C"
         text += ", estimated from its current" if estimated else ""
         return Event("thermal", name, text, stamp, severity)
 
 
 class Thermal:
-    """Follows the temperature of every actuator that has one; pure.
+    """Evaluates the temperatures of a hand's actuators; pure.
 
     Args:
         settings: The thresholds.
@@ -102,7 +102,7 @@ class Thermal:
 
     Attributes:
         level: Level of each actuator.
-        factor: What is left of its effort limit, 0.1 to 1.
+        factor: Factor on each actuator's effort limit, 0.1 to 1.
     """
 
     def __init__(self, settings: ThermalSettings, size: int) -> None:
@@ -124,15 +124,15 @@ class Thermal:
     def step(
         self, stamp: float, temperature: Sequence[float], driven: Sequence[bool] = ()
     ) -> list[ThermalChange]:
-        """Evaluate what was measured; return the actuators whose level changed.
+        """Evaluate temperatures; return the actuators whose level changed.
 
-        Those among them that are too hot are to be disabled, and are returned again as long as they
-        are not.
+        The caller must disable those at the level `Level.DISABLE`, which are returned repeatedly
+        until they are disabled.
 
         Args:
             stamp: Now [s].
             temperature: Temperatures [°C]; ``NaN``: not measured.
-            driven: Whether an actuator's device may be moved; empty: none.
+            driven: Whether each actuator's device is active; empty: none is.
         """
         changes: list[ThermalChange] = []
         for i, celsius in enumerate(temperature):
@@ -160,14 +160,14 @@ class Thermal:
         low, high = PLAUSIBLE
         if not low <= celsius <= high:
             return Level.INVALID
-        found = Level.OK
+        reached = Level.OK
         thresholds = (self._settings.warn, self._settings.derate, self._settings.disable)
         for level, threshold in zip(_RISING, thresholds, strict=True):
             # INVALID is the highest number, but not the hottest level.
             keep = _HYSTERESIS if present is not Level.INVALID and present >= level else 0.0
             if celsius >= threshold - keep:
-                found = level
-        return found
+                reached = level
+        return reached
 
     def _factor(self, level: Level, celsius: float, before: float) -> float:
         if level in (Level.OK, Level.WARN):

@@ -16,12 +16,12 @@ DEFAULTS = "defaults"
 class CurrentHeat:
     """Estimates the temperature of actuators from their current (I²t).
 
-    The rise θ above the surroundings follows τ·θ′ = θ₁·(I / I₁)² − θ: losses grow with the square
-    of the current, and what is lost to the surroundings with the temperature. At the nominal
-    current I₁, which the motor may carry continuously, θ settles at θ₁, just at ``warn``.
+    The rise θ above the ambient temperature follows τ·θ′ = θ₁·(I / I₁)² − θ: losses grow with the
+    square of the current, the heat given off with the temperature. At the nominal current I₁, which
+    the motor may carry continuously, θ settles at θ₁, which corresponds to ``warn``.
 
     Args:
-        settings: Nominal currents, time constant τ, temperature of the surroundings.
+        settings: Nominal currents, time constant τ, ambient temperature.
         names: Names of the hand's actuators.
 
     Attributes:
@@ -52,23 +52,23 @@ class CurrentHeat:
     def step(
         self, stamp: float, temperature: Sequence[float], current: Sequence[float]
     ) -> Sequence[float]:
-        """Let time pass; return the temperatures, with estimates where none is measured.
+        """Advance to a time; return temperatures [°C], estimated where none is measured.
 
         Args:
             stamp: Now [s].
             temperature: Measured temperatures [°C]; ``NaN``: not measured.
-            current: Measured currents [A]; ``NaN`` counts as none.
+            current: Measured currents [A]; ``NaN`` counts as 0.
         """
         if not self._nominal or not current:
             return temperature
         passed, self._last = stamp - self._last, stamp
         share = 0.0 if math.isnan(passed) else 1.0 - math.exp(-passed / self._time_constant)
-        found = list(temperature)
+        temperatures = list(temperature)
         for i, nominal in self._nominal.items():
             load = 0.0 if math.isnan(current[i]) else (current[i] / nominal) ** 2
             rise = self.rise[i] + share * (load * self._settled - self.rise[i])
-            # Beyond what a sensor can measure it would count as a broken one.
+            # Beyond the plausible range it would count as a broken sensor.
             self.rise[i] = min(rise, self._highest)
-            if math.isnan(found[i]):
-                found[i] = self._ambient + self.rise[i]
-        return found
+            if math.isnan(temperatures[i]):
+                temperatures[i] = self._ambient + self.rise[i]
+        return temperatures

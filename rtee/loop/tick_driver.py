@@ -13,15 +13,15 @@ from rtee.loop.histogram import TickStatistics
 async def drive(
     loops: Sequence[HandLoop], clock: AnyClock, idle: Callable[[int], None] | None = None
 ) -> None:
-    """Tick some hands until cancelled or the clock ends.
+    """Tick some hands on one clock until cancelled, or until the clock ends.
 
-    The busy time of a tick is the processor time that this thread used from one wake-up to the
-    next: the hands, their devices' tasks, recording and publishing.
+    The busy time of a tick is the processor time that this thread uses from one wake-up to the
+    next, for the hands, their devices' tasks, recording and publishing.
 
     Args:
         loops: The hands.
         clock: Their clock.
-        idle: Called after each tick with when the next one is due, CLOCK_MONOTONIC [ns].
+        idle: Called after each tick with the due time of the next one, CLOCK_MONOTONIC [ns].
     """
     statistics = TickStatistics(clock.rate)
     period_ns = round(clock.period * 1e9)
@@ -35,6 +35,7 @@ async def drive(
         if statistics.started:
             statistics.add(tick.woken_ns, tick.lateness_ns, used - before, tick.missed)
         statistics.started = True
+        # The devices of all hands before any observer, which may wake other threads.
         for loop in loops:
             loop.cycle(tick)
         for loop in loops:

@@ -1,6 +1,6 @@
-"""How far an actuator moves its fingertips: the effort that a force at a fingertip takes.
+"""Levers of the actuators on their fingertips: the effort that balances a force at a fingertip.
 
-For actions without an opening, whose fingertips meet no other ones, so that no table has it.
+For actions without an opening, whose fingertips meet no others, so that no table gives the levers.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from rtee.hand.model import Finger, Hand
 from rtee.sample import FloatArray
 
 _HOLDS: Final = 0.1
-"""A lever is that of the present posture for so long [s]: at the 0.1 rad/s of a touch a finger
-turns by half a degree meanwhile."""
+"""A lever is used for this long before it is computed again [s]: at the 0.1 rad/s of a touch, a
+finger turns by half a degree meanwhile."""
 
 
 class TipLevers:
     r"""The levers of fingertips at a hand's present posture.
 
-    A force :math:`F` against the motion of a fingertip takes the effort :math:`\tau = F\,r` with
-    :math:`r = |J\,\partial q/\partial u|`, by virtual work (Murray, Li, Sastry: *A Mathematical
-    Introduction to Robotic Manipulation*, 1994, chapter 5). :math:`J` is the Jacobian of the point
-    where the fingertip is likely to touch: the middle of that collision shape of its which is
-    farthest from the last joint.
+    The effort :math:`\tau = F\,r` with :math:`r = |J\,\partial q/\partial u|` balances a force
+    :math:`F` against the motion of a fingertip, by virtual work (Murray, Li, Sastry: *A
+    Mathematical Introduction to Robotic Manipulation*, 1994, chapter 5). :math:`J` is the Jacobian
+    of the point where the fingertip is likely to touch: the centre of its collision shape farthest
+    from the last joint.
 
     Args:
         hand: The hand.
@@ -40,7 +40,7 @@ class TipLevers:
             for finger in hand.fingers
             if finger.tip is not None
         }
-        # Those at rest are worked out before the loop runs: all at once would take some ticks.
+        # Computed at rest before the loop runs: all at once would take several ticks.
         self._known = {
             i: (self._lever(i, hand.rest), -math.inf) for i in range(len(hand.actuators))
         }
@@ -49,8 +49,8 @@ class TipLevers:
     def of(self, i: int, stamp: float, position: Sequence[float]) -> float:
         """Return the lever of an actuator [m/rad | 1]; ``NaN``: it moves no fingertip.
 
-        Of several fingers, that which moves farthest counts: its force is the least. One lever is
-        renewed in a tick at most, since that takes some of its time.
+        Of several fingers, the one that moves farthest counts, since its force is the least. At
+        most one lever is computed in a tick, for the sake of the tick's time.
 
         Args:
             i: The actuator's index.
@@ -61,13 +61,13 @@ class TipLevers:
         if stamp - at < _HOLDS or stamp == self._renewed:
             return lever
         self._renewed = stamp
-        # What is not measured is taken to be at rest: a finger's other joints change little of it.
+        # Unmeasured actuators count as at rest: a finger's other joints change the lever little.
         u = np.where(np.isfinite(position), position, self._hand.rest)
         self._known[i] = self._lever(i, u), stamp
         return self._known[i][0]
 
     def _lever(self, i: int, u: FloatArray) -> float:
-        """Return the lever of an actuator at positions ``(n,)``; ``NaN``: it moves no fingertip."""
+        """Return an actuator's lever at positions ``(n,)`` [m/rad | 1]; ``NaN``: no fingertip."""
         fingers = self._hand.actuators[i].fingers
         levers = [self._at(finger, i, u) for finger in fingers if finger in self._points]
         most = max(levers, default=math.nan)
@@ -84,5 +84,5 @@ class TipLevers:
 def _point(hand: Hand, finger: Finger) -> FloatArray:
     """Return the point of a fingertip that is likely to touch, in its link's frame ``(3,)`` [m]."""
     middles = [np.array(shape.xyz) for shape in hand.urdf.links[str(finger.tip)].collisions]
-    found: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
-    return found
+    farthest: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
+    return farthest

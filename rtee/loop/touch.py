@@ -1,4 +1,4 @@
-"""Gather what the touch sensors of a hand's devices measure, and what its fingers feel by it."""
+"""Gather the readings of the devices' touch sensors, and derive the forces on the fingers."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ from rtee.touch import NEWTON, STALE_AFTER, TouchReading, TouchSensor, TouchStat
 
 @dataclass(slots=True)
 class _Device:
-    """What is known of the touch sensors of one device.
+    """The layout and the newest reading of one device's touch sensors.
 
     Attributes:
-        declared: The sensors as its driver declares them; the layout below follows from them.
-        sensors: The same on the hand.
-        scale: What values are multiplied by ``(n,)``; ``None``: nothing.
-        weights: Sums the taxels of each finger ``(fingers, n)``; ``None``: no finger has forces.
+        declared: The sensors as declared by the driver; the fields below follow from them.
+        sensors: The sensors with their places on the hand.
+        scale: Factors on the values ``(n,)``; ``None``: all are 1.
+        weights: Matrix that sums the taxels of each finger ``(fingers, n)``; ``None``: no finger
+            has forces.
         blank: ``NaN`` for the fingers without forces, else 0 ``(fingers,)``.
-        reading: Its newest reading.
+        reading: The newest reading.
     """
 
     declared: tuple[TouchSensor, ...] = ()
@@ -37,32 +38,32 @@ class _Device:
 
 
 class TouchGatherer:
-    """Makes states of the readings that drivers hand over; costs nothing while none is new.
+    """Converts the readings of drivers to states; does nothing while no reading is new.
 
     Args:
         hand: The hand.
-        complain: Called with the device and a sentence when a reading cannot be used.
+        on_refused: Called with the device and a sentence when a reading cannot be used.
 
     Attributes:
-        states: What was measured last, by device; never changed, but replaced.
-        forces: Force on each finger by the sensors on it ``(fingers,)`` [N], by device; ``NaN``:
-            none measures it, or it is stale.
+        states: The newest states by device; never changed, but replaced.
+        forces: Force on each finger ``(fingers,)`` [N], by device; ``NaN``: no sensor measures it,
+            or its reading is stale.
     """
 
-    def __init__(self, hand: Hand, complain: Callable[[str, str], None]) -> None:
+    def __init__(self, hand: Hand, on_refused: Callable[[str, str], None]) -> None:
         self._hand = hand
-        self._complain = complain
+        self._on_refused = on_refused
         self._devices: dict[str, _Device] = {}
         self._next_stale = math.inf
         self.states: Mapping[str, TouchState] = NOTHING
         self.forces: Mapping[str, FloatArray] = NOTHING
 
     def take(self, name: str, can: Capabilities, reading: TouchReading) -> bool:
-        """Take a device's reading; return whether it is a new one that can be used.
+        """Accept a device's reading; return whether it is new and can be used.
 
         Args:
             name: The device.
-            can: What it measures.
+            can: The device's capabilities, with its touch sensors.
             reading: Its newest reading.
         """
         device = self._devices.get(name)
@@ -89,7 +90,7 @@ class TouchGatherer:
         return True
 
     def _lay_out(self, name: str, device: _Device, declared: tuple[TouchSensor, ...]) -> None:
-        """Work out where the sensors are and which finger feels with which taxel."""
+        """Determine the places of the sensors, and the taxels of each finger."""
         device.declared = declared
         placed, scales = [], []
         for sensor in declared:
@@ -105,16 +106,16 @@ class TouchGatherer:
         device.scale = np.repeat(scales, taxels) if any(s != 1.0 for s in scales) else None
         forces = [sensor.finger if sensor.unit == NEWTON else "" for sensor in placed]
         names = self._hand.finger_names
-        rows = [np.repeat([of == name for of in forces], taxels) for name in names]
+        rows = [np.repeat([finger == name for finger in forces], taxels) for name in names]
         weights = np.array(rows, dtype=np.float64).reshape(len(names), sum(taxels))
         device.weights = weights if weights.any() else None
         device.blank = np.where(weights.any(axis=1), 0.0, math.nan)
 
     def _refuse(self, name: str, text: str) -> None:
-        self._complain(name, f"device '{name}': {text}")
+        self._on_refused(name, f"device '{name}': {text}")
 
     def outdate(self, now: float) -> list[str]:
-        """Mark what has become stale; return the devices whose forces are not known any more.
+        """Mark states that have become stale; return the devices whose forces became unknown.
 
         Args:
             now: The time [s].
@@ -137,12 +138,12 @@ class TouchGatherer:
 
 
 def _felt(weights: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the sums over the taxels of each finger, ``NaN`` where none of them measured."""
+    """Return the sum of the taxels of each finger ``(fingers,)`` [N]; ``NaN``: none measured."""
     sums: FloatArray = weights @ values
     total = float(sums.sum())
-    if total - total != 0.0:  # something is not finite, which is rare
+    if total - total != 0.0:  # a value is not finite, which is rare
         measured = np.isfinite(values).astype(np.float64)
-        # A taxel that measured nothing must not hide what the others of its finger feel.
+        # A taxel without a value must not hide the other taxels of its finger.
         sums = weights @ np.where(measured > 0.0, values, 0.0)
         sums[weights @ measured == 0.0] = math.nan
     return sums

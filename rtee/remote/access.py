@@ -1,8 +1,8 @@
-"""Who may send what to a hand, as Zenoh enforces it before a message is even delivered.
+"""Access control for a hand, which Zenoh enforces before it delivers a message.
 
-By default nothing may pass. Nobody but the hand can answer questions, publish states, results and
-events, or declare that the hand is alive; nobody sees the requests of others; and each client may
-send what its role allows, and see what is published for its certificate.
+Everything is denied by default. Only the hand may answer queries, publish states, results and
+events, and declare that it is alive. No client sees the requests of others. Each client may send
+the requests that its role allows, and receive the topics published for its certificate.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rtee.messages.topics import PUBLISHED
 from rtee.remote.session import LOCAL
 
 _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
-"""Protocols through which anybody comes who reaches the endpoint."""
+"""Protocols that admit anybody who reaches the endpoint."""
 
 
 def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dic
 
     Args:
         hand: The hand's name.
-        people: Role by common name of the certificates that are admitted, or may be later.
+        people: Roles by common name, of the certificates that are or may later be admitted.
         plain: Whether clients without certificates are admitted.
     """
     ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
@@ -78,7 +78,7 @@ def _rule(
 
 
 def _announcements(hand: str) -> Iterable[dict[str, Any]]:
-    """Return what the hand may send to all who are admitted."""
+    """Return the rules for what the hand may send to all admitted clients."""
     groups = sorted({request.group for request in REQUESTS.values()})
     yield _rule(
         "answer", "egress", ["reply", "declare_queryable"], hand, [f"{g}/*" for g in groups]
@@ -87,30 +87,30 @@ def _announcements(hand: str) -> Iterable[dict[str, Any]]:
 
 
 def _presence(hand: str) -> Iterable[dict[str, Any]]:
-    """Return what all who are admitted may do."""
+    """Return the rules for what all admitted clients may do."""
     yield _rule("token", "ingress", ["liveliness_token"], hand, [f"{CLIENTS}/*"])
-    found = _rule(
+    find = _rule(
         "find", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], hand, [ALIVE]
     )
-    found["key_exprs"].append(network_key("*", ALIVE))  # who does not know the hand's name
-    yield found
+    find["key_exprs"].append(network_key("*", ALIVE))  # for clients that don't know the name
+    yield find
 
 
 def _topics(hand: str, way: str) -> Iterable[dict[str, Any]]:
-    """Return what those who come in a way may see."""
+    """Return the rules for the topics that clients of an access path may receive."""
     topics = [topic_for(way, "**")]
-    if topics == ["**"]:  # without a certificate they share the hand's own keys
+    if topics == ["**"]:  # clients without a certificate share the hand's own keys
         topics = [*sorted(PUBLISHED), f"{STATES}/*", f"{ANSWERS}/*"]
     yield _rule(f"publish {way}", "egress", ["put"], hand, topics)
     yield _rule(f"watch {way}", "ingress", ["declare_subscriber"], hand, topics)
-    # Clients' publishers learn from the hand's subscribers that it listens, and wait for that.
+    # A client's publisher waits until it sees the hand's subscriber.
     yield _rule(f"receive {way}", "egress", ["declare_subscriber"], hand, [f"{INBOX}/{way}/**"])
 
 
 def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
-    """Return which requests those who come in a way may send: what their role allows, and hello."""
+    """Return the rules for the requests that clients of an access path may send, and hello."""
     allowed = [one for one in REQUESTS.values() if one.group != HELLO and one.role <= role]
-    # The way is part of the key: nobody can say hello by another's certificate.
+    # The access path is part of the key: nobody can say hello with another's certificate.
     keys = [f"{HELLO}/{way}", *(f"{one.group}/{one.name}" for one in allowed)]
     yield _rule(_name(role, way), "ingress", ["query"], hand, keys)
     put = [f"{INBOX}/{way}/{one.name}/*" for one in allowed if one.group == CONTROL]

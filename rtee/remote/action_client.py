@@ -1,4 +1,4 @@
-"""Listing and changing the actions of a running hand."""
+"""List and change the actions of a running hand."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from rtee.remote.link import Link
 from rtee.remote.openings import OpeningRange, opening_of
 
 _NOWHERE = Posture({}, ())
-"""Posture of an action that is sent: the hand works it out from the parts."""
+"""Posture of an action that is sent: the hand computes it from the parts."""
 
 _PLANNED_WITHIN = 90.0
-"""Time to wait for a plan [s]; others may wait before it."""
+"""Time to wait for a plan [s]: up to four other plans may be waiting before it."""
 
 
 class GraspOptions(TypedDict, total=False):
-    """What may be said about an object to be grasped.
+    """Options for planning grasps of an object.
 
     Attributes:
         mass: Its mass [kg]; 0.1 unless given.
         friction: Coefficient of friction; 0.5 unless given.
         scale: Brings a mesh to metres; 1 unless given.
-        weight_axis: Where its weight pulls, in the hand's base frame; along its reach unless given.
-        top: How many grasps are wanted; 5 unless given.
+        weight_axis: Direction of its weight in the hand's base frame; along its reach unless given.
+        top: Number of grasps to return; 5 unless given.
     """
 
     mass: float
@@ -81,7 +81,7 @@ class ActionClient:
         return tuple(reply["names"])
 
     async def openings(self) -> list[OpeningRange]:
-        """Return the openings and forces that goals may ask for, of the actions that have some."""
+        """Return the ranges of openings and forces for goals, of the actions that have them."""
         return [opening_of(entry) for entry in (await self._link.ask("openings"))["openings"]]
 
     async def trials(self) -> str:
@@ -94,19 +94,19 @@ class ActionClient:
         return str((await self._link.ask("trials"))["data"])
 
     async def grasp_plan(self, thing: str, **options: Unpack[GraspOptions]) -> Ranking:
-        """Return which actions suit an object, the best first, and why.
+        """Return the actions that suit an object, best first, with the reasons; nothing moves.
 
-        The hand plans with its stored actions, in a process of its own beside the loop; nothing
-        moves. It needs the extra ``extract`` where it runs.
+        The hand plans with its stored actions, in a process beside the loop. Its computer needs the
+        extra ``extract``.
 
         Args:
             thing: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
-                ``capsule:RADIUSxLENGTH`` [m], or the path of a mesh here, which is sent.
+                ``capsule:RADIUSxLENGTH`` [m], or the path of a local mesh file, which is sent.
             options: See `GraspOptions`.
 
         Raises:
             ConfigError: if the object or an option makes no sense.
-            RequestRejected: if the hand refuses it, with the reason.
+            RequestRejected: if the hand refuses the request, with the reason.
         """
         question = question_about(thing, **options)
         fields = {name: getattr(question, name) for name in Question.__dataclass_fields__}
@@ -129,8 +129,8 @@ class ActionClient:
             name: Its name.
             set_points: Positions of the involved actuators [rad | m].
             description: One sentence for people.
-            store: Also write it to the hand's folder.
-            replace: Replace an action of the same name.
+            store: Whether to write it to the hand's folder, too.
+            replace: Whether to replace an action of the same name.
 
         Raises:
             RequestRejected: if the hand refuses the action, with the reason.
@@ -162,8 +162,8 @@ class ActionClient:
         replace: bool = False,
     ) -> None:
         """Add a timed action; see `ActionLibrary.sequence`."""
-        made = (Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
-        action = Timed(name, tuple(made), description)
+        timed = tuple(Step(s.use, s.alias, s.before, s.after, _NOWHERE) for s in steps)
+        action = Timed(name, timed, description)
         await self.add_action(action, store=store, replace=replace)
 
     async def add_action(
@@ -171,7 +171,7 @@ class ActionClient:
     ) -> None:
         """Add a composed, timed or generic action.
 
-        The hand looks up its parts and works out its postures from them.
+        The hand looks up its parts and computes its postures from them.
         """
         fields = {
             "client": self._link.client,

@@ -139,7 +139,7 @@ def action_of(fields: Fields) -> Action:
 
 def _posture_from(fields: Fields) -> Posture:
     if len(fields["name"]) != len(fields["position"]):
-        raise MessageError("a posture has another number of names than of positions")
+        raise MessageError("a posture has different numbers of names and positions")
     position = dict(zip(fields["name"], fields["position"].tolist(), strict=True))
     involved = tuple(fields["involved"])
     if not set(involved) <= set(position):
@@ -206,10 +206,10 @@ def made_of(library: ActionLibrary, fields: Fields) -> Action:
 
     Args:
         library: The hand's actions, in which the parts are looked up.
-        fields: Of a ``rtee_msgs/Action``; the postures of parts are worked out here.
+        fields: Fields of a ``rtee_msgs/Action``; postures are computed from the parts.
 
     Raises:
-        ActionError: if it cannot be made.
+        ActionError: if the action cannot be made.
         MessageError: if the fields do not describe an action.
     """
     name, description = fields["name"], fields["description"]

@@ -1,6 +1,6 @@
-"""A hand's own authority: makes the certificates of the hand and of those who may use it.
+"""A hand's own certificate authority, which makes the certificates of the hand and its clients.
 
-All keys are on the curve P-256, in PEM (PKCS #8), readable by their owner alone.
+All keys are on the curve P-256, in PEM (PKCS #8), in files that only their owner can read.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ from rtee.remote.credentials import (
 )
 
 DAYS = 825
-"""How long certificates hold unless told otherwise [days]: two years and a quarter, the longest
-that browsers take."""
+"""Default validity of certificates [days]: two and a quarter years, the longest that browsers
+accept."""
 
 _AUTHORITY_DAYS = 3650
-"""How long the authority holds [days]: ten years, as long as a robot is used."""
+"""Validity of the authority [days]: ten years, the service life of a robot."""
 
 _EARLIER = datetime.timedelta(hours=1)
-"""Certificates hold from this long ago, since the clocks of computers differ."""
+"""Certificates are valid from this long ago, since the clocks of computers differ."""
 
 _RANDOM = 8
-"""Random bytes in a common name: no two certificates have the same."""
+"""Random bytes in a common name, so that no two certificates have the same one."""
 
 _SPARE = 8
-"""Spare common names for each role: so many clients can be added while a hand runs."""
+"""Spare common names for each role: the number of clients that can be added while a hand runs."""
 
 _PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_\-]{0,30}\Z")
 
@@ -63,9 +63,9 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     """Make a hand's authority and its certificate.
 
     Args:
-        folder: Where to; see `rtee.remote.credentials.secure_folder`.
+        folder: The folder to write; see `rtee.remote.credentials.secure_folder`.
         hand: The hand's name.
-        days: How long the hand's certificate holds [days].
+        days: Validity of the hand's certificate [days].
 
     Raises:
         ConfigError: if there is an authority already, or the folder cannot be written.
@@ -82,11 +82,11 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
         raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
     key = ec.generate_private_key(ec.SECP256R1())
     subject = _name(f"authority of {hand}")
-    made = _builder(subject, subject, key, _AUTHORITY_DAYS)
+    builder = _builder(subject, subject, key, _AUTHORITY_DAYS)
     # It signs the certificates of the hand and its clients, but no further authority.
-    made = made.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-    made = made.add_extension(_usage(signs=True), critical=True)
-    certificate = made.sign(key, hashes.SHA256())
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = builder.add_extension(_usage(signs=True), critical=True)
+    certificate = builder.sign(key, hashes.SHA256())
     write_private(folder / AUTHORITY_KEY, _key_text(key))
     write_atomically(folder / AUTHORITY, _text(certificate))
     _write(Credentials(folder, spare=_spare({})))
@@ -94,7 +94,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
 
 
 def renew(folder: Path, hand: str, days: int = DAYS) -> None:
-    """Make a new certificate of the hand, and new spare names; errors are those of `add_client`."""
+    """Make a new certificate of the hand, and new spare names; raises the same as `add_client`."""
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
     write_private(folder / HAND_KEY, _key_text(key))
@@ -108,15 +108,15 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
 
     Args:
         folder: The hand's folder of certificates.
-        who: Who it is: letters, digits, ``_`` and ``-``.
-        role: What the person may do.
-        days: How long the certificate holds [days].
+        who: The person's name: letters, digits, ``_`` and ``-``.
+        role: The person's role.
+        days: Validity of the certificate [days].
 
     Returns:
-        What is entered in the list, and the text of the person's file.
+        The entry in the list, and the text of the person's file.
 
     Raises:
-        ConfigError: if the name cannot be used, or there is no authority whose files can be.
+        ConfigError: if the name, or the files of the authority, cannot be used.
     """
     if _PERSON.match(who) is None:
         raise ConfigError(
@@ -130,40 +130,40 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
     name = f"{who}.{common}"
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(folder, common, key, days, ExtendedKeyUsageOID.CLIENT_AUTH)
-    made = Person(name, role, certificate.not_valid_after_utc.timestamp())
+    entry = Person(name, role, certificate.not_valid_after_utc.timestamp())
     left = {spare: of for spare, of in known.spare.items() if spare != common}
-    _write(replace(known, people=(*known.people, made), spare=_spare(left)))
+    _write(replace(known, people=(*known.people, entry), spare=_spare(left)))
     authority = (folder / AUTHORITY).read_text("ascii")
-    return made, identity_text(name, _key_text(key), _text(certificate), authority)
+    return entry, identity_text(name, _key_text(key), _text(certificate), authority)
 
 
 def revoke(folder: Path, name: str) -> list[Person]:
-    """Refuse the certificates of a person from now on; return those that were admitted before.
+    """Revoke the certificates of a person; return those that were admitted before.
 
     Args:
         folder: The hand's folder of certificates.
         name: A person's name, for all certificates, or the name in one of them.
 
     Raises:
-        ConfigError: if there is none of that name.
+        ConfigError: if there is no such name.
     """
     known = _known(folder)
-    meant = [one for one in known.people if name in (one.name, person(one.name))]
-    if not meant:
+    matching = [one for one in known.people if name in (one.name, person(one.name))]
+    if not matching:
         raise ConfigError(f"there is no client '{name[:50]}'", path=folder / PEOPLE)
-    people = tuple(replace(one, revoked=True) if one in meant else one for one in known.people)
+    people = tuple(replace(one, revoked=True) if one in matching else one for one in known.people)
     _write(replace(known, people=people))
-    return [one for one in meant if not one.revoked]
+    return [one for one in matching if not one.revoked]
 
 
 def _known(folder: Path) -> Credentials:
-    found = Credentials(folder)
-    found.read()
-    return found
+    credentials = Credentials(folder)
+    credentials.read()
+    return credentials
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a file that only its owner can read; it is never readable by others meanwhile.
+    """Write a file that only its owner can read, also while it is being written.
 
     Raises:
         ConfigError: if it cannot be written.
@@ -175,15 +175,15 @@ def write_private(path: Path, text: str) -> None:
 
 
 def _write_private(path: Path, text: str) -> None:
-    # Private from its creation on: a later chmod would leave a moment in which others can open
-    # it. The name is new, so that a file or link that somebody has put there is not followed.
-    descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
-    part = Path(made)
+    # Private from its creation on: before a later chmod, others could open it. The name is new, so
+    # that no existing file or link is followed.
+    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:40]}.")
+    part = Path(name)
     try:
         with os.fdopen(descriptor, "w", encoding="ascii") as file:
             file.write(text)
             file.flush()
-            # A certificate without its key is of no use after a power cut.
+            # After a power cut, a certificate without its key would be useless.
             os.fsync(file.fileno())
         part.replace(path)
         sync_folder(path.parent)
@@ -195,7 +195,7 @@ def _write_private(path: Path, text: str) -> None:
 def _issued(
     folder: Path, name: str, key: Key, days: int, purpose: x509.ObjectIdentifier
 ) -> x509.Certificate:
-    """Return a certificate that the authority has signed."""
+    """Return a certificate signed by the authority."""
     path = folder / AUTHORITY_KEY
     if not path.is_file():
         raise ConfigError("is missing; 'rtee secure init HAND' makes it", path=path)
@@ -204,15 +204,15 @@ def _issued(
     authority = _loaded(folder / AUTHORITY, x509.load_pem_x509_certificate)
     if not isinstance(signer, ec.EllipticCurvePrivateKey):
         raise ConfigError("is not a key of 'rtee secure init'", path=path)
-    made = _builder(_name(name), authority.subject, key, days)
-    made = made.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-    made = made.add_extension(_usage(signs=False), critical=True)
+    builder = _builder(_name(name), authority.subject, key, days)
+    not_an_authority = x509.BasicConstraints(ca=False, path_length=None)
+    builder = builder.add_extension(not_an_authority, critical=True)
+    builder = builder.add_extension(_usage(signs=False), critical=True)
     # A client's certificate cannot pass for the hand's, nor the reverse.
-    made = made.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
-    made = made.add_extension(
-        x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")]), critical=False
-    )
-    return made.sign(signer, hashes.SHA256())
+    builder = builder.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
+    # A placeholder, which clients do not check: see `Identity.settings`.
+    names = x509.SubjectAlternativeName([x509.DNSName("rtee.invalid")])
+    return builder.add_extension(names, critical=False).sign(signer, hashes.SHA256())
 
 
 def _loaded(path: Path, load: Callable[[bytes], T]) -> T:
@@ -221,7 +221,7 @@ def _loaded(path: Path, load: Callable[[bytes], T]) -> T:
     except OSError as error:
         raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
     except (ValueError, TypeError):  # the latter for a key with a passphrase
-        raise ConfigError("is not as 'rtee secure init' has made it", path=path) from None
+        raise ConfigError("is not the file that 'rtee secure init' made", path=path) from None
 
 
 def _builder(subject: x509.Name, issuer: x509.Name, key: Key, days: int) -> x509.CertificateBuilder:
@@ -270,16 +270,16 @@ def _key_text(key: Key) -> str:
 
 
 def _spare(left: Mapping[str, Role]) -> Mapping[str, Role]:
-    """Return spare names, those that are left first, with new ones for each role."""
-    found = dict(left)
+    """Return `_SPARE` spare names for each role: those left, then new ones."""
+    names = dict(left)
     for role in Role:
         for _ in range(_SPARE - sum(of is role for of in left.values())):
-            found[secrets.token_hex(_RANDOM)] = role
-    return found
+            names[secrets.token_hex(_RANDOM)] = role
+    return names
 
 
 def _write(known: Credentials) -> None:
-    """Write the list of people, spare names, and when the hand's certificate expires."""
+    """Write the list of people, the spare names and the expiry of the hand's certificate."""
     entries = [
         {
             "name": one.name,

@@ -1,4 +1,4 @@
-"""A running hand for scripts and notebooks: the same as `rtee.remote.client`, without ``async``.
+"""A running hand for scripts and notebooks: like `rtee.remote.client`, without ``async``.
 
 with rtee.connect_blocking("schunk_svh") as hand:
     result = hand.do("pinch_tight", "index", "thumb", intensity=0.6)
@@ -38,10 +38,10 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _ATTEMPTS = 100
-"""Attempts to close a generator whose last step is still ending: together 1 s."""
+"""Attempts to close a generator whose last step is still ending: 1 s with `_PAUSE` between them."""
 
 _PAUSE = 0.01
-"""Time between two of these attempts [s]."""
+"""Time between two of these attempts [s]: a step that was cancelled ends within milliseconds."""
 
 
 class BlockingGoal:
@@ -62,7 +62,7 @@ class BlockingGoal:
         return _iterate(self._portal, aiter(self._running))
 
     def result(self) -> Result:
-        """Wait until the goal has ended."""
+        """Wait until the goal has ended, and return its result."""
         return _wait(self._portal, self._running.result)
 
     def cancel(self) -> None:
@@ -80,7 +80,7 @@ class BlockingStream:
 
     @property
     def ended(self) -> str:
-        """Why the hand has ended it, in words; empty as long as it has not."""
+        """Why the hand has ended the stream, in words; empty while it is open."""
         return self._stream.ended
 
     def send(
@@ -90,19 +90,19 @@ class BlockingStream:
         stamp: float | None = None,
     ) -> None:
         """Send a sample; see `Stream.send`."""
-        # Taken in the caller's thread: the wait for the event loop would be jitter of the stream.
+        # In the caller's thread: the wait for the event loop would add jitter to the stream.
         when = time.monotonic() if stamp is None else stamp
         _wait(self._portal, partial(self._stream.send, targets, velocity or {}, when))
 
     def status(self) -> StreamStatus:
-        """Return how the stream is doing: lag, jitter, what was dropped."""
+        """Return the status of the stream: lag, jitter, dropped samples."""
         return _wait(self._portal, self._stream.status)
 
 
 def _waiting(
     method: Callable[Concatenate[RemoteHand, P], Coroutine[Any, Any, T]],
 ) -> Callable[Concatenate[BlockingHand, P], T]:
-    """Return a method of `BlockingHand` that waits for the same method of its `RemoteHand`."""
+    """Return a method of `BlockingHand` that waits for the given method of `RemoteHand`."""
 
     @wraps(method)
     def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -114,7 +114,7 @@ def _waiting(
 def _starting(
     method: Callable[Concatenate[RemoteHand, P], Coroutine[Any, Any, RunningGoal]],
 ) -> Callable[Concatenate[BlockingHand, P], BlockingGoal]:
-    """Return a method of `BlockingHand` that begins a goal as the method of its `RemoteHand`."""
+    """Return a method of `BlockingHand` that begins a goal by the given method of `RemoteHand`."""
 
     @wraps(method)
     def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> BlockingGoal:
@@ -127,7 +127,7 @@ def _starting(
 def _iterating(
     method: Callable[Concatenate[RemoteHand, P], AsyncIterator[T]],
 ) -> Callable[Concatenate[BlockingHand, P], Iterator[T]]:
-    """Return a method of `BlockingHand` that iterates as the same method of its `RemoteHand`."""
+    """Return a method of `BlockingHand` that iterates like the given method of `RemoteHand`."""
 
     @wraps(method)
     def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> Iterator[T]:
@@ -139,10 +139,9 @@ def _iterating(
 class BlockingHand:
     """A running hand, made by `connect_blocking`.
 
-    Its methods are those of `RemoteHand`, but wait for what they return; `collected_states`, which
-    collects them without waiting, is missing.
-
-    It may be used as a context, or closed by `close`; the end of the program closes it, too.
+    It has the methods of `RemoteHand`, which wait for their results, except for
+    `collected_states`. Use it as a context, or close it by `close`; the end of the program closes
+    it, too.
 
     Attributes:
         name: The hand's name.
@@ -170,7 +169,7 @@ class BlockingHand:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Leave the hand; after an error that counts as losing the client, as with `connect`."""
+        """Leave the hand; leaving with an error counts as losing the client, as with `connect`."""
         atexit.unregister(self._exit)
         self._opened.__exit__(kind, error, trace)
 
@@ -180,7 +179,7 @@ class BlockingHand:
 
     @property
     def role(self) -> Role:
-        """What this client may do; see `RemoteHand.role`."""
+        """This client's role; see `RemoteHand.role`."""
         return self._hand.role
 
     def do(
@@ -190,9 +189,9 @@ class BlockingHand:
         on_feedback: Callable[[Feedback], object] | None = None,
         **options: Unpack[GoalOptions],
     ) -> Result:
-        """Execute an action and wait for its result; an interrupt (Ctrl-C) cancels it.
+        """Execute an action and wait for its result; see `RemoteHand.do`.
 
-        So does an error of ``on_feedback``. See `RemoteHand.do`.
+        An interrupt (Ctrl-C), or an error of ``on_feedback``, cancels the goal.
         """
         goal = self.start(action, *elements, **options)
         try:
@@ -290,7 +289,7 @@ def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]
 
 
 def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
-    # An item in a tuple is distinguished from the end even if it is ``None``.
+    # In a tuple, an item that is ``None`` differs from the end.
     async def following() -> tuple[T] | None:
         try:
             return (await anext(source),)
@@ -310,7 +309,7 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
         while (item := _wait(portal, following)) is not None:
             yield item[0]
     finally:
-        # Collected when the hand was left already, as at the end of a script: all is closed then.
+        # When the hand was left before, as at the end of a script, the portal is closed already.
         with contextlib.suppress(RuntimeError):
             portal.call(close)
 
@@ -323,20 +322,20 @@ def connect_blocking(
     wait: float = 0.0,
     on_wait: Callable[[str], object] | None = None,
 ) -> BlockingHand:
-    """Connect to a running hand; the work is done by an event loop in another thread.
+    """Connect to a running hand by an event loop in another thread.
 
-    Arguments and errors are those of `rtee.connect`.
+    Takes the same arguments as `rtee.connect`, and raises the same errors.
     """
     with contextlib.ExitStack() as stack:
         portal = _start_portal()
-        stack.callback(lambda: portal.call(portal.stop))  # also if connecting fails
+        stack.callback(lambda: portal.call(portal.stop))  # if connecting fails, too
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         return BlockingHand(portal, remote, stack.pop_all())
 
 
 def _start_portal() -> BlockingPortal:
-    """Start an event loop in a daemon thread, which does not keep the process from ending."""
+    """Start an event loop in a daemon thread, so that it doesn't keep the process from ending."""
     started: Future[BlockingPortal] = Future()
 
     async def run() -> None:

@@ -1,4 +1,4 @@
-"""Calls that must hold up neither the loop's thread nor Zenoh's, made by another thread."""
+"""Queues whose threads make calls that must not delay the loop's thread or Zenoh's."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ LONGEST = 1000
 """Default limit of waiting calls: about one second of a busy hand's messages."""
 
 _CLOSE_WITHIN = 2.0
-"""Time for the waiting calls when the queue is closed [s]; a client may not read any more."""
+"""Time for the waiting calls when the queue is closed [s]: a client may have stopped reading."""
 
 
 class CallQueue:
     """Makes calls in a thread, one after the other.
 
-    An executor with one thread would not limit what waits, and makes a future for each call: that
-    costs the caller 11 µs in the median and 20 µs in the 95th percentile, this queue 7 and 11 µs.
+    An executor with one thread would not limit the waiting calls, and would make a future for each
+    call. That costs the caller 11 µs in the median and 20 µs in the 95th percentile, this queue 7
+    and 11 µs.
 
     Args:
         name: The thread's name.
-        most: Limit of waiting calls; further ones are dropped.
+        most: Limit of waiting calls; further calls are dropped.
 
     Attributes:
         dropped: Number of calls dropped because too many were waiting.
@@ -41,7 +42,7 @@ class CallQueue:
         self._thread.start()
 
     def put(self, call: Callable[[], object]) -> bool:
-        """Have a function called; return whether there was room. Any thread may call this."""
+        """Queue a call; return whether there was room. Any thread may use this."""
         # Without a lock, so that callers never wait; a few calls beyond the limit do no harm.
         if self._waiting.qsize() >= self._most:
             self.dropped += 1
@@ -53,23 +54,23 @@ class CallQueue:
         while (call := self._waiting.get()) is not None:
             try:
                 call()
-            # One call that fails must not end the thread, which others rely on.
+            # A call that fails must not end the thread, which the other calls need.
             except Exception:
                 log.exception("%s: work failed", self._thread.name)
 
     def close(self) -> None:
-        """Make the waiting calls, then end; blocks for two seconds at most."""
+        """Make the waiting calls, then end the thread; blocks for two seconds at most."""
         self._waiting.put(None)
         self._thread.join(_CLOSE_WITHIN)
 
 
 class DelayQueue(CallQueue):
-    """Makes calls a while after they were put, so that who waits for them asks less often.
+    """Makes calls after a delay, which slows down clients that wait for answers.
 
     Args:
         name: The thread's name.
-        delay: How long a call waits [s].
-        most: Limit of waiting calls; further ones are dropped.
+        delay: Time from queuing a call to making it [s].
+        most: Limit of waiting calls; further calls are dropped.
     """
 
     def __init__(self, name: str, delay: float, most: int) -> None:
@@ -78,15 +79,15 @@ class DelayQueue(CallQueue):
         super().__init__(name, most)
 
     def put(self, call: Callable[[], object]) -> bool:
-        """Have a function called; return whether there was room. Any thread may call this."""
+        """Queue a call; return whether there was room. Any thread may use this."""
         return super().put(partial(self._call_at, time.monotonic() + self._delay, call))
 
     def _call_at(self, due: float, call: Callable[[], object]) -> None:
-        # Every call has the same delay, so the first in the queue is always the next one due.
+        # All calls have the same delay, so the first in the queue is always the next one due.
         self._closing.wait(max(0.0, due - time.monotonic()))
         call()
 
     def close(self) -> None:
-        """Make the waiting calls at once, then end; blocks for two seconds at most."""
+        """Make the waiting calls at once, then end the thread; blocks for two seconds at most."""
         self._closing.set()
         super().close()

@@ -1,4 +1,4 @@
-"""A running hand, from any process: execute actions, watch, stop.
+"""A client's interface to a running hand: execute actions, watch, stop.
 
 async with rtee.connect("schunk_svh") as hand:
     result = await hand.do("pinch_tight", "index", "thumb", intensity=0.6)
@@ -37,7 +37,7 @@ _RECOVER_WITHIN = 60.0
 """Time to wait until devices have recovered [s]: twice what homing a hand takes."""
 
 _LEAVE_WITHIN = 1.0
-"""Time to wait for the answer when leaving a hand [s]: it may already be gone."""
+"""Time to wait for the answer when leaving a hand [s], which may be gone already."""
 
 
 class LeaseClient:
@@ -47,17 +47,17 @@ class LeaseClient:
         link: The connection to the hand.
 
     Attributes:
-        jogged: Whether this client has jogged the hand, which holds the lease for a moment.
+        jogged: Whether this client has jogged the hand, and so holds the lease for a moment.
     """
 
     def __init__(self, link: Link) -> None:
         self._link = link
         self._acquired = False
-        self._holding = 0  # contexts of `held` that last
+        self._holding = 0  # open contexts of `held`
         self.jogged = False
 
     async def acquire(self) -> None:
-        """Acquire the lease, until `release`: nobody else may move the hand."""
+        """Acquire the lease: until `release`, no other client may move the hand."""
         await self._link.request("acquire")
         self._acquired = True
 
@@ -67,10 +67,10 @@ class LeaseClient:
         self._acquired = self.jogged = False
 
     async def leave(self) -> None:
-        """Release a hand that was only jogged; `connect` does so at the end of its context.
+        """Release the lease of a hand that was only jogged; called at the end of `connect`.
 
-        If the lease was acquired, or a goal of this client runs, the hand does what is configured
-        for a lost client instead.
+        If the lease was acquired, or a goal of this client runs, the hand does what its
+        configuration says for a lost client instead.
         """
         if self.jogged and not (self._acquired or self._holding):
             self.jogged = False
@@ -81,7 +81,7 @@ class LeaseClient:
     async def held(self) -> AsyncIterator[None]:
         """Hold the lease for as long as the context lasts.
 
-        After `acquire`, and in another such context, it is not released at the end.
+        After `acquire`, and inside another such context, the lease is kept at the end.
         """
         refused = False
         self._holding += 1
@@ -94,9 +94,9 @@ class LeaseClient:
             yield
         finally:
             self._holding -= 1
-            # Also if it was cancelled before the answer came: the hand has given it by then.
+            # Even if cancelled before the answer arrived: the hand may have given the lease.
             if not (refused or self._acquired or self._holding):
-                # Shielded, since a task that is cancelled must not keep the lease from the others.
+                # Shielded: a cancelled task must not keep the lease from other clients.
                 with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                     await self.release()
 
@@ -104,7 +104,7 @@ class LeaseClient:
 def _part(
     name: str, method: Callable[Concatenate[Any, P], T]
 ) -> Callable[Concatenate[RemoteHand, P], T]:
-    """Return a method that calls the same method of one of the parts of `RemoteHand`."""
+    """Return a method of `RemoteHand` that calls the given method of one of its parts."""
 
     @wraps(method)
     def call(self: RemoteHand, /, *args: P.args, **kwargs: P.kwargs) -> T:
@@ -119,8 +119,8 @@ class RemoteHand:
     It has all methods of `GoalClient`, `StreamClient`, `LeaseClient`, `Monitoring`, `ActionClient`
     and `ReachClient`.
 
-    Everything that moves the hand is refused with `LeaseHeld` while another client holds the
-    lease. A client holds it while its own goal or stream runs, and from `acquire` to `release`;
+    Requests that move the hand are refused with `LeaseHeld` while another client holds the lease.
+    A client holds the lease while its own goal or stream runs, and from `acquire` to `release`;
     `stop` needs no lease.
 
     Attributes:
@@ -140,7 +140,7 @@ class RemoteHand:
 
     @property
     def role(self) -> Role:
-        """What this client may do; the hand refuses what needs more."""
+        """This client's role; the hand refuses requests that need a higher one."""
         return self._link.role
 
     start = _part("_goals", GoalClient.start)
@@ -195,7 +195,7 @@ class RemoteHand:
     async def ask(self, name: str, fields: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Send a request of the network and return the fields of its answer.
 
-        For bridges to other networks, which hand on messages as they are; the other methods are for
+        For bridges to other networks, which pass on messages as they are; use the other methods for
         everything else.
 
         Args:
@@ -203,7 +203,7 @@ class RemoteHand:
             fields: Its fields; ``None`` for a request that has none.
 
         Raises:
-            RequestRejected: if the hand refuses it, with the reason.
+            RequestRejected: if the hand refuses the request, with the reason.
             NoHand: if the hand does not answer.
         """
         return await self._link.ask(name, fields)
@@ -232,7 +232,7 @@ class RemoteHand:
         return dict(zip(reply["device"], reply["confirmed"].tolist(), strict=True))
 
     async def recover(self, device: str | None = None) -> None:
-        """Recover one device, or all, from a fault; moves only what must be homed."""
+        """Recover one device, or all, from a fault; moves only devices that must be homed."""
         await self._link.request("recover", device or "", within=_RECOVER_WITHIN)
 
     async def set_gains(self, gains: Mapping[str, float], device: str | None = None) -> None:
@@ -284,9 +284,9 @@ async def connect(
     lease is acquired or a goal of this client runs.
 
     Args:
-        hand: Its name; not needed if only one hand runs.
-        endpoint: Its address, such as ``tcp/robot:7447``; by default that in ``RTEE_CONNECT``, else
-            the hand runs on this computer.
+        hand: The hand's name; not needed if only one hand runs.
+        endpoint: The hand's address, such as ``tcp/robot:7447``; by default that in
+            ``RTEE_CONNECT``, else on this computer.
         client: A name for this client, shown to people.
         wait: Time to wait for a hand that does not run yet [s]; `RemoteHand.ready` waits until its
             devices are active, too.
@@ -297,10 +297,10 @@ async def connect(
         ConfigError: if several hands run and none is named.
     """
     session, name, way = await open_hand(hand, endpoint, wait, on_wait)
-    # The process and a random part distinguish clients that have the same name.
-    whose = "" if way in (HERE, PLAIN) else f"{person(way)}-"
-    # The client's own name is cut, so that the 100 characters of a name have room for the rest.
-    identity = safe_name(f"{whose}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
+    # The process id and a random part distinguish clients of the same name. The client's own name
+    # is cut, so that all fits into the 100 characters of a name.
+    owner = "" if way in (HERE, PLAIN) else f"{person(way)}-"
+    identity = safe_name(f"{owner}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
     link = Link(session, name, identity, common_name(way))
     try:
         remote = RemoteHand(link)
@@ -308,6 +308,6 @@ async def connect(
         yield remote
         await remote.leave()  # not after an error, which counts as losing the client
     finally:
-        # Also when cancelled: a session that stays open would keep the client alive for the hand.
+        # Even when cancelled: while the session is open, the client is alive to the hand.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

@@ -1,8 +1,8 @@
 """Handlers of the requests that move or stop the hand; called in Zenoh's threads.
 
-Whatever moves the hand is only appended to the list of what the loop does at its next tick, which
-any thread may do: a goal need not wait until the event loop wakes up. One lock serialises Zenoh's
-threads. The loop's thread never takes it, so that requests cannot hold up the loop.
+Commands that move the hand are only queued for the loop's next tick, which any thread may do: a
+goal need not wait until the event loop wakes up. One lock serialises Zenoh's threads. The loop's
+thread never takes it, so that requests cannot delay the loop.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rtee.types import Goal
 Fields = Mapping[str, Any]
 
 _STOPPED_FOR = 0.1
-"""Time for which a stop counts for the next one, too [s]: below it nobody presses twice."""
+"""Time for which a confirmed stop answers the next one, too [s]: nobody presses faster twice."""
 
 _WITHOUT_LEASE = ("release",)
 """Requests that are accepted while another client holds the lease."""
@@ -50,7 +50,7 @@ class CommandHandlers:
         self._stopping: list[IncomingRequest] = []
         self._stopped: Fields = {}
         self._stopped_at, self._stopped_after = -math.inf, 0
-        self._moves = 0  # counts what may have moved the hand, before and after it does
+        self._moves = 0  # counts requests that may move the hand, before and after each
         self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
             "cancel": self._cancel,
             "hold": self._hold,
@@ -74,7 +74,7 @@ class CommandHandlers:
         """
         name = request.request.name
         if name == "sample":
-            raise RequestRejected("samples of a stream are put, not queried")
+            raise RequestRejected("samples of a stream must be published, not queried")
         goal = decode_goal(request.question) if name == "do" else None
         if goal is None:
             request.check()
@@ -89,14 +89,14 @@ class CommandHandlers:
         return None if text is None else REPLY.encode(accepted(text))
 
     def handle_put(self, request: IncomingRequest) -> bytes | None:
-        """Handle a request that was put; samples of streams are, and only refusals answer them."""
+        """Handle a request that was published, such as a goal or a sample of a stream."""
         if request.request.name != "sample":
             return self.handle(request)
         self._take_sample(request)
         return None
 
     def _take_sample(self, request: IncomingRequest) -> None:
-        """Take a sample of a stream; only refusals are answered."""
+        """Pass a sample of a stream to the loop; only refusals are answered."""
         streams = self._loop.streams
         with self._lock:
             # Before the sample is decoded, so that a flood costs little.
@@ -109,11 +109,11 @@ class CommandHandlers:
             self._moves += 1
 
     def stop(self, request: IncomingRequest) -> None:
-        """Stop all devices; anybody may ask for it, even without ``hello``.
+        """Stop all devices; any client may request it, even without ``hello``.
 
-        Stops that come while the devices are being stopped are carried out together afterwards. One
-        that comes right after another, with nothing in between that could move the hand, is
-        answered as that one was.
+        Stops that arrive while the devices are being stopped are carried out together afterwards. A
+        stop shortly after a confirmed one, without a request in between that could move the hand,
+        gets the same answer.
         """
         request.check()
         with self._stop_lock:
@@ -122,12 +122,12 @@ class CommandHandlers:
                 return
             self._stopping.append(request)
             if len(self._stopping) > 1:
-                return  # the one before has begun
+                return  # an earlier stop is under way
         self._thread.start(self._stop_together)
 
     def _is_stopped(self) -> bool:
         recently = time.monotonic() - self._stopped_at < _STOPPED_FOR
-        still = self._loop.controller.running is None  # a goal of the loop's own would move it
+        still = self._loop.controller.running is None  # the loop may run a goal of its own
         return recently and still and self._stopped_after == self._moves
 
     async def _stop_together(self) -> None:
@@ -135,13 +135,13 @@ class CommandHandlers:
             await self._stop_all()
         except BaseException:
             with self._stop_lock:
-                self._stopping.clear()  # else no stop would ever begin again
+                self._stopping.clear()  # or no stop would ever begin again
             raise
 
     async def _stop_all(self) -> None:
         while True:
             with self._stop_lock:
-                # Read before the devices stop: what moves the hand meanwhile needs another stop.
+                # Read before the devices stop: a motion meanwhile needs another stop.
                 asked, moves = len(self._stopping), self._moves
                 client = self._stopping[0].client or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
@@ -159,10 +159,10 @@ class CommandHandlers:
                 return
 
     def client_left(self, client: str) -> None:
-        """Note that a client has left; if it held the lease, the loop acts as configured."""
+        """Release a client's lease when the client has left; then the loop acts as configured."""
         with self._lock:
             held = self._lease.client_left(client)
-            self._moves += 1  # what is configured for it may move the hand
+            self._moves += 1  # the configured behaviour may move the hand
         if held:
             self._thread.call_soon(self._loop.client_lost, client)
 
@@ -170,7 +170,7 @@ class CommandHandlers:
         check_name(goal.goal_id, "goal")
         if self._lease.runs(goal.goal_id):
             raise GoalRejected(f"the goal '{goal.goal_id}' runs already")
-        # Before it is submitted: the loop may end the goal before `submit` returns.
+        # Before `submit`, since the loop may end the goal before it returns.
         self._lease.started(goal.client, goal.goal_id)
         try:
             self._loop.submit(goal)
@@ -199,7 +199,7 @@ class CommandHandlers:
         stream, deadline = check_name(fields["stream"], "stream"), fields["deadline"]
         if self._lease.runs(stream):
             raise GoalRejected(f"the stream '{stream}' runs already")
-        # Before it is begun: the loop may end the stream before `begin` returns.
+        # Before `begin`, since the loop may end the stream before it returns.
         self._lease.started(request.client, stream)
         try:
             within = None if math.isnan(deadline) else deadline  # NaN: as configured
@@ -232,7 +232,7 @@ class CommandHandlers:
         return ""
 
     def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:
-        """Have something done in the loop's thread, and answer the request when it is done."""
+        """Run ``work`` in the loop's thread, and answer the request when it is done."""
 
         async def run() -> None:
             try:
@@ -247,5 +247,5 @@ class CommandHandlers:
 
 def _values(fields: Fields) -> dict[str, float]:
     if len(fields["name"]) != len(fields["value"]):
-        raise GoalRejected("as many names as values are needed")
+        raise GoalRejected("there must be as many names as values")
     return dict(zip(fields["name"], fields["value"].tolist(), strict=True))

@@ -1,10 +1,9 @@
-"""Certificates on a network, as a hand and its clients use them; `rtee secure` makes them.
+"""The certificates of a hand and its clients on a network, which `rtee secure` makes.
 
-A hand has an authority of its own, which has signed the certificates of the hand and of the people
-who may use it. Each certificate has a random common name, so that one that was lost can be refused
-without new ones for all. The list of who is admitted is kept beside the hand's certificate. It
-holds spare names, too: Zenoh has to know at the start of a hand the names that certificates made
-later will have.
+A hand has its own authority, which signs the certificates of the hand and of the people who may use
+it. Each certificate has a random common name, so that a lost one can be revoked alone. The list of
+admitted people is kept beside the hand's certificate. It contains spare names, too: Zenoh must know
+the common names of later certificates when a hand starts.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ IDENTITY_VARIABLE = "RTEE_IDENTITY"
 """Environment variable with the file of a client's certificate."""
 
 PEOPLE = "people.json"
-"""File with the list of who is admitted."""
+"""File with the list of admitted people."""
 
 AUTHORITY, AUTHORITY_KEY = "authority.crt", "authority.key"
 HAND, HAND_KEY = "hand.crt", "hand.key"
 
 _LONGEST = 65536
-"""Most that is read of a client's file [bytes]; one has two thousand."""
+"""Most bytes that are read of a client's file [bytes]: a valid one has two thousand."""
 
 _BLOCK = re.compile(r"-----BEGIN ([A-Z ]+)-----\n.*?-----END \1-----\n", re.DOTALL)
 _NAME = re.compile(r"^rtee client: ([A-Za-z0-9_\-]+\.[0-9a-f]+)$", re.MULTILINE)
@@ -44,13 +43,13 @@ _NAME = re.compile(r"^rtee client: ([A-Za-z0-9_\-]+\.[0-9a-f]+)$", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """Somebody for whom a certificate was made.
+    """A person's certificate.
 
     Attributes:
         name: The person's name, a dot, and the common name in the certificate.
-        role: What the person may do.
-        until: When the certificate expires, since 1970 [s].
-        revoked: Whether it is refused.
+        role: The person's role.
+        until: Expiry of the certificate [s since 1970].
+        revoked: Whether the certificate is revoked.
     """
 
     name: str
@@ -60,17 +59,17 @@ class Person:
 
 
 def person(name: str) -> str:
-    """Return the part of a certificate's name that says for whom it was made."""
+    """Return the person's name from the name of a certificate."""
     return name.rpartition(".")[0]
 
 
 def common_name(name: str) -> str:
-    """Return the part of a certificate's name that stands in it: a random one."""
+    """Return the random common name from the name of a certificate."""
     return name.rpartition(".")[2]
 
 
 def config_folder() -> Path:
-    """Return the user's folder of rtee's settings."""
+    """Return the user's folder for rtee's settings."""
     base = os.environ.get("XDG_CONFIG_HOME")
     return (Path(base) if base else Path.home() / ".config") / "rtee"
 
@@ -78,7 +77,8 @@ def config_folder() -> Path:
 def secure_folder(hand: str) -> Path:
     """Return the folder with a hand's certificates.
 
-    The hand's name in ``RTEE_SECURE_DIR``, else in ``secure`` in the user's folder of settings.
+    It is a folder of the hand's name in ``RTEE_SECURE_DIR``, else in ``secure`` in the user's
+    folder for rtee's settings.
     """
     given = os.environ.get(FOLDER_VARIABLE)
     folder = Path(given) if given else config_folder() / "secure"
@@ -87,13 +87,13 @@ def secure_folder(hand: str) -> Path:
 
 @dataclass
 class Credentials:
-    """A hand's certificates and who is admitted.
+    """A hand's certificates and its list of people.
 
     Attributes:
-        folder: Where they are.
-        people: Those for whom certificates were made.
-        until: When the hand's certificate expires, since 1970 [s].
-        spare: Role by common name of the certificates that may be made next, in this order.
+        folder: The folder of the certificates.
+        people: The people with certificates, revoked ones, too.
+        until: Expiry of the hand's certificate [s since 1970].
+        spare: Roles by common name, of the certificates that may be made next, in this order.
     """
 
     folder: Path
@@ -103,19 +103,19 @@ class Credentials:
     _stamp: tuple[int, int] = field(default=(-1, -1), repr=False)
 
     def read(self) -> bool:
-        """Read the list of who is admitted if it has changed; return whether it has.
+        """Read the list of people if it has changed; return whether it has.
 
         Raises:
             ConfigError: if it cannot be read.
         """
         path = self.folder / PEOPLE
         try:
-            found = path.stat()
-            # A new list is a new file, perhaps within one step of the clock.
-            stamp = (found.st_mtime_ns, found.st_ino)
+            status = path.stat()
+            # With the inode, since a new list may have the same time.
+            stamp = (status.st_mtime_ns, status.st_ino)
             if stamp == self._stamp:
                 return False
-            # The stamp is older than what is read: a list replaced in between is read once more.
+            # The stamp is older than the text: a list replaced in between is read again.
             self.people, self.until, self.spare = _people(path)
             self._stamp = stamp
             return True
@@ -126,7 +126,7 @@ class Credentials:
 
     @property
     def hidden(self) -> bool:
-        """Whether they may be there, but are not this user's to look at."""
+        """Whether this user may not read the list of people."""
         try:
             with (self.folder / PEOPLE).open("rb"):
                 return False
@@ -142,11 +142,11 @@ class Credentials:
 
     @property
     def admitted(self) -> Mapping[str, Person]:
-        """Those who are admitted, by the common names in their certificates."""
+        """The admitted people, by the common names in their certificates."""
         return {common_name(one.name): one for one in self.people if not one.revoked}
 
     def settings(self) -> dict[str, Any]:
-        """Return Zenoh's settings to listen with these certificates.
+        """Return Zenoh's settings for listening with these certificates.
 
         Raises:
             ConfigError: if a file is missing, or others can read the key.
@@ -199,22 +199,22 @@ class Identity:
 
     Attributes:
         name: Its name, see `Person`.
-        blocks: The parts of its file in PEM, by what they are.
+        blocks: The PEM blocks of its file: ``key``, ``certificate`` and ``authority``.
     """
 
     name: str
     blocks: Mapping[str, str]
 
     def settings(self) -> dict[str, Any]:
-        """Return Zenoh's settings to connect with this certificate."""
+        """Return Zenoh's settings for connecting with this certificate."""
         tls = "transport/link/tls/"
         return {
             f"{tls}root_ca_certificate_base64": _base64(self.blocks["authority"]),
             f"{tls}connect_private_key_base64": _base64(self.blocks["key"]),
             f"{tls}connect_certificate_base64": _base64(self.blocks["certificate"]),
             f"{tls}enable_mtls": True,
-            # The authority is the hand's own and has made one certificate for servers, whatever
-            # the address at which the hand is reached.
+            # The hand's own authority has made a single server certificate, which is valid at any
+            # address of the hand.
             f"{tls}verify_name_on_connect": False,
         }
 
@@ -249,7 +249,7 @@ def identity() -> Identity:
 
 
 _PARTS = ("key", "certificate", "authority")
-"""What a client's file holds, in this order."""
+"""The PEM blocks of a client's file, in this order."""
 
 
 def identity_text(name: str, key: str, certificate: str, authority: str) -> str:

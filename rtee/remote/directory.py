@@ -1,10 +1,10 @@
-"""Which hands run on this computer: one file per hand in the user's runtime folder.
+"""The hands that run on this computer: one file per hand in the user's runtime folder.
 
 A server keeps the file of its hand locked for as long as it lives. A file without a lock was left
 behind by a process that was killed. Programs that clean temporary folders may remove a file that
-is in use, so a server keeps a name in the kernel, too, and writes its file again.
+is in use, so a server also keeps a name in the kernel, and writes its file again.
 
-Servers and clients use a folder and its files only if nobody else could have made them.
+Servers and clients use a folder and its files only if no other user could have made them.
 """
 
 from __future__ import annotations
@@ -33,25 +33,26 @@ VARIABLE = "RTEE_RUNTIME_DIR"
 """Environment variable with the path of another runtime folder."""
 
 SERVICES = Path("/run/rtee")
-"""Where hands that run as services are announced, for users who may read it."""
+"""Folder in which hands that run as services are announced, to users who may read it."""
 
 _ATTEMPTS = 20
-"""Attempts to lock the file of a hand, together 0.2 s: a reader locks it for microseconds only."""
+"""Attempts to lock the file of a hand, together 0.2 s: readers lock it for microseconds only."""
 
 _PAUSE = 0.01
-"""Time between two of these attempts [s]."""
+"""Time between two of these attempts [s], many times longer than a reader's lock."""
 
 _LONGEST = 65536
-"""Most that is read of a hand's file [bytes]; a valid one has some hundred."""
+"""Most bytes that are read of a hand's file [bytes]: a valid one has some hundred."""
 
 _WATCH_PERIOD = 1.0
-"""Time between two checks that a hand's file is still there [s]: for so long nobody finds it."""
+"""Interval of the checks that a hand's file still exists [s]: so long, clients may not find it."""
 
 _ASKING = 64
-"""Processes that may ask who has a name between two of these checks: more than start a hand."""
+"""Processes that may ask for the owner of a name between two of these checks: more than ever start
+a hand at once."""
 
 _OPEN = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-"""How files are opened: no links are followed, and a named pipe keeps nobody waiting."""
+"""Flags for opening files: no links are followed, and a named pipe does not block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +71,10 @@ class Running:
 
 
 def runtime_folder() -> Path:
-    """Return the folder with the files of running hands: this user's, and emptied at a restart.
+    """Return this user's folder with the files of running hands, which a restart empties.
 
-    ``RTEE_RUNTIME_DIR``, else ``rtee`` in ``XDG_RUNTIME_DIR``, else ``rtee-<uid>`` in the temporary
-    folder.
+    It is ``RTEE_RUNTIME_DIR``, else ``rtee`` in ``XDG_RUNTIME_DIR``, else ``rtee-<uid>`` in the
+    temporary folder.
     """
     if given := os.environ.get(VARIABLE):
         return Path(given)
@@ -82,15 +83,15 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
 
 
-def _is_trusted(found: os.stat_result, owner: int, forbidden: int) -> bool:
-    return found.st_uid == owner and not found.st_mode & forbidden
+def _is_trusted(status: os.stat_result, owner: int, forbidden: int) -> bool:
+    return status.st_uid == owner and not status.st_mode & forbidden
 
 
 def _own_folder(*, make: bool) -> int | None:
-    """Return a descriptor of this user's folder; ``None`` if there is none and it is not made.
+    """Return a descriptor of this user's folder; ``None`` if it doesn't exist and isn't made.
 
     Raises:
-        ConfigError: if it is not ours alone.
+        ConfigError: if others can write to the folder.
     """
     folder = runtime_folder()
     descriptor = None
@@ -98,7 +99,7 @@ def _own_folder(*, make: bool) -> int | None:
         if make:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
-        # The open folder is judged and not its path, which somebody could exchange in between.
+        # Checks the open folder, not its path, which somebody could replace in between.
         if _is_trusted(os.fstat(descriptor), os.getuid(), 0o022):
             return descriptor
     except FileNotFoundError:
@@ -115,9 +116,9 @@ def _own_folder(*, make: bool) -> int | None:
 
 
 def _services() -> int | None:
-    """Return a descriptor of the services' folder, if there is one that not everybody can change.
+    """Return a descriptor of the services' folder; ``None`` if there is none, or all can change it.
 
-    It is in a folder of root, so its owner is whom root has given it to.
+    Its owner can be trusted, since only root can make it in ``/run``.
     """
     try:
         descriptor = os.open(SERVICES, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
@@ -130,11 +131,11 @@ def _services() -> int | None:
 
 
 class Place:
-    """The place of a hand in the runtime folder, while its file is locked; made by `claimed`.
+    """A hand's locked file in the runtime folder; made by `claimed`.
 
     Attributes:
         path: The hand's file.
-        socket: Where the hand's Unix socket belongs.
+        socket: Path for the hand's Unix socket.
     """
 
     def __init__(self, path: Path, hand: str, name: socket.socket | None) -> None:
@@ -142,11 +143,11 @@ class Place:
 
         Args:
             path: The hand's file.
-            hand: Its name.
-            name: Listens for those who ask who has the hand's name in the kernel.
+            hand: The hand's name.
+            name: Keeps the hand's name in the kernel, and accepts those who ask for its owner.
 
         Raises:
-            ConfigError: if another process has it.
+            ConfigError: if another process has locked the file.
         """
         self.path, self.socket = path, path.with_suffix(".sock")
         self._hand, self._name = hand, name
@@ -162,14 +163,14 @@ class Place:
         self._put(json.dumps({"pid": os.getpid(), "endpoints": list(endpoints)}).encode())
 
     def withdraw(self) -> None:
-        """Announce the hand no longer."""
+        """Withdraw the announcement of the hand."""
         self._put(b"")
 
     def close(self) -> None:
         """Remove the file."""
         self._ended.set()
         self._watcher.join()
-        # Before the lock is given up, or it might be the next server's file by then.
+        # Before the lock is released: after that, it may be the next server's file.
         if _same_file(self._descriptor, self.path):
             with contextlib.suppress(OSError):
                 self.path.unlink()
@@ -184,14 +185,14 @@ class Place:
     def _watch(self) -> None:
         while not self._ended.wait(_WATCH_PERIOD):
             with contextlib.suppress(OSError):
-                while self._name is not None:  # until there is nobody left: it does not block
+                while self._name is not None:  # until nobody is left: `accept` does not block
                     self._name.accept()[0].close()
             if not _same_file(self._descriptor, self.path):
                 with contextlib.suppress(ConfigError, OSError):
                     self._replace()
 
     def _replace(self) -> None:
-        """Write the file again after somebody has removed it."""
+        """Write the file again after it was removed."""
         if (folder := _own_folder(make=True)) is not None:
             os.close(folder)
         descriptor = _locked(self.path, self._hand)
@@ -204,7 +205,7 @@ class Place:
 
 @contextlib.contextmanager
 def claimed(hand: str) -> Iterator[Place]:
-    """Keep the place of a hand for as long as the context lasts, so that it runs once.
+    """Lock the file of a hand for as long as the context lasts, so that the hand runs only once.
 
     Args:
         hand: Its name.
@@ -218,7 +219,7 @@ def claimed(hand: str) -> Iterator[Place]:
         raise ConfigError("cannot be made", path=path.parent)
     with contextlib.ExitStack() as stack:
         stack.callback(os.close, folder)
-        # systemd-tmpfiles leaves alone what is in a folder with a lock.
+        # systemd-tmpfiles spares the files of a locked folder.
         _lock(folder, fcntl.LOCK_SH)
         name = stack.enter_context(_named(hand, folder, path.parent))
         place = Place(path, hand, name)
@@ -229,7 +230,7 @@ def claimed(hand: str) -> Iterator[Place]:
 
 @contextlib.contextmanager
 def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
-    """Announce a hand for as long as the context lasts; errors are those of `claimed`.
+    """Announce a hand for as long as the context lasts; raises the same errors as `claimed`.
 
     Args:
         hand: Its name.
@@ -242,17 +243,17 @@ def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket | None]:
-    """Keep a name in the kernel that no cleaner removes: an abstract Unix socket of Linux.
+    """Keep a name in the kernel, where no cleaner removes it: an abstract Unix socket of Linux.
 
     Raises:
-        ConfigError: if a process of this user has it, so that the hand runs already.
+        ConfigError: if a process of this user has the name, so that the hand runs already.
     """
     if not sys.platform.startswith("linux"):
         yield None
         return
-    # By path and device: the folder itself may be removed and made again.
-    what = f"{os.fstat(descriptor).st_dev} {folder.resolve()} {hand}"
-    name = f"\0rtee-{os.getuid()}-{hashlib.sha256(what.encode()).hexdigest()[:32]}"
+    # By device and path, since the folder itself may be removed and made again.
+    key = f"{os.fstat(descriptor).st_dev} {folder.resolve()} {hand}"
+    name = f"\0rtee-{os.getuid()}-{hashlib.sha256(key.encode()).hexdigest()[:32]}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as named:
         named.setblocking(False)
         for _ in range(_ATTEMPTS):
@@ -263,22 +264,22 @@ def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket |
             time.sleep(_PAUSE)  # the previous server may just be ending
         else:
             owner = _owner(name)
-            # Where another user keeps the name, to be a nuisance, the file alone decides.
+            # If another user occupies the name, maliciously, only the file decides.
             if owner is not None and owner[1] == os.getuid():
                 raise ConfigError(f"the hand '{hand}' runs already, in process {owner[0]}")
         yield named
 
 
 def _owner(name: str) -> tuple[int, int] | None:
-    """Return the process and the user that listen on a Unix socket."""
+    """Return the ids of the process and the user that listen on a Unix socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:
             asking.connect(name)
         except OSError:
             return None
-        found = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-        pid, uid, _ = struct.unpack("3i", found)
+        peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+        pid, uid, _ = struct.unpack("3i", peer)
         return pid, uid
 
 
@@ -288,8 +289,8 @@ def _locked(path: Path, hand: str) -> int:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | _OPEN, 0o640)
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or not _is_trusted(found, os.getuid(), 0o022):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid(), 0o022):
             os.close(descriptor)
             raise ConfigError("must be a file that only you can write to; remove it", path=path)
         # The previous server may have removed the file between opening and locking it.
@@ -329,21 +330,21 @@ def _read(descriptor: int) -> dict[str, object]:
 
 
 def _hand_in(folder: int, name: str) -> Running | None:
-    """Return the hand of a file, if its server lives."""
+    """Return the hand of a file, ``None`` if its server has ended."""
     try:
         descriptor = os.open(name, os.O_RDONLY | _OPEN, dir_fd=folder)
     except OSError:
         return None
     try:
-        found = os.fstat(descriptor)
+        status = os.fstat(descriptor)
         owner = os.fstat(folder).st_uid
-        if not stat.S_ISREG(found.st_mode) or not _is_trusted(found, owner, 0o022):
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner, 0o022):
             return None
         entry = _read(descriptor)
         pid, endpoints = entry.get("pid"), entry.get("endpoints")
         if not isinstance(pid, int) or not isinstance(endpoints, list):
             return None
-        # Shared, so that several readers do not take each other for the server.
+        # A shared lock, so that several readers do not mistake each other for the server.
         if _lock(descriptor, fcntl.LOCK_SH):
             return None
         hand = name.removesuffix(".json")
@@ -353,13 +354,13 @@ def _hand_in(folder: int, name: str) -> Running | None:
 
 
 def running() -> dict[str, Running]:
-    """Return the hands that run on this computer, this user's and services, by name.
+    """Return the hands of this user and of services that run on this computer, by name.
 
     Raises:
-        ConfigError: if this user's folder is not theirs alone.
+        ConfigError: if others can write to this user's folder.
     """
-    found: dict[str, Running] = {}
-    # A folder that is named explicitly, as in tests, is the only one.
+    hands: dict[str, Running] = {}
+    # A folder that is given explicitly, as in tests, is the only one.
     services = None if os.environ.get(VARIABLE) else _services()
     try:
         own = _own_folder(make=False)
@@ -370,11 +371,11 @@ def running() -> dict[str, Running]:
                 for name in sorted(os.listdir(folder)):
                     hand = _hand_in(folder, name) if name.endswith(".json") else None
                     if hand is not None:
-                        found[hand.hand] = hand
+                        hands[hand.hand] = hand
         finally:
             if own is not None:
                 os.close(own)
     finally:
         if services is not None:
             os.close(services)
-    return found
+    return hands

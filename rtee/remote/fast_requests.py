@@ -1,4 +1,4 @@
-"""Requests that are published instead of queried, because they reach the hand sooner.
+"""Requests that are published instead of queried, since that reaches the hand sooner.
 
 A goal that is published reaches the server's callback 0.11 ms sooner than one that is sent as a
 Zenoh query, and so do its answer and the first changed reference: 0.65 ms against 0.76 ms until the
@@ -21,21 +21,21 @@ from rtee.messages.requests import ANSWERS, PUT, inbox_key, topic_for
 from rtee.remote.session import EXPRESS, direct
 
 _CONNECT_WITHIN = 5.0
-"""Time until publications must reach the hand [s]: as long as a request waits for its answer."""
+"""Time within which the hand must subscribe to publications [s]: as long as for an answer."""
 
 
 class FastRequests:
     """Publishes requests to one hand and waits for their answers.
 
-    Each request carries a number in its attachment, and its answer the same number. Whatever does
-    not depend on a single request is prepared when this object is made. All methods are called in
-    the event loop's thread.
+    Each request carries a number in its attachment, and its answer the same number. Everything that
+    does not depend on a single request is prepared when this object is made. All methods must be
+    called in the event loop's thread.
 
     Args:
         session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
-        way: How it comes to the hand, see `rtee.messages.requests.HELLO`.
+        way: Its access path to the hand, see `rtee.messages.requests.HELLO`.
         signer: Signs the requests.
         call_soon: Calls a function in the event loop's thread, from any thread.
         settle: Completes the future of an answer, see `Link`.
@@ -95,15 +95,15 @@ class FastRequests:
         """Publish a request and return the future of its answer; see `Link.send`."""
         if self._gone:
             raise NoHand(f"the hand '{self._hand}' does not answer")
-        # The hand takes its subscriber back where too much comes (see `Inboxes`); what is published
-        # then would be lost without an answer.
+        # The hand withdraws its subscriber from a client that sends too much (see `Inboxes`); a
+        # request published meanwhile would be lost without an answer.
         if name in self._unmatched:
             raise TooManyRequests(
                 f"the hand '{self._hand}' does not listen for a while: too many requests came"
             )
         number = self._signer.number()
         self._publish(name, question, number)
-        # The answer is delivered in this thread, so it cannot come before the future is there.
+        # The answer is delivered in this thread, so it cannot arrive before the future exists.
         future = self._waiting[number] = self._loop.create_future()
         timer = self._loop.call_later(within, self._settle, number, False, b"")
         future.add_done_callback(lambda _: self._forget(number, timer))
@@ -122,7 +122,7 @@ class FastRequests:
         Args:
             name: Name of the request.
             question: The question, encoded.
-            label: Under which a refusal comes; see `refusals`.
+            label: Label of its refusal; see `refusals`.
 
         Raises:
             NoHand: if the hand has gone.
@@ -133,7 +133,7 @@ class FastRequests:
 
     @contextlib.contextmanager
     def refusals(self, label: str, refused: Callable[[bytes], None]) -> Iterator[None]:
-        """Have a function called with the refusals under a label while the context lasts."""
+        """Call a function with the refusals under a label for as long as the context lasts."""
         self._refusals[label] = refused
         try:
             yield
@@ -159,7 +159,7 @@ class FastRequests:
             refused(data)
 
     def fail_all(self) -> None:
-        """End all waiting requests with an error, and refuse new ones: the hand has gone."""
+        """End all waiting requests with an error, and refuse new ones, since the hand has gone."""
         self._gone = True
         for number in tuple(self._waiting):
             self._settle(number, False, b"")

@@ -1,4 +1,4 @@
-"""Finding a running hand: on this computer by its announcement, elsewhere by its endpoint."""
+"""Find a running hand: on this computer by its announcement, elsewhere by its endpoint."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _POLL_PERIOD = 0.02
 """Time between two searches for a hand that does not run yet [s]: too short to be noticed."""
 
 _ANSWER_WITHIN = 1.0
-"""Time for the hands at an endpoint to report that they are there [s]: a round trip or two."""
+"""Time for the hands at an endpoint to report that they are alive [s]: a round trip or two."""
 
 
 class Found(NamedTuple):
     """A hand that was found.
 
     Attributes:
-        session: A session with it.
-        hand: Its name.
-        way: How it was reached: `HERE`, `PLAIN`, or the name of this user's certificate.
+        session: A session with the hand.
+        hand: The hand's name.
+        way: The access path: `HERE`, `PLAIN`, or the name of this user's certificate.
     """
 
     session: zenoh.Session
@@ -56,13 +56,13 @@ async def open_hand(
     """Find a hand and open a session with it.
 
     Args:
-        hand: Its name; ``None`` if only one hand runs.
-        endpoint: Its address; ``None``: that in ``RTEE_CONNECT``, else this computer.
+        hand: The hand's name; ``None`` if only one hand runs.
+        endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, else this computer.
         wait: Time to wait for a hand that does not run yet [s].
         on_wait: Called with the reason for waiting, in words, whenever it changes.
 
     Returns:
-        The session, the hand's name, and how it was reached.
+        The session, the hand's name and the access path.
 
     Raises:
         NoHand: if there is no such hand.
@@ -85,15 +85,15 @@ async def open_hand(
 
 
 async def _here(hand: str | None) -> Found:
-    found = running()
-    name = _chosen(hand, found, "on this computer")
+    hands = running()
+    name = _chosen(hand, hands, "on this computer")
     try:
-        session = await anyio.to_thread.run_sync(open_client, found[name].endpoints)
+        session = await anyio.to_thread.run_sync(open_client, hands[name].endpoints)
     except NoHand:
         raise NoHand(
-            f"the hand '{name}' does not answer; it runs in process {found[name].pid}"
+            f"the hand '{name}' does not answer; it runs in process {hands[name].pid}"
         ) from None
-    return Found(session, name, way_to(found[name].endpoints[0]))
+    return Found(session, name, way_to(hands[name].endpoints[0]))
 
 
 async def _elsewhere(hand: str | None, endpoint: str) -> Found:
@@ -101,7 +101,7 @@ async def _elsewhere(hand: str | None, endpoint: str) -> Found:
     try:
         names = await anyio.to_thread.run_sync(_alive, session)
         return Found(session, _chosen(hand, names, f"at {endpoint}"), way_to(endpoint))
-    except BaseException:  # cancellation included: a session keeps threads
+    except BaseException:  # cancellation, too, since an open session keeps threads
         session.close()  # type: ignore[no-untyped-call]
         raise
 
@@ -111,13 +111,13 @@ def _alive(session: zenoh.Session) -> list[str]:
     return [str(reply.ok.key_expr).split("/")[1] for reply in tokens if reply.ok is not None]
 
 
-def _chosen(hand: str | None, there: Collection[str], where: str) -> str:
+def _chosen(hand: str | None, names: Collection[str], where: str) -> str:
     if hand is not None:
-        if hand in there:
+        if hand in names:
             return hand
-        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, there)}")
-    if not there:
+        raise NoHand(f"the hand '{hand}' does not run {where}; {suggestion(hand, names)}")
+    if not names:
         raise NoHand(f"no hand runs {where}; start one with 'rtee run HAND'")
-    if len(there) > 1:
-        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(there))}")
-    return next(iter(there))
+    if len(names) > 1:
+        raise ConfigError(f"several hands run {where}, name one: {', '.join(sorted(names))}")
+    return next(iter(names))

@@ -1,4 +1,4 @@
-"""Goals of a client: sending them to the hand, and following them to their results."""
+"""The goals of a client: send them to the hand, and follow them to their results."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rtee.types import Feedback, Goal, OnContact, Result, Stage
 from rtee.units import FORCE, LENGTH, SPEED, quantity
 
 OnContactWords = Mapping[str, OnContact | str] | OnContact | str
-"""A word for all fingers, or words by finger; the name "" means all others."""
+"""One reaction for all fingers, or reactions by finger, "" for all others."""
 
 
 class GoalOptions(TypedDict, total=False):
@@ -28,19 +28,19 @@ class GoalOptions(TypedDict, total=False):
 
     Attributes:
         intensity: 0 (rest) to 1 (the action's posture); 1 by default.
-        effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1: that share of
+        effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1, as a share of
             the limit of every actuator.
-        tolerance: Error norm at which the goal counts as reached; 0.01 by default.
+        tolerance: Norm of the error at which the goal counts as reached; 0.01 by default.
         speed: Scale of the velocity limits, above 0 up to 1; 1 by default.
         timeout: Longest time the goal may take [s]; by default as configured for the hand.
-        stage: How far a pinch goes: both, pre_grasp or grasp; both by default.
+        stage: Stage of a pinch: ``both``, ``pre_grasp`` or ``grasp``; both by default.
         kind: Kind of the action, where its name is ambiguous.
-        opening: Opening of the fingertips to go to, instead of an intensity [m].
+        opening: Target opening of the fingertips, instead of an intensity [m].
         force: Force between the fingertips, with an opening [N].
         tip_speed: Speed at which the opening changes, instead of ``speed`` [m/s].
-        on_contact: What fingers do when they touch something: ``stop``, ``hold`` or ``squeeze``;
-            or that by finger, "" for all others. By default as configured for the hand.
-        max_force: Force up to which a slip raises ``force`` [N].
+        on_contact: Reaction of fingers to a contact: ``stop``, ``hold`` or ``squeeze``; or
+            reactions by finger, "" for all others. By default as configured for the hand.
+        max_force: Force up to which slips raise ``force`` [N].
     """
 
     intensity: float
@@ -65,7 +65,7 @@ class RunningGoal:
 
     Args:
         goal: The goal.
-        cancel: Asks the hand to cancel it.
+        cancel: Requests the hand to cancel the goal.
 
     Attributes:
         goal: The goal.
@@ -76,7 +76,7 @@ class RunningGoal:
         self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        # Without this, asyncio would complain when nobody awaits the result of a hand that is gone.
+        # Without this, asyncio would log an error that nobody retrieves, when the hand has gone.
         self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
 
     @property
@@ -91,10 +91,10 @@ class RunningGoal:
     async def _iterate(self) -> AsyncIterator[Feedback]:
         while (feedback := await self._feedback.get()) is not None:
             yield feedback
-        self._feedback.put_nowait(None)  # for the next one who iterates
+        self._feedback.put_nowait(None)  # for the next iterator
 
     async def result(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
-        """Wait until the goal has ended.
+        """Wait until the goal has ended, and return its result.
 
         Args:
             on_feedback: Called with the feedback meanwhile.
@@ -105,7 +105,7 @@ class RunningGoal:
         if on_feedback is not None:
             async for feedback in self:
                 on_feedback(feedback)
-        # Cancelling one who waits must not cancel the result for the others.
+        # Cancelling one waiting task must not cancel the result for the others.
         return await asyncio.shield(self._result)
 
     async def cancel(self) -> None:
@@ -130,7 +130,7 @@ class RunningGoal:
 
 
 class GoalClient:
-    """Sends goals to the hand and delivers feedback and results to those that run.
+    """Sends goals to the hand, and delivers feedback and results to the running ones.
 
     Args:
         link: The connection to the hand.
@@ -146,7 +146,7 @@ class GoalClient:
         link.on_gone(self._on_gone)
 
     def _on_feedback(self, data: bytes) -> None:
-        if self._running:  # without goals of this client, the message need not even be decoded
+        if self._running:  # without goals of this client, messages need not be decoded
             feedback = decode_feedback(data)
             running = self._running.get(feedback.goal_id)
             if running is not None:
@@ -185,14 +185,14 @@ class GoalClient:
         return await self.start_goal(_goal(action, elements, self._link.client, options))
 
     async def start_goal(self, goal: Goal) -> RunningGoal:
-        """Begin a goal that says all itself and return at once; errors are those of `start`.
+        """Begin a complete goal and return at once; raises the same errors as `start`.
 
         Args:
-            goal: The goal; it becomes one of this client.
+            goal: The goal; its client is replaced by this one.
         """
         goal = replace(goal, client=self._link.client)
-        # Sent before anything else is prepared. The answer, and what follows it, come through this
-        # event loop and so cannot arrive before the goal is registered.
+        # Sent before anything else is prepared: the answer arrives through this event loop, and so
+        # not before the goal is registered.
         if goal.goal_id in self._running:
             raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
         answer = self._link.send("do", encode_goal(goal))
@@ -202,14 +202,14 @@ class GoalClient:
         try:
             await asyncio.shield(answer)
         except anyio.get_cancelled_exc_class():
-            # Sent already: the hand would carry out what its caller has given up, with nobody to
-            # cancel it. First the answer, as a goal that has not arrived cannot be cancelled.
+            # The goal was sent: nobody else would cancel what the caller has given up. The answer
+            # comes first, since a goal that has not arrived cannot be cancelled.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await answer
                 await running.cancel()
             self._running.pop(goal.goal_id, None)
             raise
-        # A goal that nobody follows must not stay registered.
+        # A refused goal must not stay registered.
         except BaseException:
             self._running.pop(goal.goal_id, None)
             raise
@@ -224,8 +224,8 @@ class GoalClient:
     ) -> Result:
         """Execute an action and wait for its result; cancelling the call cancels the goal.
 
-        Arguments and errors are those of `start`, and ``on_feedback``, which is called with the
-        feedback meanwhile; an error that it raises cancels the goal, too.
+        Takes the arguments of `start`, and ``on_feedback``, which is called with the feedback
+        meanwhile. Raises the same errors; an error of ``on_feedback`` cancels the goal, too.
         """
         running = await self.start(action, *elements, **options)
         return await self._followed(running, on_feedback)
@@ -233,13 +233,13 @@ class GoalClient:
     async def _followed(
         self, running: RunningGoal, on_feedback: Callable[[Feedback], object] | None
     ) -> Result:
-        """Return the result; being cancelled, or an error of ``on_feedback``, cancels the goal."""
+        """Return the result; cancelling this, or an error of ``on_feedback``, cancels the goal."""
         try:
             return await running.result(on_feedback)
         except RemoteError:
             raise
         except BaseException:
-            # Shielded: the scope that is cancelled would cancel this request, too.
+            # Shielded, or the cancelled scope would cancel this request, too.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await running.cancel()
             raise
@@ -260,13 +260,13 @@ class GoalClient:
 
         Args:
             opening: The opening [m]; or a text such as ``40mm``.
-            fingers: The fingers whose tips are meant; by default those of the hand's best action
-                for that opening.
-            speed: Speed at which the opening changes [m/s]; by default as fast as the hand goes.
+            fingers: The fingers that open or close; by default those of the hand's best action for
+                that opening.
+            speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is no such quantity.
+            GoalRejected: if a value is not such a quantity.
             RequestRejected: if the hand refuses the goal, with the reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
@@ -302,7 +302,7 @@ class GoalClient:
             grasp=True,
             narrower=quantity(inner, LENGTH, "tolerance"),
             wider=quantity(outer, LENGTH, "tolerance"),
-            on_contact=_words({} if on_contact is None else on_contact),
+            on_contact=_reactions({} if on_contact is None else on_contact),
             max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
         )
         return await self.start_goal(goal)
@@ -324,29 +324,29 @@ class GoalClient:
         """Grasp an object of a width and hold it with a force; wait for the result.
 
         The hand opens to the width plus a margin, closes until the fingertips meet the object,
-        builds up the force and keeps it. ``result.within`` says whether something is held at a
+        builds up the force and keeps it. ``result.within`` says whether an object is held at a
         width from ``width - tolerance[0]`` to ``width + tolerance[1]``, as libfranka defines
-        *grasped*; ``result.opening`` is the width at which it is held, ``result.force`` the force
-        as estimated, give or take ``result.force_error``.
+        *grasped*; ``result.opening`` is that width, ``result.force`` the estimated force with the
+        error ``result.force_error``.
 
         Args:
             width: Width of the object [m]; or a text such as ``30mm``.
-            force: Force between the fingertips [N]; by default what the effort limits give.
-            speed: Speed at which the opening changes [m/s]; by default as fast as the hand goes.
-            fingers: The fingers whose tips hold it; by default those of the hand's best action for
-                that width, which ``result.action`` and ``result.elements`` tell.
+            force: Force between the fingertips [N]; by default by the effort limits.
+            speed: Speed at which the opening changes [m/s]; by default as fast as the hand can.
+            fingers: The fingers that hold the object; by default those of the hand's best action
+                for that width, as in ``result.action`` and ``result.elements``.
             tolerance: How much narrower and wider than the width the object may be held [m].
             action: The action to close with, instead of the best one.
-            timeout: Longest time it may take [s]; by default as configured for the hand.
-            on_contact: What fingers do when they touch it: ``squeeze`` waits until enough of them
-                do, so that a light object is not pushed away; see `GoalOptions`.
-            max_force: Force up to which a slip raises ``force`` [N]; by default it is not raised.
+            timeout: Longest time the goal may take [s]; by default as configured for the hand.
+            on_contact: Reaction of fingers to a contact: with ``squeeze`` they wait until enough of
+                them touch, so that a light object is not pushed away; see `GoalOptions`.
+            max_force: Force up to which slips raise ``force`` [N]; by default they do not.
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is no such quantity.
-            RequestRejected: if the hand refuses the goal, with the reason and the nearest that it
-                can do.
+            GoalRejected: if a value is not such a quantity.
+            RequestRejected: if the hand refuses the goal, with the reason and the nearest possible
+                value.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
@@ -371,7 +371,7 @@ class GoalClient:
         speed: float | str | None = None,
         timeout: float | None = None,
     ) -> RunningGoal:
-        """Begin to close until the first contact and return at once; see `touch`."""
+        """Begin to close until a first contact and return at once; see `touch`."""
         goal = Goal(
             action,
             tuple(fingers or ()),
@@ -393,18 +393,18 @@ class GoalClient:
     ) -> Result:
         """Close slowly until a finger touches something, stop there, and wait for the result.
 
-        ``result.touched`` names the fingers that touch; none does if the hand closed without a
+        ``result.touched`` names the fingers that touch; it is empty if the hand closed without a
         contact. ``result.opening`` is the opening of the fingertips there, where it is known.
 
         Args:
-            fingers: The fingers to close; by default those of the action that has the most.
+            fingers: The fingers to close; by default those of the action with the most fingers.
             action: The action to close with, instead of the fingers' own.
             speed: Speed at which the opening closes [m/s]; 10 mm/s by default.
-            timeout: Longest time it may take [s]; by default as configured for the hand.
+            timeout: Longest time the goal may take [s]; by default as configured for the hand.
             on_feedback: Called with the feedback meanwhile.
 
         Raises:
-            GoalRejected: if a value is no such quantity.
+            GoalRejected: if a value is not such a quantity.
             RequestRejected: if the hand refuses the goal, with the reason.
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
@@ -422,7 +422,7 @@ class GoalClient:
         """Return a share of the effort limits of actuators [N·m | N], for the option ``effort``.
 
         Args:
-            share: Above 0 up to 1.
+            share: The share, above 0 up to 1.
             only: The actuators; ``None`` for all.
             besides: Actuators to leave out.
 
@@ -435,7 +435,7 @@ class GoalClient:
                 f"an effort for all actuators is a share of their limits, above 0 and at most 1 "
                 f"(100 %), not {share:g}"
             )
-        if self._efforts is None:  # they do not change while the hand runs
+        if self._efforts is None:  # cached: they do not change while the hand runs
             self._efforts = {a.name: a.effort for a in (await self._info()).actuators}
         known = self._efforts
         chosen = [name for name in (known if only is None else only) if name not in besides]
@@ -452,8 +452,8 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
-def _words(given: OnContactWords) -> dict[str, OnContact]:
-    """Return the words for contacts by finger; raises `GoalRejected` if one is none."""
+def _reactions(given: OnContactWords) -> dict[str, OnContact]:
+    """Return the reactions to contacts by finger; raises `GoalRejected` for unknown ones."""
     words = given if isinstance(given, Mapping) else {"": given}
     try:
         return {finger: OnContact(word) for finger, word in words.items()}
@@ -470,16 +470,16 @@ _QUANTITIES: Mapping[str, tuple[Mapping[str, float], str]] = {
     "tip_speed": (SPEED, "speed"),
     "max_force": (FORCE, "largest force"),
 }
-"""The options that may have units, with those, and how they are called."""
+"""Units and names, for people, of the options that may have units."""
 
 
 def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
     values: dict[str, Any] = dict(options)
-    for name, (units, what) in _QUANTITIES.items():
-        if values.get(name) is not None:
-            values[name] = quantity(values[name], units, what)
+    for option, (units, name) in _QUANTITIES.items():
+        if values.get(option) is not None:
+            values[option] = quantity(values[option], units, name)
     if "on_contact" in values:
-        values["on_contact"] = _words(values["on_contact"])
+        values["on_contact"] = _reactions(values["on_contact"])
     if "stage" in values:
         try:
             values["stage"] = Stage(values["stage"])

@@ -1,4 +1,4 @@
-"""Grasps planned for clients: one after the other, in processes of their own beside the loop."""
+"""Plan grasps for clients, one after the other, in processes beside the loop."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rtee.remote.call_queue import CallQueue
 from rtee.remote.incoming_request import IncomingRequest
 
 _WAITING: Final = 4
-"""Plans that may wait: each takes a second or two of a processor."""
+"""Plans that may wait: each takes a second or two of processor time."""
 
 
 class GraspPlanning:
@@ -32,45 +32,45 @@ class GraspPlanning:
         self._process: subprocess.Popen[str] | None = None
         self._closed = False
 
-    def handle(self, asked: IncomingRequest, actions: Path | None) -> None:
-        """Have a question answered later.
+    def handle(self, request: IncomingRequest, actions: Path | None) -> None:
+        """Queue a request, which is answered when the plan is ready.
 
         Args:
-            asked: The question.
-            actions: The folder of the hand's actions, in that of the hand.
+            request: The request.
+            actions: The folder of actions inside the hand's folder.
 
         Raises:
-            RteeError: if it cannot be.
+            RteeError: if the request is refused.
         """
-        reach = asked.request.name == "reach"
-        question = _reach_question(asked.fields) if reach else _question(asked.fields)
+        reach = request.request.name == "reach"
+        question = _reach_question(request.fields) if reach else _question(request.fields)
         question.check()
         if actions is None:
             raise RequestRejected(f"{self._hand} has no folder with actions to plan with")
-        # Made by the first question: most hands are never asked, and need no thread for it.
+        # Made by the first request: most hands get none, and need no thread for it.
         if self._queue is None:
             self._queue = CallQueue(f"plan {self._hand}", _WAITING)
-        if not self._queue.put(partial(self._answer, asked, actions.parent, question)):
+        if not self._queue.put(partial(self._answer, request, actions.parent, question)):
             raise RequestRejected(f"{_WAITING} plans are waiting already")
 
     def _answer(
-        self, asked: IncomingRequest, folder: Path, question: Question | ReachQuestion
+        self, request: IncomingRequest, folder: Path, question: Question | ReachQuestion
     ) -> None:
         try:
             if self._closed:
                 raise RequestRejected(f"{self._hand} has ended")
-            asked.answer({"data": ask(folder, question, self._started)})
+            request.answer({"data": ask(folder, question, self._started)})
         except Exception as error:
-            asked.refuse(error)
+            request.refuse(error)
 
     def _started(self, process: subprocess.Popen[str]) -> None:
-        # `close` may have run since the queue's thread has looked, and found no process to end.
+        # `close` may have run after `_answer` checked, and found no process to kill.
         self._process = process
         if self._closed:
             process.kill()
 
     def close(self) -> None:
-        """End what is being planned; blocks for a moment."""
+        """End the plan under way; blocks for a moment."""
         self._closed = True
         if self._process is not None:
             self._process.kill()

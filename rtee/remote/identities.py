@@ -1,8 +1,9 @@
-"""The clients of a hand as it knows them: who they are, whether they are there, what they may do.
+"""The clients of a hand: their identities, presence, roles and rates.
 
 A client declares a liveliness token with a name that nobody can guess, and says hello with that
-name. It gets a secret in answer, and signs its requests with it (`rtee.messages.identity`). When
-the token vanishes, the client is gone; no other client can declare the same one.
+name. The answer contains a secret, with which the client signs its requests
+(`rtee.messages.identity`). When the token vanishes, the client has left; no other client can
+declare the same token.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.rates import REFUSALS, Ignored, Rates
 
 _MOST_CLIENTS = 64
-"""Clients that may come the same way, such as with the same certificate: far more than work."""
+"""Most clients on one access path, such as with one certificate: far more than work together."""
 
 _MOST_WAITING = 256
-"""Tokens that may wait for their hello, and the reverse, and clients that may come back: the
-oldest are forgotten. Token and hello are milliseconds apart."""
+"""Most tokens that wait for their hello, hellos that wait for their token, and clients that may
+come back; the oldest are forgotten. Token and hello are milliseconds apart."""
 
 _TOKEN = re.compile(r"[0-9a-f]{32}\Z")
 
 
 class Admitted(NamedTuple):
-    """What those may do who come to the hand in a way.
+    """The rights of the clients on an access path.
 
     Attributes:
         role: Their role.
-        prefix: What the names of their clients begin with.
+        prefix: Required beginning of their names.
     """
 
     role: Role
@@ -48,11 +49,11 @@ def _nothing(*_: object) -> None:
 
 
 Admit = Callable[[str], Admitted | None]
-"""Tells what a way to the hand (see `HELLO`) admits to; ``None``: to nothing."""
+"""Returns the rights of the clients on an access path (see `HELLO`); ``None``: not admitted."""
 
 
 def admit_local(way: str) -> Admitted | None:
-    """Admit those who come without a certificate."""
+    """Admit clients without a certificate."""
     return Admitted(Role.MAINTAINER) if way in (HERE, PLAIN) else None
 
 
@@ -60,12 +61,12 @@ class Client:
     """A client that has said hello.
 
     Attributes:
-        name: Its name, which no other client has.
-        role: What it may do.
-        way: How it came to the hand, see `HELLO`.
-        secret: What it signs its requests with.
+        name: The client's unique name.
+        role: The client's role.
+        way: Its access path to the hand, see `HELLO`.
+        secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
-        rates: How fast it may send requests.
+        rates: Limits the client's requests.
     """
 
     __slots__ = ("_newest", "name", "rates", "role", "secret", "token", "way")
@@ -77,7 +78,7 @@ class Client:
         self._newest: dict[str, int] = {}
 
     def is_new(self, request: str, count: int) -> bool:
-        """Return whether a request's number is larger than those before it of its kind."""
+        """Return whether a request's number is larger than all before of this kind of request."""
         if count <= self._newest.get(request, 0):
             return False
         self._newest[request] = count
@@ -88,10 +89,10 @@ class Identities:
     """The clients of a hand. Any thread may call its methods.
 
     Args:
-        admit: Tells what those who come in some way may do.
+        admit: Returns the rights of the clients on an access path.
 
     Attributes:
-        present: Called with the name of each client that comes, now or again, and its way.
+        present: Called with name and access path of each client that arrives, or comes back.
     """
 
     def __init__(self, admit: Admit = admit_local) -> None:
@@ -107,20 +108,20 @@ class Identities:
         self._greeting: OrderedDict[str, tuple[Client, IncomingRequest]] = OrderedDict()
 
     def __contains__(self, name: str) -> bool:
-        """Return whether a client of this name is there."""
+        """Return whether a client of this name is present."""
         return name in self._there
 
     def __len__(self) -> int:
-        """Return the number of clients that are there."""
+        """Return the number of clients that are present."""
         return len(self._there)
 
-    # --- who comes and goes
+    # --- arrival and departure
 
     def hello(self, request: IncomingRequest, way: str) -> None:
-        """Admit a client, now or as soon as its token is seen, and answer with its secret and role.
+        """Admit a client, now or once its token is seen, and answer with its secret and role.
 
         Raises:
-            RequestRejected: if it is not admitted, with the reason.
+            RequestRejected: if the client is not admitted, with the reason.
         """
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
         admitted = self._admitted(way)
@@ -146,14 +147,14 @@ class Identities:
                 _shorten(self._greeting)
 
     def _admit(self, client: Client, request: IncomingRequest) -> None:
-        # One that is gone under this name must not come back beside the new one.
+        # A former client of this name must not come back beside the new one.
         self._gone = OrderedDict((k, v) for k, v in self._gone.items() if v.name != client.name)
         self._there[client.name] = self._by_token[client.token] = client
         self.present(client.name, client.way)
         request.answer(accepted(f"{client.secret.hex()} {client.role.name.lower()}"))
 
     def came(self, token: str) -> None:
-        """Note that a token was declared."""
+        """Record that a token was declared."""
         if _TOKEN.match(token) is None:
             return
         with self._lock:
@@ -170,27 +171,27 @@ class Identities:
                 _shorten(self._tokens)
 
     def left(self, token: str) -> str:
-        """Note that a token has vanished; return the name of the client that has left, or ""."""
+        """Record that a token has vanished; return the name of the client that has left, or ""."""
         with self._lock:
             self._tokens.pop(token, None)
             client = self._by_token.pop(token, None)
             if client is None:
                 return ""
             del self._there[client.name]
-            # Its connection may only have been interrupted; then the same token comes back.
+            # The connection may only be interrupted; then the same token comes back.
             self._gone[token] = client
             _shorten(self._gone)
             return client.name
 
-    # --- whose request it is
+    # --- the clients of requests
 
     def check(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request.
 
         Raises:
-            RequestRejected: if nobody has signed it, it was sent before, its client may not send
-                it, or sends too many.
-            Ignored: if there are too many even to be refused.
+            RequestRejected: if the request is not signed or was sent before, or its client lacks
+                the role or sends too many.
+            Ignored: if there are too many requests even to refuse them.
         """
         client = self.signer(request, attachment, question)
         if client is None:
@@ -198,24 +199,24 @@ class Identities:
         return self.permit(client, request)
 
     def signer(self, request: Request, attachment: bytes | None, question: bytes) -> Client | None:
-        """Return the client that has signed a request; ``None`` if none has, or if it is old."""
+        """Return the client that has signed a request; ``None``: no client, or a repeated one."""
         claim = claim_of(attachment)
         client = None if claim is None else self._there.get(claim.client)
         # Cheap checks come first: requests of strangers cost no HMAC.
         if claim is None or client is None:
             return None
-        # Before the number is noted: otherwise anybody could use up the numbers of a client.
+        # Before the number is recorded: otherwise anybody could use up a client's numbers.
         if not claim.signed_by(client.secret, request.name, question):
             return None
         with self._lock:
             return client if client.is_new(request.name, claim.count) else None
 
     def admits(self, client: Client) -> bool:
-        """Return whether the way in which a client came is still admitted."""
+        """Return whether a client's access path is still admitted."""
         return self._admitted(client.way) is not None
 
     def permit(self, client: Client, request: Request) -> str:
-        """Return the name of a client if it may send a request now; raises as `check` does."""
+        """Return a client's name if it may send a request now; raises the errors of `check`."""
         # Looked up for each request: the certificate may have been revoked since hello.
         rates, admitted = client.rates, self._admitted(client.way)
         if admitted is None:
@@ -237,33 +238,33 @@ class Identities:
             client.rates.charge(size)
 
     def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:
-        """Return the empty name of somebody who says hello; raises `Ignored` if too many do."""
+        """Return the name of a client that says hello, which is empty; raises `Ignored`."""
         if not self._strangers.allow(request.name):
             raise Ignored
         return ""
 
     def answers_junk(self) -> bool:
-        """Return whether one more message that is no request is answered with the reason."""
-        # Nobody has signed it, so it counts for all.
+        """Return whether to answer one more message that is not a request with the reason."""
+        # Such messages are not signed, so they count for all strangers together.
         return self._strangers.allow(REFUSALS)
 
     def way(self, name: str) -> str:
-        """Return how the client of a name came to the hand, see `HELLO`."""
+        """Return a client's access path, see `HELLO`."""
         client = self._there.get(name)
         return HERE if client is None else client.way
 
     def of(self, ways: Collection[str]) -> list[str]:
-        """Return the names of the clients that came in some ways."""
+        """Return the names of the present clients on some access paths."""
         with self._lock:
             return [client.name for client in self._there.values() if client.way in ways]
 
     def name(self, request: Request, attachment: bytes | None, question: bytes) -> str:
-        """Return the name of the client that has sent a request; empty if nobody has signed it."""
+        """Return the name of the client that has signed a request; empty if none has."""
         client = self.signer(request, attachment, question)
         return "" if client is None else client.name
 
     def answers_stop_at_once(self, name: str) -> bool:
-        """Return whether one more stop of a client is answered at once; it takes effect at once."""
+        """Return whether to answer one more stop of a client at once; it takes effect at once."""
         client = self._there.get(name)
         return (self._strangers if client is None else client.rates).allow("stop")
 

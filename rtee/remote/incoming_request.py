@@ -1,4 +1,4 @@
-"""A request as the server receives it: checked before it is handled, answered exactly once."""
+"""Requests in the server: checked before they are handled, answered exactly once."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rtee.remote.rates import Ignored
 log = logging.getLogger(__name__)
 
 LONGEST = 65536
-"""Longest question that is decoded [bytes]: ten times that of the longest timed action."""
+"""Longest question that is decoded [bytes]: ten times the longest timed action."""
 
 REPLY = message_type("rtee_msgs/msg/Reply")
 _EMPTY = message_type("rtee_msgs/msg/Empty")
 
 Send = Callable[[bytes, bool], object]
-"""Sends an encoded answer to the client; a refusal if the second argument is ``False``."""
+"""Sends an encoded answer to the client, or a refusal if the second argument is ``False``."""
 
 
 def accepted(text: str = "") -> dict[str, Any]:
@@ -35,7 +35,7 @@ def accepted(text: str = "") -> dict[str, Any]:
 
 def refusal(error: Exception) -> bytes:
     """Return the ``rtee_msgs/Reply`` that reports an error."""
-    # Any other error is a mistake in the hand's code: the log needs its traceback.
+    # Any other error is a bug in the hand's code: the log needs its traceback.
     known = isinstance(error, RteeError)
     if not known:
         log.error("a request failed", exc_info=error)
@@ -53,10 +53,10 @@ class IncomingRequest:
     """A request that waits for its answer.
 
     Attributes:
-        request: Which request it is.
+        request: The kind of request.
         question: The question, encoded.
         send: Sends the answer.
-        client: Name of the client that has sent it; names in the question are not believed.
+        client: Name of the client that has signed it; names in the question are not trusted.
     """
 
     __slots__ = ("_fields", "client", "question", "request", "send")
@@ -84,21 +84,21 @@ class IncomingRequest:
         self.send(self.request.answer.encode(fields), True)
 
     def refuse(self, error: Exception) -> None:
-        """Send the reason why the request is refused."""
+        """Send a refusal with an error as its reason."""
         self.send(refusal(error), False)
 
 
 Handler = Callable[[IncomingRequest], bytes | None]
-"""Handles a request; returns the encoded answer, or ``None`` if it will be sent later."""
+"""Handles a request; returns the encoded answer, or ``None`` if it is sent later."""
 
 
 Later = Callable[[bytes | None], object]
-"""Sends an encoded refusal after a while; ``None``: ends the request without an answer."""
+"""Sends an encoded refusal after a delay; ``None``: ends the request without an answer."""
 
 
 Check = Callable[[Request, bytes | None, bytes], str]
-"""Returns the name of the client that has sent a request, given the request's attachment and
-question; raises `RteeError` if the request is refused."""
+"""Returns the client's name from a request, its attachment and its question; raises `RteeError` if
+the request is refused."""
 
 
 def _always() -> bool:
@@ -114,16 +114,16 @@ def handle_request(
     later: Later | None = None,
     answers_junk: Callable[[], bool] = _always,
 ) -> None:
-    """Check a request of a group, have it handled, and send the answer or the reason against it.
+    """Check and handle a request of a group, and send the answer or a refusal.
 
     Args:
         message: The request.
         group: The group.
-        check: Tells who has sent it.
-        handle: Handles it.
+        check: Returns the client's name, or refuses the request.
+        handle: Handles the request.
         send: Sends the answer.
-        later: Tells those who send too much, after a while; without it they are told at once.
-        answers_junk: Tells whether one more message that is no request of the group is answered.
+        later: Sends refusals to clients that send too much; ``None``: `send` does, at once.
+        answers_junk: Returns whether to answer a message that is not a request of the group.
     """
     try:
         try:
@@ -147,21 +147,21 @@ def handle_request(
         answer_to(IncomingRequest(request, question, send, client), handle)
 
 
-def answer_to(asked: IncomingRequest, handle: Handler) -> None:
-    """Have a checked request handled, and send the answer or the reason against it."""
+def answer_to(request: IncomingRequest, handle: Handler) -> None:
+    """Handle a checked request, and send the answer or a refusal."""
     try:
-        answer = handle(asked)
+        answer = handle(request)
     except Ignored:
         pass
     except Exception as error:
-        asked.refuse(error)
+        request.refuse(error)
     else:
         if answer is not None:
-            asked.send(answer, True)
+            request.send(answer, True)
 
 
 def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
-    """Return which request a message is and its encoded question; cheap for junk of any size.
+    """Return the kind of a request and its encoded question; cheap for junk of any size.
 
     Raises:
         MessageError: if the message is not a request of the group.
@@ -171,7 +171,7 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
     if request is None or request.group != group:
         raise MessageError(f"there is no request '{name[:50]}' in '{group}'")
     payload = message.payload
-    # The length first: a copy of the bytes would hold Python's lock, which the loop needs.
+    # The length first: copying the bytes holds Python's interpreter lock, which the loop needs.
     size = 0 if payload is None else len(payload)
     if size > LONGEST:
         raise MessageError(f"{size} bytes are longer than any request")
@@ -183,10 +183,10 @@ def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, byte
 
 
 def _name(message: zenoh.Query | zenoh.Sample, group: str) -> str:
-    if group == HELLO:  # the last part of its key says how the client comes
+    if group == HELLO:  # the last part of its key is the access path
         return HELLO
     parts = str(message.key_expr).split("/")
-    # Behind the prefix and the hand: put/WAY/NAME/CLIENT, or GROUP/NAME.
+    # After the prefix and the hand: put/WAY/NAME/CLIENT, or GROUP/NAME.
     return parts[4] if parts[2] == INBOX else parts[3]
 
 
@@ -196,7 +196,7 @@ def last_part(message: zenoh.Query | zenoh.Sample) -> str:
 
 
 def attachment_of(message: zenoh.Query | zenoh.Sample) -> bytes | None:
-    """Return the attachment of a message, if it has one of a sensible length."""
+    """Return the attachment of a message; ``None`` if it has none, or a longer one than claims."""
     attachment = message.attachment
     if attachment is None or len(attachment) > LONGEST_CLAIM:
         return None
@@ -208,15 +208,15 @@ def reply(hand: str, query: zenoh.Query, data: bytes, ok: bool) -> None:
     if not ok:
         refuse(query, data)
         return
-    with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
+    with contextlib.suppress(zenoh.ZError), query:  # the client may have left
         # A query may address all hands at once; each answers under its own name.
-        asked = str(query.key_expr).split("/", 2)[2]
-        query.reply(network_key(hand, asked), data, express=True)
+        key = str(query.key_expr).split("/", 2)[2]
+        query.reply(network_key(hand, key), data, express=True)
 
 
 def refuse(query: zenoh.Query, data: bytes | None) -> None:
     """End a query with a refusal or, with ``None``, without an answer; may wait for the network."""
-    # The context ends the query in any case; otherwise its client would wait for the timeout.
-    with contextlib.suppress(zenoh.ZError), query:  # the client may have left by now
+    # The context always ends the query; otherwise its client would wait for the timeout.
+    with contextlib.suppress(zenoh.ZError), query:  # the client may have left
         if data is not None:
             query.reply_err(data)

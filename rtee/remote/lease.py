@@ -1,4 +1,4 @@
-"""The right to move a hand: one client at a time has it."""
+"""The lease: the right to move a hand, which one client at a time has."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Lease:
         self._acquired = client
 
     def release(self, client: str) -> None:
-        """Release what a client holds by `acquire` or a jog; its running goal still holds."""
+        """Release a client's lease by `acquire` or a jog; a running goal still holds it."""
         if self._acquired == client:
             self._acquired = ""
         if self._jogger == client:
@@ -63,21 +63,21 @@ class Lease:
         return goal_id in self._goals
 
     def started(self, client: str, goal_id: str) -> None:
-        """Note that a goal of a client runs."""
+        """Record that a goal of a client runs."""
         self._goals[goal_id] = client
 
     def ended(self, goal_id: str) -> None:
-        """Note that a goal has ended."""
+        """Record that a goal has ended."""
         # One atomic step: the loop's thread calls this while Zenoh's threads look up leases.
         self._goals.pop(goal_id, None)
 
     def jogged(self, client: str) -> None:
-        """Note that a client has jogged the hand."""
+        """Record that a client has jogged the hand."""
         self._jogger, self._jogged_until = client, self._now() + JOGGING
 
     def client_left(self, client: str) -> bool:
-        """Note that a client has left; return whether it held the lease."""
-        # Asked first: after the release it would hold nothing.
+        """Release all that a client holds when it has left; return whether it held the lease."""
+        # First, since after the release the client holds nothing.
         held = self.holder == client
         self.release(client)
         for goal, owner in tuple(self._goals.items()):

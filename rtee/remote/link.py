@@ -1,4 +1,4 @@
-"""A client's connection to one hand: requests, topics, and whether the hand is still there."""
+"""A client's connection to one hand: requests, topics and liveliness."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ ANSWER_WITHIN = 5.0
 
 
 _TOO_FAST = 0.05
-"""Time until a request is sent again that came too fast [s]: the hand takes one more by then."""
+"""Time until a request that came too fast is repeated [s]: the hand accepts another one by then."""
 
 
 class Link:
-    """A client's connection to one hand. All methods are called in the event loop's thread.
+    """A client's connection to one hand. All methods must be called in the event loop's thread.
 
     Args:
         session: The Zenoh session.
         hand: The hand's name.
         client: This client's name on the network.
-        way: How this client comes to the hand, see `rtee.messages.requests.HELLO`.
+        way: This client's access path to the hand, see `rtee.messages.requests.HELLO`.
 
     Attributes:
         gone: Whether the hand has gone.
-        role: What this client may do, once it is connected.
+        role: This client's role, once it is connected.
     """
 
     def __init__(self, session: zenoh.Session, hand: str, client: str, way: str) -> None:
@@ -64,8 +64,8 @@ class Link:
         self._fast = FastRequests(
             session, hand, client, way, self._signer, self._call_soon, self._settle
         )
-        # While this token is there the hand knows that its client is alive. Nobody else knows its
-        # name, and so nobody can declare it in this client's place.
+        # The hand knows by this token that its client is alive. Nobody else knows the token's name,
+        # so nobody else can declare it.
         self._token_name = secrets.token_hex(16)
         key = network_key(hand, f"{CLIENTS}/{self._token_name}")
         self._token = session.liveliness().declare_token(key)
@@ -76,23 +76,23 @@ class Link:
         )
 
     def _call_soon(self, function: Callable[..., object], *arguments: object) -> None:
-        # Zenoh may still deliver when the event loop has ended.
+        # Zenoh may still deliver messages when the event loop has ended.
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(function, *arguments)
 
-    # --- whether the hand is there
+    # --- liveliness of the hand
 
     async def connect(self) -> None:
         """Introduce this client to the hand and wait until requests reach it; raises `NoHand`."""
         secret, _, role = (await self.request("hello", self._token_name))["text"].partition(" ")
         self._signer.secret = bytes.fromhex(secret)
-        # A word of a newer hand that this client does not know hides nothing from a person.
+        # An unknown role, of a newer hand, counts as the highest: the hand itself refuses requests.
         self.role = Role.__members__.get(role.upper(), Role.MAINTAINER)
-        # Zenoh drops silently what is published before the hand has subscribed.
+        # Zenoh silently drops messages published before the hand has subscribed.
         await self._fast.connected()
 
     def on_gone(self, callback: Callable[[], object]) -> None:
-        """Have a function called when the hand goes."""
+        """Call a function when the hand goes."""
         self._gone_callbacks.append(callback)
 
     def _on_liveliness(self, sample: zenoh.Sample) -> None:
@@ -108,7 +108,7 @@ class Link:
     # --- topics
 
     def subscribe(self, topic: str, receive: Callable[[bytes], object]) -> None:
-        """Have the messages on a topic of the hand received until the link is closed."""
+        """Receive the messages on a topic of the hand until the link is closed."""
 
         def received(sample: zenoh.Sample) -> None:
             self._call_soon(_decoded, receive, sample.payload.to_bytes())
@@ -119,7 +119,7 @@ class Link:
     def subscribed(
         self, topic: str, receive: Callable[[bytes], object], most: int
     ) -> Iterator[None]:
-        """Have the messages on a topic received for as long as the context lasts.
+        """Receive the messages on a topic for as long as the context lasts.
 
         While the event loop is busy, the newest ``most`` messages are kept.
         """
@@ -131,7 +131,7 @@ class Link:
 
         def received(sample: zenoh.Sample) -> None:
             waiting.append(sample.payload.to_bytes())
-            if len(waiting) == 1:  # else the event loop has been woken already
+            if len(waiting) == 1:  # otherwise the event loop has been woken already
                 self._call_soon(drain)
 
         with self._subscriber(topic, received):
@@ -143,9 +143,9 @@ class Link:
 
         Zenoh's thread collects them, so that the event loop is not woken.
         """
-        found: deque[bytes] = deque(maxlen=most)
-        with self._subscriber(topic, lambda sample: found.append(sample.payload.to_bytes())):
-            yield found
+        messages: deque[bytes] = deque(maxlen=most)
+        with self._subscriber(topic, lambda sample: messages.append(sample.payload.to_bytes())):
+            yield messages
 
     @contextlib.contextmanager
     def _subscriber(self, topic: str, received: Callable[[zenoh.Sample], None]) -> Iterator[None]:
@@ -168,7 +168,7 @@ class Link:
     ) -> dict[str, Any]:
         """Send a request and return the fields of its answer; see `send`.
 
-        If this client sends such requests faster than the hand takes them, this call waits.
+        Waits if this client sends such requests faster than the hand accepts them.
         """
         request = REQUESTS[name]
         question = b"" if fields is None else request.question.encode(fields)
@@ -214,7 +214,7 @@ class Link:
                 self._call_soon(self._settle, future, False, reply.err.payload.to_bytes())
 
         def ended() -> None:
-            # Without effect if there was a reply: the future is complete then.
+            # Without effect after a reply, which has completed the future.
             self._call_soon(self._settle, future, False, b"")
 
         first = request.group == STOP
@@ -225,9 +225,9 @@ class Link:
             self._session.get(
                 key,
                 direct(replied, ended),
-                consolidation=zenoh.ConsolidationMode.NONE,  # else replies wait for the last one
+                consolidation=zenoh.ConsolidationMode.NONE,  # or replies wait for the last one
                 timeout=within,
-                # A stop must overtake all other messages that wait to be sent.
+                # A stop must overtake all other messages waiting to be sent.
                 priority=zenoh.Priority.REAL_TIME if first else zenoh.Priority.INTERACTIVE_HIGH,
                 express=True,
                 payload=question,
@@ -243,12 +243,12 @@ class Link:
 
     @contextlib.contextmanager
     def refusals(self, label: str, refused: Callable[[RemoteError], None]) -> Iterator[None]:
-        """Have a function called with what the hand refuses under a label, see `put`."""
+        """Call a function with the hand's refusals under a label, see `put`."""
         with self._fast.refusals(label, lambda data: refused(self._refusal(data))):
             yield
 
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
-        """Complete the future of an answer; the data of a refusal are empty if there is none."""
+        """Complete the future of an answer; empty data of a refusal mean that none arrived."""
         if future.done():
             return
         if ok:
@@ -257,7 +257,7 @@ class Link:
             future.set_exception(self._refusal(data))
 
     def _refusal(self, data: bytes) -> RemoteError:
-        """Return the error that a refusal means; its data are empty if there was no answer."""
+        """Return the error of a refusal; empty data mean that there was no answer."""
         try:
             reply = _REPLY.decode(data)
         except MessageError:
@@ -272,7 +272,7 @@ class Link:
 
     def close(self) -> None:
         """Undeclare everything and close the session; blocks for a moment."""
-        # A connection that is broken already leaves nothing to undeclare.
+        # A broken connection leaves nothing to undeclare.
         with contextlib.suppress(zenoh.ZError):
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
@@ -282,6 +282,6 @@ class Link:
 
 
 def _decoded(receive: Callable[[bytes], object], data: bytes) -> None:
-    # Any peer may publish on a key; what cannot be decoded is ignored.
+    # Any peer may publish on a key; undecodable messages are ignored.
     with contextlib.suppress(MessageError):
         receive(data)

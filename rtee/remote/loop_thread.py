@@ -1,4 +1,4 @@
-"""Calls from other threads into the thread of a hand's loop."""
+"""Calls from other threads to the thread of a hand's loop."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from rtee.errors import RteeError
 T = TypeVar("T")
 
 _ANSWER_WITHIN = 2.0
-"""Time to wait for the loop's thread [s]: many ticks, yet less than the 5 s that a client waits."""
+"""Time to wait for the loop's thread [s]: many ticks, yet less than the 5 s that clients wait."""
 
 
 class LoopThread:
-    """Calls functions in the thread of the running event loop; any thread may ask for it."""
+    """Calls functions in the thread of the running event loop, for any other thread."""
 
     def __init__(self) -> None:
         self._event_loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
 
     def call_soon(self, function: Callable[..., object], *arguments: object) -> None:
-        """Have a function called; does nothing once the event loop has ended."""
-        with contextlib.suppress(RuntimeError):  # raised once the event loop is closed
+        """Call a function soon; does nothing once the event loop has ended."""
+        with contextlib.suppress(RuntimeError):  # the event loop is closed
             self._event_loop.call_soon_threadsafe(function, *arguments)
 
     def call(self, function: Callable[[], T]) -> T:
-        """Have a function called and return its result; not to be used in the loop's own thread.
+        """Call a function and return its result; must not be used in the loop's own thread.
 
         Raises:
-            RteeError: if the loop doesn't answer.
+            RteeError: if the loop does not answer in time.
         """
         answer: concurrent.futures.Future[T] = concurrent.futures.Future()
 
         def call() -> None:
             try:
                 answer.set_result(function())
-            # Raised again where `call` was called; in the event loop it would only be logged.
+            # Raised in the caller's thread; in the event loop it would only be logged.
             except Exception as error:
                 answer.set_exception(error)
 
@@ -50,7 +50,7 @@ class LoopThread:
             raise RteeError("the loop does not answer") from None
 
     def start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Run a coroutine in the background."""
+        """Run a coroutine function in the background."""
         self.call_soon(self._start, work)
 
     def _start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -59,7 +59,7 @@ class LoopThread:
         task.add_done_callback(self._tasks.discard)
 
     async def close(self) -> None:
-        """Cancel the coroutines in the background; called in the loop's thread."""
+        """Cancel the background coroutines; called in the loop's thread."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

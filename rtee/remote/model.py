@@ -47,17 +47,17 @@ def from_info(info: HandInfo) -> Hand:
 
 
 async def model_of(remote: RemoteHand, configured: Hand | None = None) -> Hand:
-    """Return the model of a running hand: the one configured here if it fits, else the hand's.
+    """Return the model of a running hand: the local one if it matches, else the hand's own.
 
     Args:
         remote: The running hand.
-        configured: The one configured here, where that is known; else it is looked up by name.
+        configured: The local model; ``None``: looked up by name.
     """
     info = await remote.info()
     try:
         hand = load_hand(remote.name) if configured is None else configured
     except RteeError:
         return from_info(info)
-    # Another version of the hand may be configured here.
+    # The local configuration may be another version of the hand.
     fits = hand.actuator_names == info.actuator_names and hand.joint_names == info.joints
     return hand if fits else from_info(info)

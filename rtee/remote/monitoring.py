@@ -1,4 +1,4 @@
-"""Watching a running hand: states, events, status, description."""
+"""Watch a running hand: states, events, status, description."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ READY_WITHIN = 60.0
 """Default time to wait until a hand is ready [s]: twice what homing a hand takes."""
 
 _POLL_PERIOD = 0.05
-"""Time between two requests for the status while waiting [s]: short beside any homing."""
+"""Interval of requests for the status while waiting [s]: short beside any homing."""
 
 _MOST_WAITING = 1000
 """States or events queued for a slow reader: 1 s at 1 kHz. Older ones are dropped."""
@@ -47,11 +47,11 @@ class HandStatus:
         goal_id: The running goal, or an empty string.
         action: Its action.
         recording: Path of the recording being written, or an empty string.
-        recording_trouble: What the recording has lost and why, or an empty string.
+        recording_trouble: Losses of the recording and their reason, or an empty string.
         grip_effort: Effort kept on a grasped object, as a fraction of the effort limit.
         statistics: Statistics of the loop's clock.
         devices: Status of each device.
-        profile: Profile of the references, and why it is not the one in hand.yaml if so.
+        profile: Profile of the references, with the reason if it is not the one in hand.yaml.
         stream: Status of the stream of set-points.
     """
 
@@ -72,7 +72,7 @@ class CollectedStates:
     """States that have arrived since the last `drain`."""
 
     def __init__(self, found: deque[bytes]) -> None:
-        self._found = found
+        self._messages = found
 
     def drain(self, step: int = 1) -> list[State]:
         """Return the states since the last call, oldest first, and remove them.
@@ -81,9 +81,9 @@ class CollectedStates:
             step: Return only every ``step``-th of them; always the newest.
         """
         states: list[State] = []
-        # The number is fixed at the start, since Zenoh's thread goes on appending.
-        for number in range(len(self._found) - 1, -1, -1):
-            data = self._found.popleft()
+        # The length is read once, since Zenoh's thread keeps appending.
+        for number in range(len(self._messages) - 1, -1, -1):
+            data = self._messages.popleft()
             if number % step == 0:
                 with contextlib.suppress(MessageError):  # any peer may publish on the key
                     states.append(decode_state(data))
@@ -99,7 +99,7 @@ class Monitoring:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        # Weak, because an iterator that nobody has begun to use is never closed.
+        # Weak, because an iterator that was never started is never closed.
         self._event_queues: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
         self._state_queues: set[asyncio.Queue[State | None]] = set()
         self._message_queues: set[asyncio.Queue[Any]] = set()
@@ -112,7 +112,7 @@ class Monitoring:
             _put(queue, event)
 
     def _on_gone(self) -> None:
-        # ``None`` ends the iteration of those who would wait for ever.
+        # ``None`` ends iterations that would otherwise wait forever.
         for events in tuple(self._event_queues):
             _put(events, None)
         for states in self._state_queues:
@@ -124,7 +124,7 @@ class Monitoring:
         return NoHand(f"the hand '{self._link.hand}' has gone")
 
     async def _next(self, queue: asyncio.Queue[T | None]) -> T | None:
-        """Return what comes next; ``None`` once the hand has gone and all that came is taken."""
+        """Return a queue's next item; ``None`` once the hand has gone and the queue is empty."""
         if self._link.gone and queue.empty():
             return None
         return await queue.get()
@@ -161,34 +161,34 @@ class Monitoring:
     async def collected_states(
         self, rate: float = 100.0, most: int = _MOST_WAITING
     ) -> AsyncIterator[CollectedStates]:
-        """Collect states while the context lasts, for a reader that looks at them now and then.
+        """Collect states while the context lasts, for a reader that drains them now and then.
 
         Unlike with `states`, the event loop is not woken for each state.
 
         Args:
             rate: Desired rate [Hz]; the nearest one that divides the loop's rate is used.
-            most: How many states are kept; older ones are dropped.
+            most: Number of states to keep; older ones are dropped.
         """
-        with self._link.collected(await self._stream(rate), most) as found:
-            yield CollectedStates(found)
+        with self._link.collected(await self._stream(rate), most) as messages:
+            yield CollectedStates(messages)
 
     async def _stream(self, rate: float) -> str:
-        """Ask for states at a rate [Hz]; return the topic on which they are published."""
+        """Request states at a rate [Hz]; return the topic on which they are published."""
         fields = {"client": self._link.client, "rate": rate}
         return str((await self._link.ask("stream", fields))["text"])
 
     async def touch_state(self) -> dict[str, TouchState]:
-        """Return what touch sensors measured last, by device; empty where there are none.
+        """Return the newest states of the touch sensors, by device; empty if there are none.
 
         Raises:
-            MessageError: if the answer makes no sense.
+            MessageError: if the answer is malformed.
         """
         return reply_of(await self._link.ask("touch"))
 
     async def touch_states(self) -> AsyncIterator[TouchState]:
-        """Iterate over what touch sensors measure until the hand goes; a slow reader misses some.
+        """Iterate over states of the touch sensors until the hand goes; a slow reader misses some.
 
-        Each device's readings come as it gives them, at most at the hand's ``state_rate``.
+        Readings are published as devices return them, at most at the hand's ``state_rate``.
 
         Raises:
             NoHand: if the hand goes.
@@ -198,7 +198,7 @@ class Monitoring:
             with contextlib.suppress(MessageError):  # any peer may publish on the key
                 state = touch_of(fields, known)
                 if state.sensors is not known.get(state.device):
-                    # Others than before: ask where they are, but not again for each reading.
+                    # New sensors: request their places, but not again for each reading.
                     known |= {n: s.sensors for n, s in (await self.touch_state()).items()}
                     state = touch_of(fields, known)
                     known[state.device] = state.sensors
@@ -210,7 +210,7 @@ class Monitoring:
         Raises:
             NoHand: if the hand goes.
         """
-        # Registered here rather than at the first step, so that no event is missed until then.
+        # Registered here rather than at the first step of the iteration, to miss no event.
         queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
         self._event_queues.add(queue)
         return self._drained(queue)
@@ -277,10 +277,10 @@ class Monitoring:
 
         Args:
             timeout: Longest time to wait [s]; ``None``: without limit.
-            on_wait: Called with what the hand is waiting for, in words, whenever that changes.
+            on_wait: Called with the reason for waiting, in words, whenever it changes.
 
         Raises:
-            NotReady: if it takes longer; with what is missing.
+            NotReady: if it takes longer; the error says why.
             NoHand: if the hand goes.
         """
         lacks, reported, active_at = "it has not answered", "", math.inf
@@ -293,7 +293,7 @@ class Monitoring:
                 troubles = [_trouble(d) for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]
                 if not troubles and ticks > active_at:
                     return
-                # The loop notices at its next tick that a device has become active.
+                # The loop detects an active device at its next tick.
                 active_at = math.inf if troubles else min(active_at, ticks)
                 lacks = "; ".join(troubles) or "the loop does not tick"
                 if on_wait is not None and troubles and lacks != reported:
@@ -307,23 +307,23 @@ class Monitoring:
         """Return the description of the hand for grasp planners.
 
         Args:
-            posture: Actuator positions for poses and Jacobians [rad | m]; the others are at rest.
+            posture: Actuator positions for poses and Jacobians [rad | m]; other actuators are at
+                rest.
         """
         values = posture or {}
         fields = {"name": list(values), "position": list(values.values())}
         return info_of(await self._link.ask("info", fields))
 
     async def object_description(self) -> ObjectDescription | None:
-        """Return what a simulated device of the hand grasps, as it looks; ``None`` if none does.
+        """Return the shape of the object in a simulated device of the hand; ``None``: no object.
 
-        Where it is, and what presses on what, comes with the states, in channels; see
-        `rtee.object_description`.
+        Its pose and the contact forces are channels of the states; see `rtee.object_description`.
 
         Raises:
-            MessageError: if it cannot be drawn.
+            MessageError: if the answer is malformed.
         """
-        found = OBJECT.of(await self._link.ask("object_description"))
-        return found if found.parts else None
+        description = OBJECT.of(await self._link.ask("object_description"))
+        return description if description.parts else None
 
     async def robot_description(self) -> str:
         """Return the URDF."""
@@ -332,8 +332,8 @@ class Monitoring:
 
 def _trouble(device: DeviceStatus) -> str:
     """Return in words why a device is not active."""
-    what = f"fault {device.fault_code} ({device.fault_name})" if device.fault_name else ""
-    why = "; ".join(text for text in (what or device.message, device.hint) if text)
+    fault = f"fault {device.fault_code} ({device.fault_name})" if device.fault_name else ""
+    why = "; ".join(text for text in (fault or device.message, device.hint) if text)
     return f"device '{device.name}' is {device.lifecycle}" + (f": {why}" if why else "")
 
 

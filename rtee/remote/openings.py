@@ -1,4 +1,4 @@
-"""The openings of a running hand's actions, and the forces that can be asked for with them."""
+"""The openings of a running hand's actions, and the forces that goals may request with them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _NO_FORCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class OpeningRange:
-    """Openings and forces that goals with one action may ask for.
+    """The openings and forces that goals may request with one action.
 
     Attributes:
         action: Name of the action.
         elements: Elements of a primitive.
         intensity: Intensities ``(k,)``, rising.
-        opening: The opening there ``(k,)`` [m], falling.
-        least_force: Weakest force that can be asked for at some opening [N].
-        most_force: Strongest force that can be asked for at some opening [N].
-        unlimited: Why no force can be asked for, in words; empty if one can.
+        opening: The opening at each intensity ``(k,)`` [m], falling.
+        least_force: Weakest force that can be requested at any opening [N].
+        most_force: Strongest force that can be requested at any opening [N].
+        unlimited: Why no force can be requested, in words; empty if one can.
         least_forces: Weakest force at each of the openings ``(k,)`` [N].
         most_forces: Strongest force at each of the openings ``(k,)`` [N]; ``inf`` where no effort
-            limits it, so that none can be asked for.
+            limits it, so that none can be requested.
     """
 
     action: str
@@ -61,26 +61,26 @@ class OpeningRange:
         return float(self.opening[-1])
 
     def at(self, intensity: float) -> float:
-        """Return the opening at an intensity [m]; beyond the table, that at its end."""
+        """Return the opening at an intensity [m], clamped into the table."""
         return float(np.interp(intensity, self.intensity, self.opening))
 
     def intensity_at(self, opening: float) -> float:
-        """Return the intensity of an opening [m]; beyond the table, that at its end."""
+        """Return the intensity of an opening [m], clamped into the table."""
         return float(np.interp(-opening, -self.opening, self.intensity))
 
     def forces_at(self, opening: float) -> tuple[float, float]:
-        """Return the weakest and the strongest force that can be asked for at an opening [N].
+        """Return the weakest and the strongest force that can be requested at an opening [N].
 
-        Between two openings of the table, the strongest is at most what the hand gives there. It is
-        0 where no force can be asked for.
+        Between two openings of the table, the strongest one does not exceed the hand's. Both are 0
+        where no force can be requested.
 
         Args:
-            opening: The opening [m]; beyond the table, its nearest end counts.
+            opening: The opening [m], clamped into the table.
         """
         widths = -self.opening
         low = float(np.interp(-opening, widths, self.least_forces))
-        # A force is an effort divided by a lever, and levers are interpolated linearly: so is the
-        # reciprocal of a force.
+        # A force is an effort divided by a lever. Levers are interpolated linearly, so the
+        # reciprocal of the force is, too.
         most = np.where(np.isfinite(self.most_forces), self.most_forces, 0.0)
         weakness = 1.0 / np.maximum(most, _NO_FORCE)
         high = 1.0 / float(np.interp(-opening, widths, weakness))
@@ -88,23 +88,23 @@ class OpeningRange:
 
 
 def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/OpeningList``: of all actions with an up-to-date opening.
+    """Return the fields of a ``rtee_msgs/OpeningList`` with all actions of up-to-date openings.
 
     Args:
         library: The hand's actions.
         devices: Its devices.
 
     Raises:
-        ConfigError: if the file of the openings holds something else.
+        ConfigError: if the file of the openings is malformed.
     """
-    forces, found = device_forces(library.hand, devices), []
+    forces, entries = device_forces(library.hand, devices), []
     openings = library.openings
     for action in library:
         try:
-            found.append(_fields(library, action, openings.of(action), forces))
-        except ActionError:  # it has none, or one that is out of date: a goal says which
+            entries.append(_fields(library, action, openings.of(action), forces))
+        except ActionError:  # no opening, or an outdated one; a goal reports which
             continue
-    return {"openings": found}
+    return {"openings": entries}
 
 
 def _fields(
@@ -130,5 +130,5 @@ def _fields(
 
 
 def opening_of(fields: Mapping[str, Any]) -> OpeningRange:
-    """Return what the fields of a ``rtee_msgs/Opening`` say."""
+    """Return the range in the fields of a ``rtee_msgs/Opening``."""
     return OpeningRange(**{**fields, "elements": tuple(fields["elements"])})

@@ -1,8 +1,8 @@
 """The topics that a hand publishes: once for this computer, and once for each certificate.
 
-Zenoh reads its rules about who may see which key when a session is opened. What each person of a
-network sees therefore has keys of its own, which only that person's certificate may subscribe to,
-and the hand stops publishing there as soon as it is revoked.
+Zenoh reads its access rules only when a session is opened. Each certificate therefore has keys of
+its own, which nobody else may subscribe to, and the hand stops publishing on them as soon as the
+certificate is revoked.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ class Outlet:
         self._session, self._hand = session, hand
         self._watched, self._options = watched, options
         self._changing = threading.Lock()
-        # Replaced rather than changed, because the loop's thread looks at it.
+        # Replaced rather than changed, because the loop's thread reads it.
         self._keys: dict[str, _Key] = {}
 
     @property
     def wanted(self) -> bool:
-        """Whether it has subscribers; true for a topic whose subscribers are not watched."""
+        """Whether the topic has subscribers; true if its subscribers are not watched."""
         return any(key.wanted for key in self._keys.values())
 
     def put(self, data: bytes) -> None:
         """Publish a message."""
-        # Held while publishing, so that no publisher is undeclared while it is in use.
+        # Locked while publishing, so that no publisher is undeclared while it is in use.
         with self._changing:
             for key in self._keys.values():
                 if key.wanted:
                     key.publisher.put(data)
 
     def admit(self, ways: Collection[str]) -> None:
-        """Publish to those who come in some ways, and to no others."""
+        """Publish to the clients on some access paths, and to no others."""
         with self._changing:
             before = self._keys
             self._keys = {way: before.get(way) or self._key(way) for way in ways}
@@ -67,11 +67,11 @@ class Outlet:
 
 
 class _Key:
-    """A topic on one of its keys.
+    """One key of a topic.
 
     Attributes:
-        publisher: Publishes it.
-        wanted: Whether it has subscribers, if they are watched.
+        publisher: Publishes on the key.
+        wanted: Whether the key has subscribers, or they are not watched.
     """
 
     def __init__(self, publisher: zenoh.Publisher, watched: bool) -> None:
@@ -108,8 +108,8 @@ class Outlets:
 
         Args:
             topic: Its name.
-            watched: Publish only on keys that have subscribers: that saves time where there are
-                many messages, but a subscriber may miss those of its first milliseconds.
+            watched: Whether to publish only on keys that have subscribers. That saves time for
+                frequent messages, but a subscriber may miss those of its first milliseconds.
             options: Options of Zenoh's publishers.
         """
         outlet = Outlet(self._session, self.hand, topic, watched, options)
@@ -125,7 +125,7 @@ class Outlets:
         outlet.close()
 
     def admit(self, people: Collection[str]) -> None:
-        """Publish to those with some certificates, and no longer to those with others."""
+        """Publish to clients with some certificates, and no longer to those with others."""
         with self._changing:
             self._ways = (HERE, *people)
             for outlet in self._open:

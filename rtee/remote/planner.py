@@ -1,8 +1,8 @@
 """The description of a hand for grasp planners: limits, tip poses, Jacobians, transmission.
 
 It is computed with NumPy alone, so that a robot PC needs no kinematics library. The Jacobian of a
-fingertip maps actuator velocities to the linear velocity of the origin of the tip's link (first
-three rows) and the link's angular velocity (last three rows), both in the hand's base frame.
+fingertip maps actuator velocities to the linear velocity of the tip link's origin (first three
+rows) and the link's angular velocity (last three rows), both in the hand's base frame.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     u = np.array(hand.rest)
     for name, value in positions.items():
         spec = hand.actuator(name)
-        # A limit that was written with few digits may differ in the last one.
+        # Clients may round the limits to few digits.
         if not spec.lower - 1e-6 <= value <= spec.upper + 1e-6:
             raise GoalRejected(
                 f"the position {value:g} of '{name}' is outside its limits "
@@ -82,8 +82,9 @@ class FingerInfo:
         tip: The fingertip's link; empty if it has none.
         links: Links from base to end.
         actuators: Actuators that move the tip, nearest the palm first.
-        tip_pose: Pose of the tip's link in the hand's base frame ``(4, 4)``; ``None`` without one.
-        jacobian: Jacobian of the tip, linear part first, by the actuators ``(6, n)``.
+        tip_pose: Pose of the tip's link in the hand's base frame ``(4, 4)``; ``None``: no tip.
+        jacobian: Jacobian of the tip by the actuators, linear part first ``(6, n)``; ``None``: no
+            tip.
         friction: Coefficient of friction of the tip's surface, as hand.yaml or the URDF gives it;
             NaN: not known.
     """
@@ -108,11 +109,11 @@ class HandInfo:
         actuators: The actuators, in order.
         joints: Names of all moving joints.
         fingers: The fingers.
-        posture: Actuator positions ``(n,)`` to which poses and Jacobians belong [rad | m].
+        posture: Actuator positions ``(n,)`` of the poses and Jacobians [rad | m].
         joint_positions: Joint positions at that posture ``(m,)`` [rad | m].
-        transmission: Derivative of joint by actuator positions at that posture ``(m, n)``.
+        transmission: Derivative of joint positions by actuator positions there ``(m, n)``.
         urdf: Text of the URDF.
-        missing: What is not known, one sentence each.
+        missing: Unknown properties, one sentence each.
     """
 
     name: str
@@ -169,7 +170,7 @@ def _stiffness(hand: Hand, actuator: str) -> float:
 
 
 def _missing(hand: Hand) -> Iterator[str]:
-    """Yield what is not known of a hand, one sentence each."""
+    """Yield one sentence for each unknown property of a hand."""
     for finger in hand.fingers:
         if finger.tip is None:
             yield f"finger '{finger.name}' has no fingertip"
@@ -178,12 +179,12 @@ def _missing(hand: Hand) -> Iterator[str]:
     if stiff:
         yield f"the stiffness is not known of {_named(stiff, hand.actuator_names, 'actuators')}"
     if tips:
-        whose = _named(tips, hand.finger_names, "fingers")
-        yield f"the friction is not known of the tips of {whose}"
+        fingers = _named(tips, hand.finger_names, "fingers")
+        yield f"the friction is not known of the tips of {fingers}"
 
 
-def _named(some: Sequence[str], whole: Sequence[str], what: str) -> str:
-    return f"all {what}" if len(some) == len(whole) > 1 else ", ".join(some)
+def _named(some: Sequence[str], whole: Sequence[str], plural: str) -> str:
+    return f"all {plural}" if len(some) == len(whole) > 1 else ", ".join(some)
 
 
 def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:

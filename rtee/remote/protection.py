@@ -1,4 +1,4 @@
-"""How a hand protects its endpoints: certificates and access control, or a refusal to listen."""
+"""Protection of a hand's endpoints: certificates and access control, or a refusal to listen."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rtee.remote.session import TLS, is_safe
 log = logging.getLogger(__name__)
 
 _LOOK_EVERY = 1.0
-"""Time between two looks at the list of who is admitted [s]: so soon does a change take effect."""
+"""Interval of the checks of the list of people [s]: a revocation takes effect within a second."""
 
 Changed = Callable[[Collection[str], Collection[str]], object]
-"""Called with the common names of the certificates that are admitted now, and of those that are no
-longer."""
+"""Called with the common names of the certificates that are admitted now, and of those that no
+longer are."""
 
 
 class Endpoints(Protocol):
-    """The network settings of a hand that matter here."""
+    """The network settings of a hand that protection needs."""
 
     @property
     def listen(self) -> Sequence[str]:
@@ -39,7 +39,7 @@ class Endpoints(Protocol):
 
     @property
     def security(self) -> SecuritySettings:
-        """Who may use the hand on a network."""
+        """Security settings of the network."""
 
 
 def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
@@ -50,27 +50,27 @@ def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
 
 
 def exposed(endpoints: Endpoints) -> list[str]:
-    """Return the endpoints through which whoever reaches them can move the hand.
+    """Return the endpoints through which anybody can move the hand.
 
     Raises:
-        ConfigError: if there are some and hand.yaml does not allow it.
+        ConfigError: if there are any and hand.yaml does not allow it.
     """
     everywhere = [*endpoints.listen, *endpoints.connect]
-    found = [endpoint for endpoint in everywhere if not is_safe(endpoint)]
-    # A router that the hand connects to passes on the messages of whoever reaches it.
-    found += [each for each in endpoints.connect if each.startswith(TLS)]
-    if found and not endpoints.security.insecure:
+    unsafe = [endpoint for endpoint in everywhere if not is_safe(endpoint)]
+    # A router that the hand connects to passes on messages from anybody who reaches the router.
+    unsafe += [each for each in endpoints.connect if each.startswith(TLS)]
+    if unsafe and not endpoints.security.insecure:
         raise ConfigError(
-            f"whoever reaches {', '.join(found)} could move the hand: listen on"
+            f"whoever reaches {', '.join(unsafe)} could move the hand: listen on"
             " tls/HOST:PORT with certificates ('rtee secure init'), or allow it with"
             " 'insecure: true'",
             key="remote.security",
         )
-    return found
+    return unsafe
 
 
 class Protection:
-    """Who may do what with a hand, by how they come to it.
+    """The rights of a hand's clients, by their access path.
 
     Args:
         hand: The hand's name.
@@ -80,20 +80,20 @@ class Protection:
         settings: Zenoh's settings.
 
     Raises:
-        ConfigError: if an endpoint would let everybody in and hand.yaml does not say so, or there
-            are no certificates.
+        ConfigError: if an endpoint admits everybody and hand.yaml does not allow it, or there are
+            no certificates.
     """
 
     def __init__(self, hand: str, endpoints: Endpoints) -> None:
-        everybody = exposed(endpoints)
-        if everybody:
+        unsafe = exposed(endpoints)
+        if unsafe:
             log.warning(
                 "%s: whoever reaches %s can move the hand (remote.security.insecure)",
                 hand,
-                ", ".join(everybody),
+                ", ".join(unsafe),
             )
         plain = [each for each in endpoints.listen if not each.startswith(TLS)]
-        # What comes through a router carries no certificate of the client behind it.
+        # Messages through a router carry no certificate of the client behind it.
         self._plain = bool(plain or endpoints.connect)
         self.settings: dict[str, Any] = {}
         self._hand = hand
@@ -104,7 +104,7 @@ class Protection:
             self.settings |= self._credentials.settings()
             self._look_up(self._credentials)
             admitted = {name: one.role for name, one in self._admitted.items()}
-            # Zenoh reads its rules once: they must name certificates that are made later, too.
+            # Zenoh reads its rules once, so they must include the names of later certificates.
             self._known = {**self._credentials.spare, **admitted}
         self.settings["access_control"] = access_control(hand, self._known, plain=self._plain)
 
@@ -114,14 +114,14 @@ class Protection:
         return self._admitted.keys()
 
     def admit(self, way: str) -> Admitted | None:
-        """Return what those may do who come in a way; ``None`` if they are not admitted."""
+        """Return the rights of the clients on an access path; ``None`` if they are not admitted."""
         if way == HERE or (way == PLAIN and self._plain):
             return admit_local(way)
         return self._admitted.get(way)
 
     @contextlib.contextmanager
     def watched(self, changed: Changed) -> Iterator[None]:
-        """Follow the list of who is admitted, in a thread, for as long as the context lasts.
+        """Follow the list of people in a thread, for as long as the context lasts.
 
         Args:
             changed: Called in that thread when the list has changed.
@@ -150,12 +150,12 @@ class Protection:
     def _read_again(self, credentials: Credentials) -> bool:
         """Read the list if it has changed, and return whether it has.
 
-        Nobody is admitted while it cannot be read.
+        Nobody is admitted while the list cannot be read.
         """
         try:
             return credentials.read()
         except ConfigError as error:
-            # Nobody is admitted as it is: reported once, not every second.
+            # Nobody is admitted already: reported once, not every second.
             if not credentials.people:
                 return False
             log.error("%s: nobody is admitted from the network: %s", self._hand, error)
@@ -165,7 +165,7 @@ class Protection:
     def _look_up(self, credentials: Credentials) -> None:
         admitted = credentials.admitted
         for name in admitted.keys() - self._known.keys() - self._admitted.keys():
-            # Empty at the start, when all who are listed become known.
+            # Empty at the start, when all listed names become known.
             if self._known:
                 log.warning(
                     "%s: %s is admitted from the next start on: no spare name was left for it",

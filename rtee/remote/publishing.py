@@ -1,9 +1,9 @@
-"""What the server publishes: states at the rates that clients ask for, goals, results and events.
+"""Publishing by the server: states at the rates that clients request, goals, results and events.
 
-Publishing may cost the calling thread up to a millisecond, when it has to wake other processors or
-is interrupted meanwhile. The loop's thread therefore only queues what is due. One thread publishes
-states, which are dropped if a client is congested; another one publishes results and events, which
-must not be lost and may have to wait.
+Publishing may cost the calling thread up to a millisecond, if it has to wake other processors or is
+preempted. The loop's thread therefore only queues messages. One thread publishes states, which are
+dropped if a client is congested; another one publishes results and events, which must not be lost
+and may have to wait.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from rtee.touch import TouchState
 from rtee.types import DeviceStatus, Event, Feedback, Goal, LoopStatistics, Result
 
 MOST_STREAMS = 16
-"""Number of different rates streamed at once: more than clients need. Beyond it there are only
-those of every 1, 2, 4, 8 … ticks, so that subscribers cannot use up all."""
+"""Most different rates streamed at once: more than clients need. Beyond that, only streams of every
+1, 2, 4, 8 … ticks are added, which bounds their number."""
 
 _TOPICS = (
     topics.GOALS,
@@ -66,7 +66,7 @@ class StateMessages:
     """Encodes the records of ticks.
 
     Attributes:
-        grip: Tells opening and force of the fingertips of the last action that was given one.
+        grip: Computes opening and force of the fingertips, for the last goal with either.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -82,13 +82,13 @@ class StateMessages:
         return self._state.encode(record, joints, grip_at(self.grip, record))
 
     def joint_state(self, record: TickRecord) -> bytes:
-        """Return a ``sensor_msgs/JointState`` of all joints; efforts of joints are not known."""
+        """Return a ``sensor_msgs/JointState`` of all joints; their efforts are unknown."""
         position = self._transmission.joints(record.position)
         velocity = self._transmission.velocities(record.position, record.velocity)
         return self._joint_state.encode(record.wall_ns, position, velocity, position * float("nan"))
 
     def reference(self, record: TickRecord) -> bytes:
-        """Return a ``sensor_msgs/JointState`` of what was sent to the actuators."""
+        """Return a ``sensor_msgs/JointState`` of the references sent to the actuators."""
         return self._reference.encode(
             record.wall_ns,
             record.reference_position,
@@ -116,7 +116,7 @@ class Streams:
     """The streams of one hand.
 
     Args:
-        outlets: Has the topics published.
+        outlets: Publishes the topics.
         hand: The hand.
         rate: Rate of the loop [Hz].
         state_rate: Rate of the topics for all clients [Hz].
@@ -132,7 +132,7 @@ class Streams:
         )
         self._asked: dict[int, Stream] = {}
         self._all: tuple[Stream, ...] = self._fixed
-        self._ticks = crc32(hand.name.encode())  # so that hands on one clock take turns
+        self._ticks = crc32(hand.name.encode())  # so that hands on one clock publish in turns
         self._worker = CallQueue(f"states {hand.name}", _MOST_WAITING)
         self._touch = self._outlet(TOUCH)
         self._touch_every = every
@@ -150,10 +150,10 @@ class Streams:
         return max(1, round(self._rate / rate))
 
     def ask(self, rate: float) -> str:
-        """Return the topic with states at the nearest possible rate to a given one [Hz].
+        """Return the topic with states at the possible rate nearest to a given one [Hz].
 
-        The stream begins when a client subscribes to it. While very many rates are streamed, it may
-        be up to twice as fast.
+        The stream begins when a client subscribes to it. While very many rates are streamed, its
+        rate may be up to twice the given one.
 
         Raises:
             GoalRejected: if the rate is out of range.
@@ -171,7 +171,7 @@ class Streams:
         return self._asked[every].outlet.topic
 
     def _has_room(self) -> bool:
-        """Return whether there is room for one more rate, or an idle one was given up for it."""
+        """Return whether there is room for one more rate; closes an idle stream if needed."""
         if len(self._asked) < MOST_STREAMS:
             return True
         idle = [every for every, stream in self._asked.items() if not stream.outlet.wanted]
@@ -186,12 +186,12 @@ class Streams:
         self._asked, self._all = asked, (*self._fixed, *asked.values())
 
     def publish(self, record: TickRecord) -> None:
-        """Queue what is due at a tick."""
+        """Queue the messages that are due at a tick."""
         self._ticks += 1
         due = [each for each in self._all if self._ticks % each.every == 0 and each.outlet.wanted]
         if due:
             self._worker.put(partial(self._put, record, due))
-        # Sensors measure less often than the loop ticks; the same mapping holds nothing new.
+        # Sensors measure less often than the loop ticks; the same mapping has no new readings.
         if record.touch is not self._felt and self._ticks % self._touch_every == 0:
             known, self._felt = self._felt, record.touch
             if self._touch.wanted:
@@ -215,7 +215,7 @@ class Streams:
                 stream.outlet.put(stream.encode(record))
 
     def close(self) -> None:
-        """Stop publishing; waits for what is being published."""
+        """Stop publishing; waits until the queued messages are published."""
         streams, self._all = self._all, ()  # nothing more is queued from now on
         self._worker.close()
         for stream in streams:
@@ -224,14 +224,14 @@ class Streams:
 
 
 class Publisher(Observer):
-    """Publishes what happens in a loop: states in their streams, everything else in order.
+    """Publishes a loop's records: states in their streams, all other messages in order.
 
     Its methods are called in the loop's thread.
 
     Args:
-        outlets: Has the topics published.
+        outlets: Publishes the topics.
         streams: Publishes the states.
-        outbox: Publishes everything else.
+        outbox: Publishes all other messages.
         lease: The hand's lease, which goals and streams hold until they end.
     """
 
@@ -244,10 +244,10 @@ class Publisher(Observer):
         """Number of messages that could not be published in time."""
         return self._outbox.dropped
 
-    def _put(self, topic: str, encode: Callable[..., bytes], what: object, **times: float) -> None:
-        # Taken here: the message may wait in the queue for a slow client.
+    def _put(self, topic: str, encode: Callable[..., bytes], item: object, **times: float) -> None:
+        # Read here, since the message may wait in the queue for a slow client.
         wall = time.time_ns()
-        self._outbox.put(lambda: self._topics[topic].put(encode(what, wall=wall, **times)))
+        self._outbox.put(lambda: self._topics[topic].put(encode(item, wall=wall, **times)))
 
     def on_tick(self, record: TickRecord) -> None:
         """Queue the states that are due."""
@@ -258,7 +258,7 @@ class Publisher(Observer):
         self._put(topics.GOALS, encode_goal, goal, time=stamp)
 
     def on_plan(self, plan: Plan, stamp: float) -> None:
-        """Note which opening and force the states are to tell."""
+        """Keep the plan's grip, by which states report opening and force."""
         self._streams.messages.grip = plan.grip
 
     def on_feedback(self, feedback: Feedback) -> None:
@@ -267,7 +267,7 @@ class Publisher(Observer):
 
     def on_result(self, result: Result) -> None:
         """Publish the result of a goal."""
-        # Before the result goes out: another client that reads it may begin a goal at once.
+        # Before the result is published: a client that reads it may begin a goal at once.
         self._lease.ended(result.goal_id)
         self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
 

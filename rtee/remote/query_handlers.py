@@ -1,7 +1,7 @@
-"""Handlers of the requests that ask for information or change the actions.
+"""Handlers of the requests for information and of those that change the actions.
 
-They are called in a thread of their own, since they may take milliseconds. It is the only thread
-that changes the library of actions; the loop's thread only looks up in it.
+They are called in a thread of their own, since they may take milliseconds. Only this thread changes
+the library of actions; the loop's thread only reads it.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ _CONSTANT = frozenset({"info", "robot_description", "actions", "primitives", "pa
 """Requests whose answer changes only when the actions change."""
 
 _CHANGING = frozenset({"add", "store", "remove", "rename"})
-"""Requests that change the actions; not while another client holds the lease, since its next goal
-would mean something else."""
+"""Requests that change the actions. They are refused while another client holds the lease, whose
+next goal would use other actions than it expects."""
 
 _ABOUT_ACTIONS = _CHANGING | {"actions", "primitives", "partners"}
 """Requests before which the files of actions are read again if they have changed."""
 
 _MOST_ACTIONS = 256
-"""Actions, besides the primitives, beyond which clients may add no more: each takes a part of the
-time in which the files are read again, 0.3 ms."""
+"""With this many actions, besides the primitives, clients may add no more: each prolongs the
+reading of the files by 0.3 ms."""
 
 _MOST_KEPT = 64
-"""Cached answers: more than user interfaces ask for; each takes up to some hundred kilobytes."""
+"""Cached answers: more than user interfaces request; each takes up to some hundred kilobytes."""
 
 
 class RecordingStatus(Protocol):
@@ -73,11 +73,11 @@ class RecordingStatus(Protocol):
 
     @property
     def trouble(self) -> str:
-        """What is not recorded and why; empty if everything is recorded."""
+        """Losses of the recording and their reason, in words; empty if there are none."""
 
 
 class Recording(Protocol):
-    """A recorder as clients use it; any thread may call its methods, which return at once."""
+    """The interface of a recorder; any thread may call its methods, which return at once."""
 
     def start(self) -> None:
         """Start a new recording."""
@@ -139,44 +139,44 @@ class QueryHandlers:
             "rename": self._rename,
         }
 
-    def handle(self, asked: IncomingRequest) -> bytes | None:
+    def handle(self, request: IncomingRequest) -> bytes | None:
         """Return the encoded answer to a request; ``None`` if it is sent later.
 
         Raises:
             RteeError: if the request is refused.
         """
-        name, fields = asked.request.name, asked.fields
+        name, fields = request.request.name, request.fields
         if name == "state":
             return self._streams.messages.state(self._loop.snapshot())
         if name in ("grasp_plan", "reach"):
-            self._plans.handle(asked, self._library.folder)
+            self._plans.handle(request, self._library.folder)
             return None
         if name in _CHANGING or (name == "record" and fields["what"] != "mark"):
-            self._lease.check(asked.client)
+            self._lease.check(request.client)
         if name in _ABOUT_ACTIONS:
             self._reload()
         if name in _CONSTANT:
-            return self._cached(asked)
+            return self._cached(request)
         if name in _CHANGING:
-            fields = {**fields, "client": asked.client}  # the event names who it really was
-        return asked.request.answer.encode(self._handlers[name](fields))
+            fields = {**fields, "client": request.client}  # the event names the real client
+        return request.request.answer.encode(self._handlers[name](fields))
 
     def close(self) -> None:
-        """End what is being planned; blocks for a moment."""
+        """End the plan under way; blocks for a moment."""
         self._plans.close()
 
-    def _cached(self, asked: IncomingRequest) -> bytes:
-        """Return an answer that is worked out once for each question until the actions change.
+    def _cached(self, request: IncomingRequest) -> bytes:
+        """Return an answer that is cached for each question until the actions change.
 
-        Working it out holds Python's lock for milliseconds, which the loop also needs.
+        Computing it holds Python's interpreter lock for milliseconds, which the loop also needs.
         """
         if self._version != self._library.version or len(self._cache) >= _MOST_KEPT:
             self._cache.clear()
             self._version = self._library.version
-        key = (asked.request.name, asked.question)
+        key = (request.request.name, request.question)
         if key not in self._cache:
-            fields = self._handlers[asked.request.name](asked.fields)
-            self._cache[key] = asked.request.answer.encode(fields)
+            fields = self._handlers[request.request.name](request.fields)
+            self._cache[key] = request.request.answer.encode(fields)
         return self._cache[key]
 
     # --- information
@@ -208,8 +208,8 @@ class QueryHandlers:
         }
 
     def _object_description(self, _: Fields) -> Fields:
-        things = (device.driver.object_description for device in self._loop.devices.values())
-        return OBJECT.fields(next(filter(None, things), NO_OBJECT))
+        objects = (device.driver.object_description for device in self._loop.devices.values())
+        return OBJECT.fields(next(filter(None, objects), NO_OBJECT))
 
     def _recording_path(self) -> str:
         """Return the file being recorded, or an empty string."""
@@ -223,10 +223,10 @@ class QueryHandlers:
         return info_fields(self._hand, dict(zip(names, positions, strict=True)))
 
     def _record(self, fields: Fields) -> Fields:
-        recorder, what, text = self._recording, fields["what"], fields["text"]
+        recorder, verb, text = self._recording, fields["what"], fields["text"]
         if recorder is None:
             raise RequestRejected(f"{self._hand.name} has no recorder")
-        match what:
+        match verb:
             case "start":
                 recorder.start()
             case "stop":
@@ -239,12 +239,12 @@ class QueryHandlers:
                 recorder.mark(text)
             case _:
                 raise RequestRejected(
-                    f"unknown request '{what[:50]}' for the recording; start, stop or mark it"
+                    f"unknown request '{verb[:50]}' for the recording; start, stop or mark it"
                 )
         return accepted(self._recording_path())
 
     def _trials(self) -> str:
-        """Return the text of the file with the results of trials, and what the files are now."""
+        """Return the text of the file with the results of trials, and the files' fingerprint."""
         folder = self._library.folder
         if folder is None:
             return ""
@@ -259,12 +259,12 @@ class QueryHandlers:
     # --- actions
 
     def _actions(self, fields: Fields) -> Fields:
-        found = self._library.all(
+        actions = self._library.all(
             fields["kind"] or None, fields["name"] or None, fields["elements"]
         )
-        stored = self._library.is_stored
-        custom = {action.name: stored(action.name) for action in found}
-        return {"actions": [action_fields(a, custom[a.name]) for a in found]}
+        # Once for each name: a primitive has an action for each combination of elements.
+        stored = {name: self._library.is_stored(name) for name in {a.name for a in actions}}
+        return {"actions": [action_fields(a, stored[a.name]) for a in actions]}
 
     def _primitives(self, _: Fields) -> Fields:
         return {"groups": [group_fields(group) for group in self._library.primitives()]}
@@ -309,7 +309,7 @@ class QueryHandlers:
         return accepted(text)
 
     def _copied(self) -> str:
-        """Return a remark if the hand was just copied in order to be changed."""
+        """Return a remark if the change has just copied the hand, else an empty string."""
         before, self._folder = self._folder, self._library.folder
         if before is None or self._folder is None or before == self._folder:
             return ""
@@ -323,7 +323,7 @@ class QueryHandlers:
 
 
 def _check_free(name: str) -> None:
-    """Raise `RequestRejected` if clients may not give an action this name, or change that one."""
+    """Raise `RequestRejected` if clients may not add, rename or remove an action of this name."""
     if normalise(name) == OPEN:
         raise RequestRejected(
             f"'{OPEN}' brings the hand to rest, also when a client is lost; an action of this name"

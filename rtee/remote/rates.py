@@ -1,4 +1,4 @@
-"""How many requests of a kind, and bytes of answers, a client has in a second; and refusals."""
+"""Rate limits of a client: requests of each kind, bytes of answers, and refusals."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import NoReturn
 from rtee.errors import RequestRejected
 
 _BURST = 0.5
-"""Requests that may come at once are those of this time [s]."""
+"""Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""
 
 REFUSALS = "refusals"
-"""Name under which refusals are counted; further ones are not answered, since an answer costs more
-than to look at a request."""
+"""Name under which refusals are counted. Requests beyond the limit get no answer, since an answer
+costs more than a look at a request."""
 
 EXCESS = "excess"
-"""Name under which that is counted which a client puts too much, or others on its keys."""
+"""Name under which publications are counted that are not accepted, from a client or on its keys."""
 
 _USUAL = 100.0
-"""Requests of a kind [1/s]: several times what programs ask for that poll."""
+"""Default rate of requests of a kind [1/s]: several times that of programs that poll."""
 
 _RATES = {
-    "jog": 200.0,  # a slider that is dragged sends sixty
-    "sample": 4000.0,  # streams limit their own, by their rate
+    "jog": 200.0,  # a dragged slider sends sixty
+    "sample": 4000.0,  # `StreamIntake` limits samples by the rate of their stream
     "info": 20.0,  # some milliseconds of work for every new posture
     "openings": 20.0,
     "grasp_plan": 10.0,
@@ -33,22 +33,22 @@ _RATES = {
     "remove": 40.0,
     "rename": 40.0,
     "record": 10.0,
-    "stop": 20.0,  # answered at once; all take effect
+    "stop": 20.0,  # stops beyond it take effect, too, but are answered later
     REFUSALS: 200.0,
-    EXCESS: 20.0,  # who puts more is not heard for a moment
+    EXCESS: 20.0,  # beyond it, the client's inbox is closed for a moment
 }
-"""Requests of some kinds [1/s]."""
+"""Rates of requests of other kinds [1/s]."""
 
 
 _BYTES = "bytes"
 """Name under which the bytes of answers to questions are counted."""
 
 _MOST_BYTES = 1e6
-"""Bytes of answers to questions [B/s]: those of twenty lists of a large hand's actions. Answers are
-copied while Python's lock is held, which the loop also needs."""
+"""Rate of the bytes of answers to questions [B/s]: twenty lists of a large hand's actions. Answers
+are copied while Python's interpreter lock is held, which the loop also needs."""
 
 _BURST_BYTES = 2e6
-"""Bytes of answers that may come at once [B]: what user interfaces ask for when they begin."""
+"""Burst of the bytes of answers [B]: those that user interfaces request when they start."""
 
 
 class Ignored(Exception):
@@ -56,7 +56,7 @@ class Ignored(Exception):
 
 
 class Rates:
-    """How many requests of each kind one client may still send: a token bucket for each.
+    """Limits the requests of one client: a token bucket for each kind.
 
     Args:
         now: The clock [s].
@@ -81,7 +81,7 @@ class Rates:
         self._left[_BYTES] = self._bytes_left() - size, self._now()
 
     def has_bytes(self) -> bool:
-        """Return whether one more answer may be sent, however long it is."""
+        """Return whether one more answer may be sent, whatever its length."""
         return self._bytes_left() > 0.0
 
     def _requests_left(self, name: str) -> float:
@@ -95,7 +95,7 @@ class Rates:
         return min(left + (now - then) * _MOST_BYTES, _BURST_BYTES)
 
     def refuse(self, reason: str, kind: type[RequestRejected] = RequestRejected) -> NoReturn:
-        """Raise an error with a reason, or `Ignored` if too many are refused already."""
+        """Raise an error with a reason, or `Ignored` after too many refusals."""
         if self.allow(REFUSALS):
             raise kind(reason)
         raise Ignored

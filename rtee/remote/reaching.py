@@ -1,4 +1,4 @@
-"""Grasps that a planner gave, reached and done by a running hand."""
+"""Reach and execute grasps of external planners with a running hand."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from rtee.remote.link import Link
 from rtee.types import Result, Stage
 
 _REACHED_WITHIN: Final = 90.0
-"""Time to wait for an answer [s]; others may wait before it."""
+"""Time to wait for an answer [s]: up to four other plans may be waiting before it."""
 
 
-_TOLD: Final = 3
-"""Collisions that a refusal names, the deepest: what matters fits into a sentence."""
+_NAMED: Final = 3
+"""Most collisions that a refusal names, the deepest ones first: they fit into a sentence."""
 
 
 class ReachClient:
-    """Asks how a hand reaches what a planner found, and does it.
+    """Converts grasps of a planner to postures of the hand, and executes them.
 
     Args:
         link: The connection to the hand.
@@ -53,28 +53,28 @@ class ReachClient:
         thing: str = "",
         object_pose: ArrayLike | None = None,
     ) -> ReachedGrasp:
-        """Return how the hand takes a grasp that a planner gave; nothing moves.
+        """Return the postures and palm poses for a grasp of a planner; nothing moves.
 
-        The hand works it out in a separate process beside the loop. It needs the extra
-        ``extract`` where it runs.
+        The hand computes them in a process beside the loop. Its computer needs the extra
+        ``extract``.
 
         Args:
-            contacts: Contacts, or their points ``(k, 3)`` [m]: fingertips are brought to them.
+            contacts: Contacts, or their points ``(k, 3)`` [m], for the fingertips.
             width: Width of the object for a gripper's pose [m], instead of contacts.
-            pose: Pose ``(4, 4)`` in the planner's frame: of the palm, for contacts (which are in
-                the palm's frame without one); for a width, of the gripper: x approach, y closing,
-                origin between the ends of its fingers.
+            pose: Pose ``(4, 4)`` in the planner's frame. With contacts: of the palm (without it,
+                contacts are in the palm's frame). With a width: of the gripper, with x along the
+                approach, y along the closing and the origin between the ends of its fingers.
             fingers: The fingers to grasp with, for a width.
-            approach: Direction in which the palm comes.
-            retreat: How far back along it the palm is before [m].
-            tolerance: Farthest that a fingertip may be from its contact [m].
-            thing: Shape of the object, such as ``box:0.04x0.04x0.1`` [m]: where links of the hand
-                are inside of it is then among the result's ``collisions``, besides where they
-                meet each other.
-            object_pose: Its pose ``(4, 4)`` in the planner's frame; that frame's unless given.
+            approach: Direction in which the palm approaches.
+            retreat: Distance of the palm before the approach [m].
+            tolerance: Largest distance of a fingertip from its contact [m].
+            thing: Shape of the object, such as ``box:0.04x0.04x0.1`` [m]. The result's
+                ``collisions`` then include those of links with the object, besides those among
+                links.
+            object_pose: Pose of the object ``(4, 4)`` in the planner's frame; identity by default.
 
         Raises:
-            ConfigError: if a value makes no sense.
+            ConfigError: if a value is malformed.
             RequestRejected: if the grasp cannot be reached, with the reason.
         """
         question = _question(contacts, width, pose, fingers, approach, retreat, tolerance)
@@ -98,26 +98,26 @@ class ReachClient:
         stage: Stage | str = Stage.BOTH,
         despite_collisions: bool = False,
     ) -> Result:
-        """Do a grasp that a planner gave, and wait for the result.
+        """Execute a grasp of a planner and wait for the result.
 
-        An arm in between takes it in two stages: ``reach``, the arm to ``pre_palm_pose``,
+        With an arm, use two stages: ``reach``, the arm to ``pre_palm_pose``,
         ``grasp_at(reached, stage="pre_grasp")``, the arm to ``palm_pose``, and
         ``grasp_at(reached, stage="grasp")``.
 
         Args:
-            reached: What `reach` returned; or contacts, as for `reach`.
+            reached: The result of `reach`; or contacts, as for `reach`.
             width: As for `reach`.
             pose: As for `reach`.
             fingers: As for `reach`.
             approach: As for `reach`.
             force: Force between the fingertips, for a width [N].
             stage: ``pre_grasp``: only open for it; ``grasp``: only close; by default both.
-            despite_collisions: Do it even where links of the hand meet each other, or the object
-                where `reach` was given one; otherwise that is refused.
+            despite_collisions: Execute the grasp even if it has collisions, among links or, where
+                `reach` was given an object, of links with the object; refused by default.
 
         Raises:
-            ConfigError: if a value makes no sense, or the grasp has collisions.
-            RequestRejected: if the grasp cannot be reached or done, with the reason.
+            ConfigError: if a value is malformed, or the grasp has collisions.
+            RequestRejected: if the grasp cannot be reached or executed, with the reason.
             LeaseHeld: if another client holds the lease.
         """
         part = Stage(stage)
@@ -128,8 +128,8 @@ class ReachClient:
         elif reached.hand != self._link.hand:
             raise ConfigError(f"the grasp was reached for '{reached.hand}'")
         if reached.collisions and not despite_collisions:
-            met = "; ".join(collision.words for collision in reached.collisions[:_TOLD])
-            raise ConfigError(f"the grasp has collisions: {met}")
+            named = "; ".join(collision.words for collision in reached.collisions[:_NAMED])
+            raise ConfigError(f"the grasp has collisions: {named}")
         if reached.action:
             return await self._by_action(reached, force, part)
         if force is not None:
@@ -148,7 +148,7 @@ class ReachClient:
         )
 
     async def _by_postures(self, reached: ReachedGrasp, part: Stage) -> Result:
-        """Go to the postures one after the other, as actions that last as long as this takes."""
+        """Go to the postures one after the other, by temporary actions."""
         postures = {
             Stage.PRE_GRASP: (reached.pre_grasp,),
             Stage.GRASP: (reached.posture,),
@@ -176,13 +176,15 @@ def _question(
     retreat: float,
     tolerance: float,
 ) -> ReachQuestion:
-    """Return the question; raises `ConfigError` if it makes no sense."""
+    """Return the question; raises `ConfigError` if a value is malformed."""
     flat = tuple(_numbers(pose, (4, 4), "a pose is 4 by 4 numbers")) if pose is not None else ()
-    way = tuple(map(float, approach)) if approach is not None else ()
+    direction = tuple(map(float, approach)) if approach is not None else ()
     if contacts is None:
         if width is None or pose is None:
             raise ConfigError("give contacts, or a gripper's pose and a width")
-        return ReachQuestion((), (), tuple(fingers), float(width), flat, way, retreat, tolerance)
+        return ReachQuestion(
+            (), (), tuple(fingers), float(width), flat, direction, retreat, tolerance
+        )
     if width is not None or len(fingers):
         raise ConfigError("contacts name their fingers themselves and have no width")
     wanted = _contacts(contacts)
@@ -195,7 +197,7 @@ def _question(
         normals=tuple(float(v) for normal in normals if normal is not None for v in normal),
         fingers=tuple(named) if any(named) else (),
         pose=flat,
-        approach=way,
+        approach=direction,
         retreat=retreat,
         tolerance=tolerance,
     )
@@ -208,14 +210,14 @@ def _contacts(contacts: Sequence[WantedContact] | ArrayLike) -> list[WantedConta
     return [WantedContact((x, y, z)) for x, y, z in np.reshape(points, (-1, 3)).tolist()]
 
 
-def _numbers(values: object, shape: tuple[int, int], what: str) -> list[float]:
+def _numbers(values: object, shape: tuple[int, int], requirement: str) -> list[float]:
     """Return the numbers of an array of a shape, row by row; raises `ConfigError` otherwise."""
     try:
-        found = np.array(values, dtype=np.float64)
+        array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        found = np.empty(0)
-    fits = found.ndim == 2 and all(n in (-1, m) for n, m in zip(shape, found.shape, strict=True))
-    if not fits or not np.isfinite(found).all():
-        raise ConfigError(f"{what}; got {np.shape(found)}")
-    flat: list[float] = found.ravel().tolist()
+        array = np.empty(0)
+    fits = array.ndim == 2 and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+    if not fits or not np.isfinite(array).all():
+        raise ConfigError(f"{requirement}; got {np.shape(array)}")
+    flat: list[float] = array.ravel().tolist()
     return flat

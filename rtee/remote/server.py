@@ -1,10 +1,9 @@
 """The server beside a hand's loop: it makes the hand available on the network.
 
-The way of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks the
-message and calls `CommandHandlers.handle_put`, which appends the goal to what the loop does at its
-next tick and returns the encoded answer. `Server._answer_put` gives the answer to a `CallQueue`,
-whose thread publishes it, since that may have to wait for a slow client. Queries are handled
-likewise.
+The path of a goal and its answer: Zenoh's thread calls `Server._on_put`; `handle_request` checks
+the message and calls `CommandHandlers.handle_put`, which queues the goal for the loop's next tick
+and returns the encoded answer. `Server._answer_put` passes the answer to a `CallQueue`, whose
+thread publishes it, since that may have to wait for a slow client. Queries are handled likewise.
 """
 
 from __future__ import annotations
@@ -62,14 +61,14 @@ from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_serv
 T = TypeVar("T")
 
 _REFUSED_AFTER = 0.25
-"""Time after which those who ask too often are told so [s]: a script that waits for each answer
-before it asks again costs the loop little then, and a person hardly notices it."""
+"""Delay of refusals to clients that send too many requests [s]: it slows down a script that waits
+for each answer before its next request, and a person hardly notices it."""
 
 _MOST_REFUSED = 128
-"""Refused queries that wait; each may keep the 64 KiB that were received with it."""
+"""Most refused queries that wait; each may keep the 64 KiB that were received with it."""
 
 _LARGEST_REFUSED = 4096
-"""Longest question of a query that waits [bytes]; those that are asked often have some hundred."""
+"""Longest question of a refused query that waits [bytes]: frequent ones have some hundred."""
 
 
 class RemoteSettings(Endpoints, Protocol):
@@ -84,24 +83,24 @@ class Server:
     """Receives the requests of clients; made by `open`.
 
     Its methods are called in Zenoh's threads. All requests are checked there, and commands handled
-    at once. Only questions wait for a thread of their own, since they may take milliseconds; what
-    is refused does not wake it.
+    at once. Only requests for information are handled in another thread, since they may take
+    milliseconds; refused ones do not wake it.
 
     Args:
         hand: The hand's name.
         endpoint: Address of the hand on this computer.
         session: The Zenoh session.
-        identities: Knows the clients.
-        commands: Handles what moves or stops the hand.
-        queries: Handles what asks for information or changes the actions.
+        identities: The clients.
+        commands: Handles requests that move or stop the hand.
+        queries: Handles requests for information, and those that change the actions.
 
     Attributes:
         endpoint: Address of the hand on this computer.
-        outbox: Publishes what must not be lost, in order.
-        inboxes: Receive what clients put.
+        outbox: Publishes messages that must not be lost, in order.
+        inboxes: Receive the publications of clients.
         stops: Answers stops, which must not wait for a client that is slow to read.
-        questions: Handles and answers queries.
-        refused: Ends the queries of those who ask or stop too often.
+        questions: Handles and answers requests for information.
+        refused: Refuses requests of clients that send too many, after a delay.
     """
 
     def __init__(
@@ -144,9 +143,9 @@ class Server:
             ConfigError: if the hand runs already, or an endpoint cannot be used.
         """
 
-        # These calls block for milliseconds, and the event loop is the one that drives the hand.
+        # These calls block for milliseconds, and this event loop drives the hand.
         async def in_thread(function: Callable[..., T], *arguments: object) -> T:
-            # When cancelled, too: else the session would outlive the hand, and answer for it.
+            # Shielded: otherwise the session could outlive the hand, and answer for it.
             with anyio.CancelScope(shield=True):
                 result = await anyio.to_thread.run_sync(function, *arguments)
             return result  # noqa: RET504 - in the scope, mypy would miss a return behind it
@@ -156,7 +155,7 @@ class Server:
             place = stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)
             socket = place.socket
-            if not fits(socket):  # a folder of its own, readable by this user alone
+            if not fits(socket):  # too long a path: use a new folder that only this user may read
                 folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))
                 stack.push_async_callback(in_thread, folder.cleanup)
                 socket = Path(folder.name) / "hand.sock"
@@ -181,12 +180,12 @@ class Server:
 
             def admit(people: Collection[str], revoked: Collection[str]) -> None:
                 outlets.admit(people)
-                # A client whose requests are refused must not go on holding the lease.
+                # A client whose certificate was revoked must not keep the lease.
                 for client in identities.of(revoked):
                     commands.client_left(client)
 
             stack.enter_context(protection.watched(admit))
-            # Last: waiting clients send requests as soon as the hand is announced.
+            # Last, since waiting clients send requests as soon as the hand is announced.
             place.write([endpoint])
             stack.callback(place.withdraw)
             yield server
@@ -207,7 +206,7 @@ class Server:
         for group, handle in queries.items():
             session.declare_queryable(key(group, "*"), direct(handle))
         liveliness.declare_subscriber(key(CLIENTS, "*"), direct(self._on_client), history=True)
-        # Last: whoever sees the token sends requests at once.
+        # Last, since clients that see the token send requests at once.
         self._token = liveliness.declare_token(key(ALIVE))
 
     def close(self) -> None:
@@ -236,7 +235,7 @@ class Server:
 
         def handle(request: IncomingRequest) -> None:
             if not self._identities.answers_stop_at_once(request.client):
-                # Who stops again and again waits for each answer, not for what it does.
+                # Too many stops: their answers are delayed, but they take effect at once.
                 request.send = answer_later
             self._commands.stop(request)
 
@@ -249,11 +248,11 @@ class Server:
         handle_request(query, CONTROL, check, self._commands.handle, replier, later, junk)
 
     def _replier(self, query: zenoh.Query, queue: CallQueue) -> Callable[[bytes, bool], object]:
-        """Return a function that has a query answered by a queue."""
+        """Return a function that queues the answer to a query."""
         return lambda data, ok: queue.put(partial(reply, self._hand, query, data, ok))
 
     def _later(self, query: zenoh.Query, send: Send) -> Later | None:
-        """Return a function that has a query refused after a while, if there is room for it."""
+        """Return a function that refuses a query after a delay; ``None`` for a large query."""
         if query.payload is not None and len(query.payload) > _LARGEST_REFUSED:
             return None
 
@@ -272,12 +271,12 @@ class Server:
             client = self._identities.signer(request, attachment, question)
             if client is None or client.name != owner:
                 raise RequestRejected(f"'{owner}' has not signed this")
-            signed = self._identities.admits(client)  # what was revoked is not answered
+            signed = self._identities.admits(client)  # revoked clients get no answer
             return self._identities.permit(client, request)
 
         def answer(data: bytes, ok: bool) -> None:
             claim = claim_of(attachment)
-            # Only who has signed it is answered; else others could have it refused.
+            # Only to the signer: otherwise others could make the hand refuse its request.
             if claim is not None and signed:
                 self._answer_put(owner, claim.number, data, ok)
             else:
@@ -302,7 +301,7 @@ class Server:
                 self._identities.charge(request.client, len(data))
                 reply(self._hand, query, data, ok)
 
-            # The questions' thread may wait for the network; a refusal in Zenoh's thread must not.
+            # The thread of `questions` may wait for the network; a refusal here must not.
             at_once, request.send = request.send, send
             if not self.questions.put(partial(answer_to, request, self._queries.handle)):
                 request.send = at_once

@@ -1,7 +1,7 @@
-"""Zenoh sessions: a Unix socket on this computer, no scouting, dead peers noticed within a second.
+"""Zenoh sessions: a Unix socket on this computer, no scouting, dead peers detected in a second.
 
-File permissions decide who reaches a hand on this computer: its socket is in a folder that only its
-user, or the group of a service, may enter.
+File permissions protect a hand on this computer: its socket is in a folder that only its user, or
+the group of a service, may enter.
 """
 
 from __future__ import annotations
@@ -26,30 +26,31 @@ from rtee.remote.credentials import identity
 
 RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
-"""Zenoh's threads: one that sends and one for all else, so that a message wakes only those two.
+"""Zenoh's threads: one for sending and one for all else, so that a message wakes only two threads.
 
-They are two because the thread that sends may have to wait. Callbacks never wait."""
+They are two because the sending thread may have to wait. Callbacks never wait."""
 
 os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session is opened
 
 LEASE = 1000
-"""Time without a sign of life after which a peer counts as dead [ms]; peers send four in it."""
+"""Time without a message after which a peer counts as dead [ms]: peers send four keep-alives in
+it."""
 
 EXPRESS: dict[str, Any] = {
     "congestion_control": zenoh.CongestionControl.BLOCK,
     "priority": zenoh.Priority.INTERACTIVE_HIGH,
     "express": True,
 }
-"""For messages that must arrive, and soon: they wait for slow readers, but not for a batch to
+"""Options for messages that must arrive soon: they wait for slow readers, but not for a batch to
 fill."""
 
 DELIVER = {**EXPRESS, "congestion_control": zenoh.CongestionControl.DROP}
-"""For what the hand sends: a client that reads so slowly that everything between is full misses
-it, instead of holding up all others. A hand keeps a megabyte for each, see `open_server`."""
+"""Options for messages of a hand: a client that reads so slowly that all buffers are full misses
+them, instead of delaying all others. A hand buffers a megabyte for each, see `open_server`."""
 
 _CLOSE_AFTER = 50_000
-"""Time for which a hand waits for a client that must read before it can go on [µs]; then the
-connection is closed. It waits only with the answers to queries that ask it to."""
+"""Time for which a hand waits for a client with full buffers before it closes the connection [µs].
+It waits only with answers to queries that request blocking."""
 
 T = TypeVar("T")
 
@@ -57,7 +58,7 @@ LOCAL = "unixsock-stream"
 """Zenoh's name of the protocol on this computer."""
 
 TLS = "tls/"
-"""Beginning of the endpoints that admit nobody without a certificate."""
+"""Prefix of the endpoints that admit only clients with a certificate."""
 
 _LONGEST_SOCKET = 107 if sys.platform == "linux" else 103
 """Longest path of a Unix socket [bytes]; operating systems store it in a field of fixed size."""
@@ -67,13 +68,13 @@ _SOCKET_MODE = 0o660
 
 LARGEST = 1 << 20
 """Largest message that a hand assembles [bytes]: sixteen times the longest request. Zenoh's own
-limit is 1 GiB, for each client."""
+limit is 1 GiB for each client."""
 
 MOST_SESSIONS = 128
 """Most connections that a hand accepts: far more than a hand has clients, but bounded."""
 
 _CONNECT_WITHIN = 10
-"""Time to open a session where somebody listens [s]; over a VPN it takes up to 1 s."""
+"""Time to open a session with a listening endpoint [s]: over a VPN it takes up to 1 s."""
 
 _PROBE_WITHIN = 3.0
 """Time until a connection must be accepted [s]: TCP repeats a lost first packet after 1 s."""
@@ -95,14 +96,14 @@ _SOCKET = re.compile(LOCAL + r"/([^?#]+)")
 
 _COMMON: dict[str, Any] = {
     "mode": "peer",
-    # A hand is found by its announcement or its endpoint; no packet goes to the network unasked.
+    # Hands are found by their announcement or endpoint; no packet is sent to the network unasked.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": LEASE,
     "transport/link/tx/keep_alive": 4,
-    # A congested client must not hold up the loop: what cannot be sent at once is dropped.
+    # A congested client must not delay the loop: messages that cannot be sent at once are dropped.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-    # Results must not be lost: only a peer that counts as dead may be dropped [µs].
+    # Results must not be lost: a connection is closed only when its peer counts as dead [µs].
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,
     # Messages are a few kilobytes, too small to gain from shared memory.
     "transport/shared_memory/enabled": False,
@@ -120,7 +121,7 @@ def _configured(settings: dict[str, Any]) -> zenoh.Config:
 def direct(
     callback: Callable[[T], object], ended: Callable[[], object] | None = None
 ) -> zenoh.handlers.Callback[T]:
-    """Return a handler that is called in Zenoh's own thread; it must return at once.
+    """Return a handler that calls ``callback`` in Zenoh's own thread; it must return at once.
 
     Zenoh's other kind of handler starts a Python thread, which keeps the process from ending until
     the session is closed.
@@ -129,18 +130,18 @@ def direct(
 
 
 def disable_linger() -> None:
-    """Have the connections of this process closed without waiting for unsent data.
+    """Make this process close connections without waiting for unsent data.
 
-    Zenoh sets SO_LINGER to 10 s and closes sockets in the thread that receives. A client that
-    freezes with data on its way to it would therefore block the requests of all others for 10 s
-    when its connection is closed; ``tests/remote/test_remote_lost.py`` shows it. Zenoh has no
-    setting for this, so that its sockets have to be found among the open files.
+    Zenoh sets SO_LINGER to 10 s and closes sockets in its receiving thread. Closing the connection
+    of a client that froze with unread data would therefore block the requests of all others for
+    10 s; ``tests/remote/test_remote_lost.py`` shows it. Zenoh has no setting for this, so its
+    sockets must be found among the open files.
     """
     folder = Path("/dev/fd")
     for name in os.listdir(folder) if folder.is_dir() else ():
         if not (folder / name).is_socket():
             continue
-        # A duplicate shares the socket's options, and may be closed without closing the socket.
+        # A duplicate shares the socket's options, and closing it does not close the socket.
         with (
             contextlib.suppress(OSError),  # closed meanwhile
             socket.socket(fileno=os.dup(int(name))) as link,
@@ -150,7 +151,7 @@ def disable_linger() -> None:
 
 
 def fits(path: Path) -> bool:
-    """Return whether the path of a socket is short enough."""
+    """Return whether a path is short enough for a Unix socket."""
     return len(os.fsencode(str(path.absolute()))) <= _LONGEST_SOCKET
 
 
@@ -165,7 +166,7 @@ def local_endpoint(path: Path) -> str:
         )
     endpoint = f"{LOCAL}/{name}"
     if _SOCKET.fullmatch(endpoint) is None:
-        raise ConfigError("holds a character that the path of a socket may not: ? or #", path=path)
+        raise ConfigError("the path of a socket may not contain ? or #", path=path)
     return endpoint
 
 
@@ -182,7 +183,7 @@ def open_server(
     Args:
         local: Path of the socket.
         listen: Further endpoints to listen on.
-        connect: Endpoints to connect to, such as a Zenoh router; they may become available later.
+        connect: Endpoints to connect to, such as a Zenoh router, which may come up later.
         further: Further settings of Zenoh.
 
     Returns:
@@ -198,17 +199,17 @@ def open_server(
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
-        # A router may come up later: Zenoh keeps trying.
+        # A router may come up later, so Zenoh keeps trying.
         "connect/timeout_ms": 0 if not connect else -1,
         "transport/link/rx/max_message_size": LARGEST,
         "transport/unicast/max_sessions": MOST_SESSIONS,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _CLOSE_AFTER,
-        # Batches of 64 KiB that may wait for a client, the most that Zenoh allows.
+        # Batches of 64 KiB that are buffered for a client, the most that Zenoh allows.
         "transport/link/tx/queue/size/interactive_high": 16,
     }
     try:
         session = zenoh.open(_configured(settings | dict(further or {})))
-        # Zenoh makes the socket with the process's umask, whatever that is.
+        # Zenoh makes the socket with the process's umask, which may be anything.
         local.chmod(_SOCKET_MODE)
         return session, endpoint
     except (OSError, zenoh.ZError) as error:
@@ -217,15 +218,15 @@ def open_server(
 
 
 def way_to(endpoint: str) -> str:
-    """Return how a client comes to a hand through an endpoint; see `Found`."""
+    """Return a client's access path through an endpoint; see `Found`."""
     if endpoint.startswith(TLS):
         return identity().name
     return HERE if endpoint.startswith(LOCAL) else PLAIN
 
 
 def is_safe(endpoint: str) -> bool:
-    """Return whether nobody can come through an endpoint who is not admitted."""
-    # An endpoint with metadata does not match, and what is not understood counts as unsafe.
+    """Return whether only admitted clients can connect through an endpoint."""
+    # An endpoint with metadata does not match: anything not understood counts as unsafe.
     match = _TCP.fullmatch(endpoint)
     if match is not None and not endpoint.startswith(TLS):
         with contextlib.suppress(ValueError):
@@ -251,7 +252,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
     if any(endpoint.startswith(TLS) for endpoint in endpoints):
         settings |= identity().settings()
     try:
-        # Zenoh itself would retry for a long time where nobody listens.
+        # Without a listener, Zenoh itself would retry for a long time.
         for endpoint in endpoints:
             _probe(endpoint)
         session = zenoh.open(_configured(settings))
@@ -262,7 +263,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
 
 
 def check_endpoints(endpoints: Sequence[str]) -> None:
-    """Raise `ConfigError` if one is not written as Zenoh's endpoints are."""
+    """Raise `ConfigError` if one is not in the format of Zenoh's endpoints."""
     for endpoint in endpoints:
         if _ENDPOINT.fullmatch(endpoint) is None:
             raise ConfigError(
@@ -285,5 +286,5 @@ def _words(error: Exception) -> str:
     """Return an error's text without the location in Zenoh's source."""
     if isinstance(error, OSError):
         return error.strerror or str(error) or "no answer"
-    said = str(error).partition(" at /")[0]
-    return "no answer" if "Timeout" in said else said
+    text = str(error).partition(" at /")[0]
+    return "no answer" if "Timeout" in text else text

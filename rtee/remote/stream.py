@@ -1,4 +1,4 @@
-"""Streams of a client: set-points that it sends one after the other, as a glove or a planner does.
+"""Streams of a client: set-points in quick succession, as from a glove or a planner.
 
 async with hand.stream(rate=50) as stream:
     await stream.send({"PinchTight index thumb": 0.4})
@@ -33,13 +33,13 @@ class Stream:
 
     Args:
         link: The connection to the hand.
-        monitoring: Tells the hand's status.
+        monitoring: Returns the hand's status.
         name: The stream's identifier.
-        number: Number under which the hand refuses its samples.
+        number: Label under which the hand refuses its samples; see `Link.refusals`.
 
     Attributes:
         name: The stream's identifier.
-        ended: Why the hand has ended it, in words; empty as long as it has not.
+        ended: Why the hand has ended the stream, in words; empty while it is open.
     """
 
     def __init__(self, link: Link, monitoring: Monitoring, name: str, number: str) -> None:
@@ -56,14 +56,14 @@ class Stream:
     ) -> None:
         """Send a sample; returns at once.
 
-        The hand's answer is not waited for: if it has refused an earlier sample, this call says so.
+        Does not wait for the hand's answer: the refusal of a sample is raised by a later call.
 
         Args:
-            targets: Where to: actuators and joints [rad | m], or actions with their elements, such
-                as ``PinchTight index thumb``, by intensity, 0 to 1. What is left out stays.
-            velocity: How fast there, for some of them [rad/s | m/s], for actions [1/s]; estimated
-                unless given.
-            stamp: When it is meant, by a clock that never jumps [s]; now unless given.
+            targets: Positions by actuator or joint [rad | m], or intensities, 0 to 1, by action
+                with its elements, such as ``PinchTight index thumb``. Actuators left out stay.
+            velocity: Velocities at some of these targets [rad/s | m/s], for actions [1/s]; the
+                others are estimated.
+            stamp: Time of the sample, by a clock that never jumps [s]; now unless given.
 
         Raises:
             GoalRejected: if a number is not finite.
@@ -71,9 +71,7 @@ class Stream:
             LeaseHeld: if another client holds the lease by now.
             NoHand: if the hand has gone.
         """
-        refused, self._refused = self._refused, None
-        if refused is not None:
-            raise refused
+        self.check()
         if self.ended:
             raise RequestRejected(self.ended)
         when = time.monotonic() if stamp is None else float(stamp)
@@ -82,19 +80,19 @@ class Stream:
                 raise GoalRejected(f"a sample consists of finite numbers, not {number:g}")
         sample = StreamTargets(self.name, when, targets, velocity, self._link.client)
         self._link.put("sample", STREAM_TARGETS.encode(sample), self._number)
-        # Lets what has come from the hand be received, also if nothing else is waited for.
+        # So that the hand's messages are received even by a caller that awaits nothing else.
         await anyio.lowlevel.checkpoint()
 
     async def status(self) -> StreamStatus:
-        """Return how the stream is doing: lag, jitter, what was dropped."""
+        """Return the status of the stream: lag, jitter, dropped samples."""
         return (await self._monitoring.status()).stream
 
     def refuse(self, error: RemoteError) -> None:
-        """Have the next `send` raise an error."""
+        """Let the next `send` raise an error."""
         self._refused = error
 
     def check(self) -> None:
-        """Raise the error of a refused sample, if there is one that `send` has not raised."""
+        """Raise the error of a refused sample, unless it was raised before."""
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
@@ -105,8 +103,8 @@ class StreamClient:
 
     Args:
         link: The connection to the hand.
-        monitoring: Tells the hand's status.
-        goals: Tells the effort limits of its actuators.
+        monitoring: Returns the hand's status.
+        goals: Returns the effort limits of its actuators.
     """
 
     def __init__(self, link: Link, monitoring: Monitoring, goals: GoalClient) -> None:
@@ -134,9 +132,9 @@ class StreamClient:
         no sample comes within the deadline, the hand brakes smoothly and holds.
 
         Args:
-            rate: Samples per second that are going to be sent [Hz].
+            rate: Samples per second that will be sent [Hz].
             deadline: Longest time without a sample [s]; as configured unless given.
-            effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1: that share
+            effort: Effort limit by actuator [N·m | N]; or one number, above 0 up to 1, as a share
                 of the limit of every actuator. By default the hand's own limits.
 
         Raises:
@@ -153,7 +151,7 @@ class StreamClient:
             self._subscribed = True
             link.subscribe(topics.EVENTS, self._on_event)
         number = next(self._numbers)
-        # A client's name has up to 100 characters, and so has a stream's.
+        # A client's name may have 100 characters, as many as a stream's.
         name = f"{link.client[-80:].lstrip('.')}.{number}"
         fields = {
             "client": link.client,
@@ -170,7 +168,7 @@ class StreamClient:
                 try:
                     yield stream
                 finally:
-                    # Shielded: a cancelled client ends its stream, too, instead of its deadline.
+                    # Shielded: a cancelled client must end its stream, too, before its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                         if not (stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})

@@ -1,4 +1,4 @@
-"""How a goal ended, as a sentence for people."""
+"""The result of a goal as a sentence for people."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rtee.units import grip_words
 def sentence(result: Result, elements: Sequence[str] = ()) -> str:
     """Return the result of a goal with some elements as a sentence."""
     why = f": {result.reason}" if result.reason else ""
-    said = [
+    ends = [
         words
         for true, words in (
             (result.reached, "reached"),
@@ -25,7 +25,7 @@ def sentence(result: Result, elements: Sequence[str] = ()) -> str:
         )
         if true
     ]
-    how = ", ".join(said) or "ended"
+    how = ", ".join(ends) or "ended"
     name = " ".join((result.action, *elements))
     if result.opening is not None:
         how += f" at {grip_words(result)}"

@@ -1,1 +1,1 @@
-"""Grasps tried in simulation: approach, grasp, lift, shake, and say whether the object was held."""
+"""Trials of grasps in simulation: approach, grasp, lift, shake, and report whether it was held."""

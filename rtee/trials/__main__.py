@@ -1,4 +1,4 @@
-"""Does one job of trials or of planning: see `rtee.trials.apart`."""
+"""Run one job of trials or of planning in this process: see `rtee.trials.apart`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtee.trials.apart import Job
 
 
 def main() -> None:
-    """Do the job on stdin."""
+    """Run the job on standard input."""
     # A loop with real-time priority may have started this, by the GUI.
     with contextlib.suppress(OSError, AttributeError):
         if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _watch() -> None:
-    """End with the one that asked."""
+    """End this process when the requesting process ends."""
     while sys.stdin.read(1):
         pass
     # From a thread, and in the middle of a trial, nothing else ends the process at once.
@@ -80,7 +80,7 @@ def _try(job: Job, actions: tuple[tuple[str, tuple[str, ...]], ...], out: TextIO
 
 
 def _plan(job: Job, out: TextIO) -> None:
-    """Rank the actions for the object; then again with what dynamics says of the best ones."""
+    """Rank the actions for the object; then again after the best ones were tried in dynamics."""
     with needing_extra("planning a grasp", "extract"):
         from rtee.planning.objects import read_object
         from rtee.planning.plan import plan_grasps

@@ -1,8 +1,8 @@
 """Trials and plans in a separate process, started by another program; needs no simulator.
 
-The process reads one job as JSON from its standard input, and writes lines of JSON: how far it is,
-results as they come, at last the end or what is wrong. It ends with the one that started it: when
-its standard input closes. ``python -m rtee.trials`` is the process.
+The process, ``python -m rtee.trials``, reads one job as JSON from its standard input, and writes
+lines of JSON: progress, results, and finally the end or an error. It ends with the process that
+started it, when its standard input closes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MOST_VARIATIONS: Final = 100
 """Variations of one trial: some minutes."""
 
 MOST_ACTIONS: Final = 500
-"""Actions of one job; no hand has so many, but a number that comes from outside is bounded."""
+"""Most actions of one job: more than any hand has, since numbers from outside must be bounded."""
 
 LONGEST_LINE: Final = 1 << 24
 """Longest line that the process writes [bytes]: a ranking with all its contacts is 0.1 MB."""
@@ -103,7 +103,7 @@ def command() -> tuple[list[str], dict[str, str]]:
 
 
 def check_installed(*, planning: bool) -> None:
-    """Raise `MissingExtra` if this computer cannot try actions, or plan grasps."""
+    """Raise `MissingExtra` if an extra for trying actions, or for planning grasps, is missing."""
     modules = {"coal": "extract", "pinocchio": "extract"}
     if not planning:
         # A trial needs them all: geometry ranks the places that dynamics tries.
@@ -128,7 +128,7 @@ def meshes_of(folder: Path) -> dict[str, Path]:
 
 
 def read_line(line: bytes) -> dict[str, Any]:
-    """Return what a line of the process says; nothing if it says nothing that makes sense."""
+    """Return the fields of a line of the process; empty if the line is malformed."""
     try:
         found = json.loads(line)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Scripts of the carrier: smooth ways and shaking, in simulated time."""
+"""Motions of the carrier in simulated time: smooth paths and shaking."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class CarrierScript:
         self.at: FloatArray = np.zeros(6)
 
     def jump(self, position: FloatArray) -> None:
-        """Start at a position ``(3,)`` [m] without a way there, with all joints at rest."""
+        """Start at a position ``(3,)`` [m], with all joints at rest, without moving there."""
         self.at[:3] = position
         self._headless.simulation.surroundings.jump(self.at)
 

@@ -1,4 +1,4 @@
-"""Where an object has to be for an action to grasp it: found from the action, not guessed."""
+"""Find the places of an object at which an action grasps it, from the action's postures."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ _TURNS = 3
 the fingers."""
 
 _OUTWARD = (0.0, 0.01, 0.02, 0.035, 0.05, 0.065, -0.02, -0.04)
-"""How far out from the fingertips' middle places are looked for [m]: hands that do not close on
-their fingertips have room there; the nearest ones first."""
+"""Distances outwards from the fingertips' middle at which places are sought [m]: hands that do not
+close on their fingertips have room there; the nearest ones first."""
 
 _ACROSS = (0.0, 0.015, 0.03, 0.045)
 """How far towards where the fingertips curl [m]: fingers that roll up meet there."""
 
 _TOUCH = 2e-4
-"""A link less deep inside the object counts as clear of it [m]: the models are less exact."""
+"""A link inside the object by less than this counts as clear [m]: the models are less exact."""
 
 _APART = 0.015
 """Places nearer to each other are one [m]: objects are varied by 10 mm along each axis."""
 
 _AWAY = 0.12
-"""From how far the object comes to the hand [m]: about a finger's length."""
+"""Distance from which the object approaches the hand [m]: about a finger's length."""
 
 _WAY = 9
-"""Points of that way at which it is checked for contact: 15 mm apart."""
+"""Points of that approach that are checked for contact: 15 mm apart."""
 
 _MOVES = 1e-3
 """An actuator that an action moves less stays at rest [rad | m]."""
@@ -76,7 +76,7 @@ class Place:
 
 
 def posture_of(hand: Hand, action: Action) -> FloatArray:
-    """Return the actuator positions ``(n,)`` of an action; of a timed one, those at its end."""
+    """Return the actuator positions ``(n,)`` of an action; of a timed action, those at its end."""
     found = np.array(hand.rest)
     for posture in action.waypoints:
         for name in posture.involved:
@@ -94,7 +94,7 @@ def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
 
 
 class Places:
-    """Finds places for the object of a simulation; it moves nothing but a copy of the state."""
+    """Finds places for the object of a simulation; moves only a copy of its state."""
 
     def __init__(self, simulation: Simulation, hand: Hand, action: Action) -> None:
         """Prepare for an action.

@@ -1,4 +1,4 @@
-"""A hand without dynamics in the place of a simulation: it is always where it has to be."""
+"""A hand without dynamics in place of a simulation: it follows its references exactly."""
 
 from __future__ import annotations
 

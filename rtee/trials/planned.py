@@ -1,4 +1,4 @@
-"""Planned grasps tried in dynamics: the object as the plan puts it, the weight as it pulls."""
+"""Try planned grasps in dynamics: the object at the plan's pose, with its weight's direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of what happens at simulated time."""
+"""Recordings of trials in simulated time."""
 
 from __future__ import annotations
 

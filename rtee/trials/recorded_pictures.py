@@ -1,4 +1,4 @@
-"""Pictures of what a recording shows: the hand, the object it grasped, and what pressed on it."""
+"""Pictures of a recording: the hand, the grasped object, and the contact forces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is tried and how it ended; needs no simulator."""
+"""Trials and their results; needs no simulator."""
 
 from __future__ import annotations
 

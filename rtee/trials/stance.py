@@ -1,4 +1,4 @@
-"""How a carried hand comes to an object that stands on a table."""
+"""The approach of a carried hand to an object that stands on a table."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TURNS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """How the hand comes to the object that stands on the table.
+    """The approach of the hand to the object that stands on the table.
 
     Attributes:
         place: Pose ``(4, 4)`` in the hand's base frame where the object would be after the approach

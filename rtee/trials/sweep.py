@@ -96,7 +96,7 @@ def all_trials(
 
 
 def attempt(name: str, trial: Trial) -> TrialResult:
-    """Do one trial of a hand; a trial that cannot be done says why."""
+    """Run one trial of a hand; the result of a trial that cannot be run says why."""
     ready = bench(name)
     try:
         return run_trial(ready.hand, ready.library, ready.settings, trial)
@@ -165,7 +165,7 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
 
 
 def end_with(leash: Connection) -> None:
-    """Have this process end as soon as the other end of a pipe is closed, whatever it does.
+    """End this process as soon as the other end of a pipe is closed, whatever it is doing.
 
     That end closes when the process that holds it is killed, too.
 

@@ -72,7 +72,7 @@ _RISING: Final = 0.1
 
 
 class Task(StrEnum):
-    """What has to be done with what is grasped."""
+    """The task to do with the grasped object."""
 
     EGG = "egg"
     CUP = "cup"
@@ -108,7 +108,7 @@ class TaskTrial:
     """A task for an action and an object.
 
     Attributes:
-        task: What is done with the object.
+        task: The task to do with the object.
         action: Name of the action.
         elements: Its elements.
         object: The object, as on the command line.

@@ -492,9 +492,9 @@ async def test_every_actuator_is_driven_once(hand: Hand) -> None:
     left, right = trouble(hand, "left", actuators=INDEX), trouble(hand, "right", actuators=THUMB)
     both = trouble(hand, "both")
     for devices, reason in (
-        ([left], "'thumb_base' is driven by no device"),
+        ([left], "no device drives the actuator 'thumb_base'"),
         ([left, both], "driven by two devices, 'left' and 'both'"),
-        ([], "driven by no device"),
+        ([], "no device drives"),
     ):
         with pytest.raises(ConfigError, match=reason):
             HandLoop(hand, library, LoopSettings(), devices)

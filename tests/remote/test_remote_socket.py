@@ -119,7 +119,7 @@ async def test_the_socket_of_a_killed_hand_is_replaced(
 def test_a_path_that_is_too_long_for_a_socket_is_a_mistake(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"longer than the 10. bytes.*RTEE_RUNTIME_DIR"):
         session.local_endpoint(tmp_path / ("x" * 100) / "small.sock")
-    with pytest.raises(ConfigError, match=r"may not: \? or #"):
+    with pytest.raises(ConfigError, match=r"may not contain \? or #"):
         session.local_endpoint(tmp_path / "a#b.sock")
 
 

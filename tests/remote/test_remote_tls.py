@@ -369,7 +369,7 @@ def test_files_that_cannot_be_used_are_named(people: People, tmp_path: Path) -> 
     for name, whole in good.items():
         for bad in (b"", b"junk", whole[:-60]):
             (people.folder / name).write_bytes(bad)
-            with pytest.raises(ConfigError, match=f"{name}: is not as 'rtee secure init'"):
+            with pytest.raises(ConfigError, match=f"{name}: is not the file that 'rtee"):
                 secure.add_client("small", "ann", out=tmp_path / "ann.pem")
         (people.folder / name).write_bytes(whole)
     (people.folder / "authority.crt").unlink()

@@ -16,7 +16,7 @@ def make_profile(settings: ProfileSettings, limits: Limits, period: float) -> Pr
     """Return a profile.
 
     Args:
-        settings: Which one.
+        settings: Kind and parameters of the profile.
         limits: Limits of the actuators.
         period: Time between ticks [s].
 

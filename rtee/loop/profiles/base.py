@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits
 
 _SLOWEST = 1e-9
-"""Lower velocity limits count as this one [rad/s | m/s]: no device resolves it in a day, and times
-are quotients by it, which must stay finite."""
+"""Least velocity limit; lower ones are raised to it [rad/s | m/s]: no device resolves its motion
+within a day, and times, which are quotients by the limit, must stay finite."""
 
 
 class Profile(ABC):
-    """Moves the references of all actuators of a hand; pure: only `advance` lets time pass.
+    """Moves the references of all actuators of a hand; pure: time passes only in `advance`.
 
     Args:
         limits: Limits of the actuators.
@@ -22,7 +23,7 @@ class Profile(ABC):
     Attributes:
         position: Positions of the reference [rad | m].
         velocity: Its velocities [rad/s | m/s].
-        target: Where each actuator is going [rad | m].
+        target: Target position of each actuator [rad | m].
         moving: Whether any actuator has not arrived yet.
     """
 
@@ -43,7 +44,7 @@ class Profile(ABC):
         return len(self.position)
 
     def seed(self, positions: Mapping[int, float]) -> None:
-        """Set some actuators to a position, at rest; the others go on.
+        """Set some actuators to a position, at rest; the others continue.
 
         Args:
             positions: Position by index [rad | m].
@@ -55,7 +56,7 @@ class Profile(ABC):
         self._seeded(positions)
 
     def resume(self, states: Mapping[int, tuple[float, float]]) -> None:
-        """Take over some actuators in motion, and have them brake; the others go on.
+        """Take over some actuators in motion, and brake them; the others continue.
 
         Args:
             states: Position [rad | m] and velocity [rad/s | m/s] by index.
@@ -64,14 +65,13 @@ class Profile(ABC):
             self.position[index] = self.target[index] = position
             self.velocity[index] = velocity
         self._seeded(states)
-        # Not simply at rest there: a jump in velocity would exceed the limits.
+        # Braked, not set to rest: a jump in velocity would exceed the limits.
         self.go({}, brake=states)
 
     @abstractmethod
     def _seeded(self, indices: Collection[int]) -> None:
-        """Forget the motion of these actuators except for position and velocity."""
+        """Discard the motion of some actuators, except for position and velocity."""
 
-    @abstractmethod
     def go(
         self,
         targets: Mapping[int, float],
@@ -79,23 +79,37 @@ class Profile(ABC):
         brake: Collection[int] = (),
         velocity: Mapping[int, float] | None = None,
     ) -> None:
-        """Go somewhere from the present motion, whatever it is.
+        """Set new targets, which are approached from the present motion.
 
         Args:
-            targets: Position to go to, by index [rad | m]; clamped into the limits.
-            brake: Actuators to be stopped as soon as the limits allow. Those in neither go on.
-            velocity: Velocity limits to be used from now on, by index; others keep theirs, which
-                begin as those of the hand and are never exceeded. They are above 0.
+            targets: Target positions by index [rad | m], clamped into the limits.
+            brake: Actuators to stop as soon as the limits allow. Actuators in neither continue.
+            velocity: New velocity limits by index, above 0 [rad/s | m/s], at most those of the
+                hand, which apply at first. The other actuators keep theirs.
         """
-
-    def _aim(self, targets: Mapping[int, float], velocity: Mapping[int, float] | None) -> None:
-        """Note where to go and how fast at most; what has a target no longer brakes."""
+        changed = set()
         for index, top in (velocity or {}).items():
+            before = self._top[index]
             self._top[index] = min(max(top, _SLOWEST), self.limits.velocity[index])
+            if self._top[index] != before:
+                changed.add(index)
         for index, target in targets.items():
             self.target[index] = self.limits.clamp(index, target)
             self._braking[index] = False
+        self._start(targets.keys(), brake, changed)
+
+    @abstractmethod
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
+    ) -> None:
+        """Begin to move as `go` says, which has stored targets and velocity limits.
+
+        Args:
+            going: Actuators with a new target.
+            brake: Actuators to stop.
+            changed: Actuators with another velocity limit than before.
+        """
 
     @abstractmethod
     def advance(self) -> None:
-        """Let one period pass."""
+        """Advance the reference by one period."""

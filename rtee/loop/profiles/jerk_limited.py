@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
+from collections.abc import Set as AbstractSet
 
 from ruckig import (
     ControlInterface,
@@ -52,15 +53,9 @@ class JerkLimited(Profile):
         if self.moving:
             self._plan()
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        self._aim(targets, velocity)
         for index in brake:
             standing = self.velocity[index] == 0.0 and self._acceleration[index] == 0.0
             self._braking[index] = not standing
@@ -85,13 +80,13 @@ class JerkLimited(Profile):
         self._time = 0.0
         self.moving = True
         self._plain = None
-        # Together first; where that fails, each as fast as it can is still within all limits.
+        # Synchronised first; where that fails, each actuator on its own still keeps all limits.
         for synchronisation in (together, [Synchronization.No] * self.size):
             given.per_dof_synchronization = synchronisation
             try:
                 result = self._ruckig.calculate(given, self._trajectory)
-            # Of motions longer than two hours it gives a result that its Python binding cannot
-            # name, which raises a ValueError.
+            # For motions longer than two hours, ruckig returns a result that its Python binding
+            # cannot name, which raises a ValueError.
             except (RuckigError, ValueError):
                 continue
             if result == Result.Working and self._inside():
@@ -108,7 +103,7 @@ class JerkLimited(Profile):
     def _inside(self) -> bool:
         """Return whether the trajectory keeps the position limits (or comes back into them).
 
-        A longer motion, drawn out so that all arrive together, may first swing out.
+        A motion that is slowed down so that all arrive together may first swing out.
         """
         limits = self.limits
         for i, extremum in enumerate(self._trajectory.position_extrema):
@@ -123,7 +118,7 @@ class JerkLimited(Profile):
         return True
 
     def _without_jerk_limits(self) -> None:
-        """Go on with velocity and acceleration limits only; for what ruckig cannot plan."""
+        """Continue with velocity and acceleration limits only, where ruckig cannot plan."""
         step = Step(self.limits, self.period)
         step.seed(dict(enumerate(self.position)))
         step.velocity = list(self.velocity)
@@ -149,7 +144,7 @@ class JerkLimited(Profile):
         self._acceleration = acceleration
 
     def _arrive(self) -> None:
-        # The target itself, not what is left of it after rounding.
+        # The exact target, since the trajectory ends there only up to rounding.
         self.position = list(self.target)
         self.velocity = [0.0] * self.size
         self._acceleration = [0.0] * self.size

@@ -1,7 +1,7 @@
 """Motion of one actuator in phases of constant jerk, from any state to rest.
 
-All formulas need sums, products, quotients and square roots only. IEEE 754 rounds these the same
-way everywhere, so a motion comes out with the same bits on every computer.
+All formulas use sums, products, quotients and square roots only. IEEE 754 rounds these the same way
+everywhere, so that a motion has the same bits on every computer.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 _SEARCH = 40
-"""Largest number of steps of a search; five to ten are usual, and a bisection would need 40."""
+"""Largest number of steps of a search: five to ten are usual, and a bisection would need 40."""
 
 _NOTHING = 1e-12
-"""A way this short counts as none [rad | m]: it is far below what any device resolves."""
+"""A shorter distance counts as zero [rad | m]: it is far below the resolution of any device."""
 
 Phase = tuple[float, float]
 """Duration [s] and jerk [rad/s³ | m/s³]."""
@@ -49,11 +49,11 @@ def moved(state: State, time: float, jerk: float) -> State:
 
 
 class Motion:
-    """A motion: where it begins, and its phases one after the other.
+    """A motion from a state through a sequence of phases.
 
     Attributes:
-        duration: How long it takes [s].
-        end: Where it ends [rad | m].
+        duration: Its duration [s].
+        end: Its last position [rad | m].
     """
 
     __slots__ = ("_ends", "_jerks", "_phase", "_starts", "duration", "end")
@@ -76,8 +76,8 @@ class Motion:
         self.end = state[0]
 
     def at(self, time: float) -> State:
-        """Return the state at a time, which must not fall from call to call."""
-        # Kept between calls: time only goes forward, so no search is needed.
+        """Return the state at a time [s], which must not decrease from call to call."""
+        # The phase is kept between calls: time only increases, so no search is needed.
         while time >= self._ends[self._phase] and self._phase + 1 < len(self._ends):
             self._phase += 1
         k = self._phase
@@ -86,9 +86,9 @@ class Motion:
 
 
 def velocity_change(velocity: float, acceleration: float, to: float, bounds: Bounds) -> list[Phase]:
-    """Return the fastest phases to another velocity, at which the acceleration is zero."""
+    """Return the fastest phases to another velocity with zero acceleration."""
     jerk, most = bounds.jerk, bounds.acceleration
-    # Where the velocity would come to if the acceleration were only taken away.
+    # The final velocity if the acceleration were only brought to zero.
     by_itself = velocity + acceleration * abs(acceleration) / (2.0 * jerk)
     sign = 1.0 if to >= by_itself else -1.0
     rise, begin = sign * (to - velocity), sign * acceleration
@@ -106,7 +106,7 @@ def velocity_change(velocity: float, acceleration: float, to: float, bounds: Bou
 
 
 def stopping_time(velocity: float, bounds: Bounds) -> float:
-    """Return how long it takes to stop from an even velocity [s]; the way is v·t / 2."""
+    """Return the time to stop from a constant velocity [s]; the distance is v·t / 2."""
     speed, most, jerk = abs(velocity), bounds.acceleration, bounds.jerk
     if speed * jerk >= most * most:
         return speed / most + most / jerk
@@ -114,20 +114,20 @@ def stopping_time(velocity: float, bounds: Bounds) -> float:
 
 
 class Approach:
-    """All motions from a state to a target that change to one velocity, keep it, and stop from it.
+    """All motions from a state to a target that change to one velocity, keep it, and then stop.
 
-    The faster that velocity, the sooner the motion ends, up to the velocity that is reached but not
+    The higher that velocity, the shorter the motion, up to the velocity that is reached but not
     kept: that motion is the fastest.
 
     Args:
-        state: Where it begins.
-        target: Where it ends [rad | m].
+        state: The initial state.
+        target: The final position [rad | m].
         bounds: Limits.
-        fine: A search may stop when the time is right by this [s].
+        fine: Error of the duration at which a search may stop [s].
 
     Attributes:
-        velocity: That velocity in the fastest motion [rad/s | m/s]; 0 only stops.
-        duration: How long the fastest motion takes [s].
+        velocity: That velocity in the fastest motion [rad/s | m/s]; 0: the motion only stops.
+        duration: Duration of the fastest motion [s].
     """
 
     def __init__(self, state: State, target: float, bounds: Bounds, fine: float) -> None:
@@ -146,21 +146,21 @@ class Approach:
         self.duration = self._duration(speed)
 
     def motion(self, duration: float | None = None) -> Motion:
-        """Return the motion that takes a time.
+        """Return the motion that takes a given time.
 
         Args:
-            duration: The time [s]; ``None``, or less than the fastest takes: the fastest. The
-                fastest is also returned where a slower motion would pass the target: fast, and just
-                    before it.
+            duration: The time [s]; ``None``, or less than the fastest motion takes: the fastest.
+                The fastest is also returned close to the target at high speed, where a slower
+                motion would pass the target.
         """
         if duration is None or duration <= self.duration + self._fine or self.velocity == 0.0:
             return Motion(self._state, self._phases(self.velocity))
-        if self._rest:  # the same motion, drawn out, is slower in everything
-            # Time stretched by s: velocity falls by s, acceleration by s², jerk by s³.
+        if self._rest:  # the same motion, stretched in time, keeps all limits
+            # Stretched by s, velocity falls by s, acceleration by s² and jerk by s³.
             slower = self.duration / duration
-            drawn = self._phases(self.velocity)
+            phases = self._phases(self.velocity)
             return Motion(
-                self._state, ((t / slower, j * slower * slower * slower) for t, j in drawn)
+                self._state, ((t / slower, j * slower * slower * slower) for t, j in phases)
             )
         velocity = self._sign * self._speed_for(duration)
         passes = self._sign * self._left(velocity)[0] < 0.0
@@ -176,8 +176,8 @@ class Approach:
         return phases
 
     def _left(self, velocity: float) -> tuple[float, float]:
-        """Return how far it is to the target if a velocity is not kept, and the time so far."""
-        # The same as `velocity_change` and `moved`, written out: this is where the time goes.
+        """Return the remaining distance after a velocity is reached but not kept, and the time."""
+        # Repeats `velocity_change` and `moved` instead of calling them: the searches call this.
         p, v, a = self._state
         bounds = self._bounds
         most, jerk = bounds.acceleration, bounds.jerk
@@ -216,10 +216,10 @@ class Approach:
         return min(speed, bounds.velocity)
 
     def _fastest(self, way: float) -> float:
-        """Return the largest speed from which the target isn't passed.
+        """Return the largest speed that does not pass the target [rad/s | m/s].
 
         Args:
-            way: How far beyond the nearest stop the target is [rad | m].
+            way: Distance of the target beyond the nearest stop [rad | m].
         """
         high = self._bounds.velocity
         left_high = self._sign * self._left(self._sign * high)[0]
@@ -228,7 +228,7 @@ class Approach:
         low, left_low = 0.0, way
         _, velocity, acceleration = self._state
         by_itself = velocity + acceleration * abs(acceleration) / (2.0 * self._bounds.jerk)
-        # Already faster than that: the motion that doesn't slow down in between is the fastest.
+        # Narrow the search at the velocity reached by itself, where the distance has a kink.
         if 0.0 < self._sign * by_itself < high:
             left = self._sign * self._left(by_itself)[0]
             if left >= 0.0:
@@ -237,10 +237,10 @@ class Approach:
                 high, left_high = self._sign * by_itself, left
         side = 0
         for _ in range(_SEARCH):
-            # Coasting over what is left at this speed takes no longer than `fine`.
+            # Covering the remaining distance at this speed takes no longer than `fine`.
             if left_low <= low * self._fine:
                 break
-            # The secant, weighted as in the Illinois method so that no end stays where it is.
+            # The secant, weighted as in the Illinois method so that both ends move.
             middle = low + (high - low) * left_low / (left_low - left_high)
             if not low < middle < high:
                 break
@@ -253,14 +253,14 @@ class Approach:
                 high, left_high = middle, left
                 left_low *= 0.5 if side < 0 else 1.0
                 side = -1
-        if low == 0.0:  # the target is too near to the nearest stop to be distinguished from it
+        if low == 0.0:  # rounding does not distinguish the target from the nearest stop
             low = high
         return low
 
     def _speed_for(self, duration: float) -> float:
-        """Return the speed with which the motion takes a time; duration is about c + d / speed."""
+        """Return the speed of the motion that takes a given time [rad/s | m/s]."""
         fast = abs(self.velocity)
-        # Searched over 1 / speed, on which the duration depends almost linearly.
+        # Searched over 1 / speed, on which the duration depends almost linearly: about c + d / v.
         low, late_low = 1.0 / fast, self.duration - duration
         high = 2.0 * low
         for _ in range(_SEARCH):
@@ -290,9 +290,9 @@ class Approach:
 
 
 def cube_root(value: float) -> float:
-    """Return the cube root of a number that isn't negative, by Newton's method.
+    """Return the cube root of a non-negative number, by Newton's method.
 
-    Unlike a power of 1/3, it does not depend on the mathematical library.
+    Unlike a power of 1/3, the result does not depend on the mathematical library.
     """
     if value == 0.0:
         return 0.0
@@ -301,7 +301,7 @@ def cube_root(value: float) -> float:
     shift = exponent % 3
     root = math.ldexp(1.0, (exponent - shift) // 3)
     mantissa = math.ldexp(mantissa, shift)  # 0.5 to 4: six steps from 1 reach the last digit
-    found = 1.0
+    result = 1.0
     for _ in range(6):
-        found = (2.0 * found + mantissa / (found * found)) / 3.0
-    return found * root
+        result = (2.0 * result + mantissa / (result * result)) / 3.0
+    return result * root

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits
 from rtee.loop.profiles.base import Profile
 from rtee.loop.profiles.phases import Approach, Bounds, Motion, State, velocity_change
 
 _FINE = 0.1
-"""Actuators that start together arrive within this share of a period of each other: a tenth is not
-seen by any device, and saves steps of the search."""
+"""Actuators that start together arrive within this share of a period of each other: no device
+notices a tenth, and it saves steps of the search."""
 
 
 class SCurve(Profile):
     """Motion under jerk limits in phases of constant jerk: seven from rest, hence its name.
 
-    Actuators that start together arrive together: the slowest takes the time it needs, the others
-    are drawn out. A new target continues position, velocity and acceleration. An actuator that goes
-    on is not planned again.
+    Actuators that start together arrive together: the slowest one takes the time it needs, the
+    others are slowed down. A motion to a new target continues position, velocity and acceleration.
+    The motions of actuators without a new target are not planned again.
 
     Position limits need no check: wherever a motion is interrupted, it can still stop before its
     target, and no motion to another target goes further out than that stop.
@@ -44,23 +45,15 @@ class SCurve(Profile):
     def _under_way(self) -> bool:
         return any(motion is not None for motion in self._motion)
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        before = list(self._top)
-        self._aim(targets, velocity)
-        # Under way to an old target, but with another velocity limit: these are planned again.
-        others = {index for index in velocity or () if self._top[index] != before[index]}
         for index in brake:
             self._braking[index] = True
             self._stop(index)
-        self._together(targets)
-        for index in others.difference(targets, brake):
+        self._together(going)
+        # Actuators that keep their target but get another velocity limit are planned again.
+        for index in changed - going - set(brake):
             if not self._braking[index] and self._motion[index] is not None:
                 self._together((index,))
         self.moving = self._under_way()
@@ -69,7 +62,7 @@ class SCurve(Profile):
         return self.position[i], self.velocity[i], self._acceleration[i]
 
     def _together(self, indices: Iterable[int]) -> None:
-        """Send actuators to their targets so that they arrive together."""
+        """Plan motions of some actuators to their targets that end at the same time."""
         fine = _FINE * self.period
         ways = {i: Approach(self._state(i), self.target[i], self._bounds(i), fine) for i in indices}
         longest = max((way.duration for way in ways.values()), default=0.0)
@@ -104,7 +97,7 @@ class SCurve(Profile):
         self.moving = self._under_way()
 
     def _arrive(self, i: int) -> None:
-        # The target itself, not what is left of it after rounding.
+        # The exact target, since the motion ends there only up to rounding.
         self.position[i] = self.target[i]
         self.velocity[i] = 0.0
         self._forget(i)

@@ -5,27 +5,22 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Collection, Mapping
+from collections.abc import Set as AbstractSet
 
 from rtee.loop.motion import Limits, approach, bounded
 from rtee.loop.profiles.base import Profile
 
 
 class Stepwise(Profile):
-    """A profile that asks for a velocity every period and gets what the limits allow."""
+    """A profile that wants a velocity in each period, which the limits bound."""
 
     def _seeded(self, indices: Collection[int]) -> None:
         for index in indices:
             self._braking[index] = False
 
-    def go(
-        self,
-        targets: Mapping[int, float],
-        *,
-        brake: Collection[int] = (),
-        velocity: Mapping[int, float] | None = None,
+    def _start(
+        self, going: AbstractSet[int], brake: Collection[int], changed: AbstractSet[int]
     ) -> None:
-        """See `Profile.go`."""
-        self._aim(targets, velocity)
         for index in brake:
             self._braking[index] = True
         self.moving = True
@@ -62,7 +57,7 @@ class Stepwise(Profile):
                 self.moving = True
 
     def _fastest(self, i: int) -> float:
-        """Return the velocity that the next period may have [rad/s | m/s]."""
+        """Return the velocity limit of the next period [rad/s | m/s]."""
         return self._top[i]
 
     @abstractmethod
@@ -70,9 +65,9 @@ class Stepwise(Profile):
         """Return the velocity wanted for the next period [rad/s | m/s]."""
 
     def _move(self, i: int, wanted: float, allowed: float) -> None:
-        """Move on by one period at the allowed velocity."""
+        """Advance by one period at the allowed velocity."""
         position = self.position[i] + allowed * self.period
-        # The last step must land on the target, not on its last digit but one.
+        # The last step must reach the target exactly, without an error of rounding.
         if not self._braking[i] and abs(position - self.target[i]) <= 1e-12:
             position = self.target[i]
         self.position[i] = position
@@ -90,16 +85,17 @@ _AHEAD = 5.0
 """The target is smoothed this many times faster than the filter responds: fast enough not to be
 noticed, slow enough to keep the acceleration continuous."""
 
-_NEAR = 1e-6  # the filter snaps to a target this near [rad | m]; it would creep on forever
+_NEAR = 1e-6  # the filter snaps to a target this near [rad | m], or it would creep forever
 
 
 class Filter(Stepwise):
     """A second-order low-pass with damping 1, as in ROS End-Effector, inside all limits.
 
     The response to an input s is that of x″ = ω²·(s − x) − 2·ω·x′, solved exactly for each period.
-    The input is not the target itself, with which the acceleration would jump, but follows it
-    as s′ = 5·ω·(target − s): position, velocity and acceleration are continuous whatever the
-    targets do. To brake, an actuator goes to where it comes to rest by itself, without a jump, too.
+    The input is not the target itself, which would make the acceleration jump, but follows it by
+    s′ = 5·ω·(target − s): position, velocity and acceleration are continuous whatever the targets.
+    To brake, an actuator goes to the position where the filter comes to rest without an input, so
+    that nothing jumps, either.
 
     Args:
         limits: Limits of the actuators.
@@ -133,7 +129,7 @@ class Filter(Stepwise):
         velocity: Mapping[int, float] | None = None,
     ) -> None:
         """See `Profile.go`."""
-        # With damping 1, this is where the filter stops by itself.
+        # With damping 1, this is where the filter comes to rest by itself.
         rest = {i: self.position[i] + self.velocity[i] / self._omega for i in brake}
         super().go({**targets, **rest}, velocity=velocity)
         for i in velocity or ():
@@ -162,12 +158,12 @@ class Filter(Stepwise):
         return eased
 
     def _eased(self, i: int, wanted: float) -> float:
-        """Return a velocity that comes to its limit with the acceleration brought down to none.
+        """Return a velocity that reaches its limit with zero acceleration.
 
-        From an acceleration a, that takes a² / 2j of velocity with the jerk limit j; a of the next
-        period must leave as much: a² / 2j + a·dt = room. A velocity above a limit that was lowered
-        comes down to it likewise. Where limits have taken over from the filter, the acceleration
-        goes on from what it is.
+        Bringing an acceleration a to zero with the jerk limit j changes the velocity by a² / 2j;
+        the acceleration of the next period must leave room for it: a² / 2j + a·dt = room. A
+        velocity above a limit that was lowered comes down in the same way. Where limits have taken
+        over from the filter, the acceleration continues from its present value.
         """
         velocity, jerk, dt = self.velocity[i], self.limits.jerk[i], self.period
         if wanted * velocity <= 0.0:
@@ -187,5 +183,5 @@ class Filter(Stepwise):
         self._change[i] = allowed - self.velocity[i]
         self._held[i] = self._held[i] or allowed != wanted
         super()._move(i, wanted, allowed)
-        # Where a limit took over, the filter goes on from what was really done.
+        # Where a limit took over, the filter continues from the actual velocity.
         self._slope[i] = self._next[i] if allowed == wanted and wanted != 0.0 else allowed

@@ -1,4 +1,4 @@
-"""What the actuators of a stream hold: watched as those of a goal are, as long as it plays."""
+"""Contact detection for the actuators of a stream, as for those of a goal, while it plays."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from rtee.loop.contact import ContactWatch, Measured
 from rtee.loop.streams.player import StreamPlayer
 
 _TOLERANCE = 0.01
-"""An actuator that is behind by less than this share of its range is not blocked: goals come as
-near to their targets."""
+"""An actuator behind by less than this share of its range is not blocked: goals end as near to
+their targets."""
 
 
 class StreamHold:
-    """Watches the actuators of a stream for what they hold.
+    """Detects which actuators of a stream hold an object.
 
     Args:
         hand: The hand.
-        contact: Judges what is blocked and what grasps.
+        contact: Detects blocked and grasping actuators.
         reference: Positions sent last, of all actuators [rad | m].
         limits: Effort limits sent last [N·m | N].
-        eased: Actuators whose effort is lowered since they hold something.
+        eased: Actuators whose effort is lowered because they hold an object.
     """
 
     def __init__(
@@ -41,40 +41,40 @@ class StreamHold:
         """Begin to watch actuators that a stream moves from now on.
 
         Args:
-            targets: Where they go, by index [rad | m].
+            targets: Their target positions, by index [rad | m].
             stamp: Now [s].
         """
         tolerance: dict[int, float] = {}
         for i in targets:
             actuator = self._hand.actuators[i]
             span = actuator.upper - actuator.lower
-            # A joint without limits has no range; 1 rad is taken instead, a typical one.
+            # An actuator without limits has no range; 1 rad is a typical one.
             tolerance[i] = _TOLERANCE * (span if math.isfinite(span) else 1.0)
         self._contact.begin(targets, tolerance, stamp)
 
     def limits(self, stream: StreamPlayer, indices: AbstractSet[int]) -> dict[int, float]:
-        """Return the effort limits that a stream gives some actuators, by index [N·m | N]."""
+        """Return the effort limits of a stream for some actuators, by index [N·m | N]."""
         names = self._hand.actuator_names
         return {i: stream.effort[names[i]] for i in indices if names[i] in stream.effort}
 
     def aim(self, targets: Mapping[int, float]) -> None:
-        """Note where a sample sends actuators, by index [rad | m]."""
+        """Set the target positions of a sample, by index [rad | m]."""
         for i, target in targets.items():
             self._contact.aim(i, target)
 
     def look(self, stream: StreamPlayer, stamp: float, measured: Measured) -> bool:
-        """Look at the actuators of a stream; full effort again for those that hold nothing.
+        """Evaluate the actuators of a stream; restore the effort of those that hold nothing.
 
         Args:
             stream: The stream.
             stamp: Now [s].
-            measured: What was measured.
+            measured: The measured state.
 
         Returns:
-            Whether an actuator that was eased is where the stream wants it, and eased no longer.
+            Whether an eased actuator has reached its reference, and is eased no longer.
         """
         reference = self._reference
-        # What is clasped either stays so or is lost, which the controller looks for.
+        # Actuators that clasp an object are not updated: the controller detects its loss.
         free = [i for i in stream.indices if not self._contact.clasped(i, reference[i])]
         self._contact.update(stamp, measured, reference, self._limits, free)
         freed = {

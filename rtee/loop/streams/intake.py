@@ -1,4 +1,4 @@
-"""Bring samples into the loop: checked where they arrive, in any thread, and bounded in number."""
+"""Accept samples for the loop: checked in the thread in which they arrive, and rate-limited."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rtee.loop.devices import Devices
 
 MAX_RATE = 500.0
-"""Largest rate of samples [Hz]: faster than gloves and planners are, and what a hand's computer can
-decode beside its loop."""
+"""Highest rate of samples [Hz]: above that of gloves and planners, and within what a hand's
+computer can decode beside its loop."""
 
 _LONGEST_DEADLINE = 10.0
 """Longest deadline [s]: samples further apart are goals, not a stream."""
@@ -28,42 +28,40 @@ _LEAST_PERIODS = 1.5
 """A deadline must be longer than this many periods, or each sample would end in a pause."""
 
 _BURST = 20.0
-"""This many samples may come at once: those of 0.4 s at 50 Hz, which a stalled network held
-back."""
+"""Samples that may arrive at once: those of 0.4 s at 50 Hz, held back by a stalled network."""
 
 _FASTER = 1.5
-"""Samples may come faster than the stream's rate by this factor, since clocks and timers differ."""
+"""Factor by which samples may be faster than the stream's rate, since clocks and timers differ."""
 
 _AHEAD = 0.5
-"""A stamp may lead the hand's clock by this much more than those before [s]: clocks do not jump,
+"""A stamp may lead the hand's clock by this much more than earlier stamps [s]: clocks do not jump,
 and a network does not get that much faster."""
 
 _BEHIND = 1.0
-"""A stamp this much older than the one before is not a sample out of order but a mistake [s]:
+"""A stamp this much older than the newest one is not a sample out of order but a mistake [s]:
 networks reorder within milliseconds."""
 
 _LEAK = 1e-3
-"""The least offset of the clocks rises by this much per second [s/s]: far more than clocks
-drift."""
+"""Rise of the least offset between the clocks [s/s]: far more than clocks drift."""
 
 _QUIET = 0.1
-"""After a refusal, further ones are only counted for this long [s]: a stream that is wrong is wrong
-in every sample."""
+"""After a refusal, further ones are only counted for this long [s]: a wrong stream is wrong in
+every sample."""
 
 _MOST_KEPT = 32
-"""Sets of names whose meaning is kept: more than a client alternates between, and bounded."""
+"""Sets of names whose resolution is cached: more than a client alternates between, and bounded."""
 
 
 class StreamIntake:
-    """Checks the samples of a hand's stream and appends them to what the loop does next.
+    """Checks the samples of a hand's stream and queues them for the next tick.
 
-    One stream is open at a time. One thread at a time may call its methods.
+    One stream is open at a time. One thread at a time may call the methods.
 
     Args:
         controller: The controller of the hand, which plays the stream.
         library: The hand's actions.
-        append: Appends a command to what the next tick does.
-        devices: The hand's devices: whether they may be moved, and take effort limits.
+        append: Queues a command for the next tick.
+        devices: The hand's devices, which may be inactive or refuse effort limits.
         now: The loop's clock [s].
     """
 
@@ -99,14 +97,14 @@ class StreamIntake:
         deadline: float | None = None,
         effort: Mapping[str, float] | None = None,
     ) -> None:
-        """Open a stream; one that is open ends. Nothing moves before its first sample.
+        """Open a stream, ending an open one. Nothing moves before its first sample.
 
         Args:
             stream: Its identifier, without spaces.
-            rate: Samples per second that the client means to send [Hz].
-            deadline: Without a sample for this long the hand brakes and holds [s]; ``None``: as
+            rate: Samples per second that the client intends to send [Hz].
+            deadline: Time without a sample after which the hand brakes and holds [s]; ``None``: as
                 configured.
-            effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
+            effort: Effort limits by actuator [N·m | N]; other actuators keep the hand's own.
 
         Raises:
             GoalRejected: if a number cannot be used.
@@ -135,17 +133,17 @@ class StreamIntake:
         self._newest, self._offset, self._offset_at = -math.inf, math.inf, now
         self._quiet_until = -math.inf
         self._thinned = self._refused = 0
-        self._known.clear()  # the actions may be others by now
+        self._known.clear()  # the library may have changed
         longest = settings.stream.max_lag
         self._open = stream
         lag = math.inf if longest is None else longest
         self._append(BeginStream(stream, rate, within, lag, wanted))
 
     def admit(self) -> bool:
-        """Return whether one more sample may be read now; it is cheap, so a flood costs little.
+        """Return whether the rate limit permits another sample; cheap, since floods call it, too.
 
         Raises:
-            GoalRejected: if not, unless that was reported a moment ago.
+            GoalRejected: if it does not, unless that was reported a moment ago.
         """
         now = self._now()
         rate = _FASTER * self._rate
@@ -156,7 +154,7 @@ class StreamIntake:
             self._tokens -= 1.0
             return True
         self._thinned += 1
-        self._complain(
+        self._refuse(
             now,
             f"samples come faster than the {self._rate:g} a second that the stream was begun with; "
             "those beyond are dropped",
@@ -164,20 +162,20 @@ class StreamIntake:
         return False
 
     def sample(self, sample: StreamTargets) -> None:
-        """Take a sample; what it asks for begins at the next tick.
+        """Check a sample and queue it for the next tick.
 
         Raises:
             GoalRejected: if it cannot be used; refusals in quick succession are only counted.
         """
         now = self._now()
         if not sample.stream or sample.stream != self.stream:
-            self._complain(now, f"there is no stream '{sample.stream[:50]}'; it may have ended")
+            self._refuse(now, f"there is no stream '{sample.stream[:50]}'; it may have ended")
             return
         try:
             positions, rates = self._checked(sample, now)
         except GoalRejected as error:
             self._refused += 1
-            self._complain(now, str(error))
+            self._refuse(now, str(error))
             return
         self._newest = max(self._newest, sample.stamp)
         names = self._hand.actuator_names
@@ -194,20 +192,21 @@ class StreamIntake:
         )
 
     def end(self, stream: str, reason: str = "") -> None:
-        """Close a stream: its actuators brake and hold. One that is not open: nothing."""
+        """Close a stream: its actuators brake and hold. Ignores a stream that is not open."""
         if stream and stream == self.stream:
             self._append(EndStream(stream, reason))
             self._open = ""
 
     def status(self) -> StreamStatus:
-        """Return how the open stream is doing."""
+        """Return the status of the open stream."""
         # Read once: the loop may end the stream at any time.
         player = self._controller.stream
         if player is None or player.name != self._open:
             return StreamStatus()
         return replace(player.status(), thinned=self._thinned, refused=self._refused)
 
-    def _complain(self, now: float, text: str) -> None:
+    def _refuse(self, now: float, text: str) -> None:
+        """Raise `GoalRejected`, unless a refusal was raised a moment ago."""
         if now >= self._quiet_until:
             self._quiet_until = now + _QUIET
             raise GoalRejected(text)
@@ -215,7 +214,7 @@ class StreamIntake:
     def _checked(
         self, sample: StreamTargets, now: float
     ) -> tuple[Mapping[int, float], Mapping[int, float]]:
-        """Return what a sample asks for, by actuator."""
+        """Return positions and velocities of a sample, by actuator index."""
         if not sample.targets:
             raise GoalRejected("a sample needs at least one target")
         names = tuple(sample.targets)
@@ -226,10 +225,10 @@ class StreamIntake:
             if len(self._known) >= _MOST_KEPT:
                 self._known.clear()
             self._known[names] = targets
-        found = targets.resolve(sample.targets, sample.velocity)
-        # Last: a sample that is refused for its targets says nothing about the clocks.
+        resolved = targets.resolve(sample.targets, sample.velocity)
+        # Last: a sample that is refused for its targets must not update the clocks' offset.
         self._check_stamp(sample.stamp, now)
-        return found
+        return resolved
 
     def _check_stamp(self, stamp: float, now: float) -> None:
         if not math.isfinite(stamp):

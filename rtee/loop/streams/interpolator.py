@@ -5,12 +5,12 @@ those of the parabola through the last three samples, limited so that nothing sw
 samples: the shape-preserving end condition of PCHIP (Moler, "Numerical Computing with MATLAB",
 section 3.6; Fritsch and Carlson 1980).
 
-After the newest sample its velocity goes on for two periods and then falls smoothly to nothing.
-Whenever that makes the way jump (the newest sample is passed, a sample comes after its turn, a
-stream begins), the difference of position, velocity and acceleration is kept as an error that falls
-to nothing along a polynomial of degree five, so that what is wanted never jumps. Finally each
-actuator follows what is wanted within its limits on velocity, acceleration and position, by itself:
-none waits for another one.
+After the newest sample the path continues at its velocity for two periods, which then falls
+smoothly to zero. Whenever the path jumps (the newest sample is passed, a sample arrives late, a
+stream begins), the difference in position, velocity and acceleration is kept as an error that
+decays to zero along a polynomial of degree five, so that the wanted position never jumps. Finally
+each actuator follows its wanted position within its limits on velocity, acceleration and position,
+without waiting for the others.
 """
 
 from __future__ import annotations
@@ -24,34 +24,35 @@ from rtee.loop.motion import Limits, approach, bounded
 from rtee.loop.profiles.phases import cube_root
 
 _MOST = 64
-"""Samples kept ahead of time; further ones push out the oldest: an eighth of a second at 500 Hz,
-more than a usual lag holds."""
+"""Samples kept ahead of time, after which the oldest are dropped: an eighth of a second at 500 Hz,
+more than a usual lag."""
 
 _LONGEST = 0.25
-"""An error falls to zero within this time [s] at most: longer would feel like a lag. Limits may
-still make it take longer."""
+"""Longest time for an error to decay [s]: longer would feel like a lag. Limits may still make it
+take longer."""
 
 _COAST = 2.0
-"""After the newest sample its velocity goes on for so many periods: one sample may be lost, and the
-next one come as late as the lag allows …"""
+"""Periods for which the path continues at the newest sample's velocity: one sample may be lost, and
+the next one arrive as late as the lag allows."""
 
 _BRAKED = 5.0
-"""… and is zero after this many at most: a stream that falls silent must not carry the hand
-away."""
+"""Periods after the newest sample at which the velocity is zero: a stream that falls silent must
+not carry the hand away."""
 
 _BLEND = 3.0
-"""An error takes at least so many periods to fall to nothing: with jitter of 20 ms at 50 Hz, the
-jerk is half of that with one period, and the way is off by 0.08 % instead of 0.07 %."""
+"""Periods that an error takes at least to decay: with jitter of 20 ms at 50 Hz, the jerk is half of
+that with one period, and the path is off by 0.08 % instead of 0.07 %."""
 
 _SHARE = 0.5
-"""Share of the acceleration limit with which an actuator catches up with what it lags behind; the
-rest is left for what the stream itself asks for."""
+"""Share of the acceleration limit with which an actuator catches up; the rest is left for the
+motion of the stream itself."""
 
 _SPIKE = 10.0
-"""A sample is an outlier if it asks for this many times the velocity limit, and beyond that …"""
+"""A sample is an outlier if it needs more than this many times the velocity limit, in addition to
+`_SPIKE_RANGE`: faster than any hand moves on purpose."""
 
 _SPIKE_RANGE = 0.05
-"""… for more than this share of the range: faster than any hand moves on purpose."""
+"""Travel, as a share of the range, that a sample may need in addition: sensors are noisy."""
 
 
 Motion = tuple[float, float, float]
@@ -78,7 +79,7 @@ class Interpolator:
         tick: Period of the loop [s].
 
     Attributes:
-        indices: The actuators that move, in the order in which they came.
+        indices: The actuators that move, in the order of their first samples.
         newest: Time of the newest sample [s, the client's]; ``-inf``: none.
     """
 
@@ -102,21 +103,21 @@ class Interpolator:
         self.newest = -math.inf
 
     def include(self, index: int, position: float, velocity: float) -> None:
-        """Move a further actuator, from its reference.
+        """Add an actuator, starting from its reference.
 
         Args:
             index: The actuator.
             position: Its reference [rad | m].
-            velocity: The reference's velocity [rad/s | m/s].
+            velocity: Velocity of the reference [rad/s | m/s].
         """
         if not self.indices:
-            self._now = math.inf  # the first step is one of a tick
+            self._now = math.inf  # so that the first step takes one period of the loop
         self._fresh[len(self.indices)] = velocity
         self.indices.append(index)
         self._wanted.append(position)
         self._error.append((_STILL, 0.0, 0.0))
         for knot in self._knots:
-            # As if it had been at its reference all the time.
+            # As if it had always been at its reference.
             knot.position.append(position)
             knot.velocity.append(0.0)
 
@@ -146,17 +147,17 @@ class Interpolator:
         now: float,
         period: float,
     ) -> None:
-        """Take a sample that is newer than all others.
+        """Add a sample that is newer than all others.
 
         Args:
-            positions: Where to, by actuator [rad | m]; those that are left out stay.
-            velocities: How fast there [rad/s | m/s]; ``NaN`` or left out: not given.
-            time: Its time [s, the client's].
-            play: What is played now [s, the client's].
-            now: The time [s, the hand's].
+            positions: Positions by actuator index [rad | m]; actuators left out stay.
+            velocities: Velocities at these positions [rad/s | m/s]; ``NaN`` or left out: not given.
+            time: Time of the sample, by the client's clock [s].
+            play: Time that is played now, by the client's clock [s].
+            now: The time by the hand's clock [s].
             period: Time between samples [s].
         """
-        # A new sample changes the path even at the present, since its velocity changes the tangent.
+        # A new sample changes the path even at the present, through the tangent at the last one.
         before = self._motions(play, period) if self._knots else [_STILL] * len(self.indices)
         for place, speed in self._fresh.items():
             before[place] = (self._wanted[place], speed, 0.0)
@@ -168,7 +169,7 @@ class Interpolator:
         self._coasts = play >= time
 
     def jumped(self, play: float, to: float, now: float, period: float) -> None:
-        """Keep the wanted position unchanged although the stream's time jumps."""
+        """Keep the wanted position continuous when the stream's time jumps to another one."""
         if not self._knots:
             return
         self._jump(self._motions(play, period), self._motions(to, period), now, period)
@@ -193,7 +194,7 @@ class Interpolator:
         return _Knot(time, where, speed)
 
     def _estimated(self, place: int, position: float, time: float) -> float:
-        """Return the velocity at the newest sample, from those before."""
+        """Estimate an actuator's velocity at a new sample from the samples before it."""
         if not self._knots:
             return 0.0
         last = self._knots[-1]
@@ -213,14 +214,14 @@ class Interpolator:
         return velocity
 
     def _forget(self, play: float) -> None:
-        """Forget the samples that have been played; the two before now give the velocity."""
+        """Discard played samples, except for the two that determine the velocity."""
         while len(self._knots) > 3 and self._knots[2].time <= play:
             self._knots.popleft()
 
-    # --- the way -----------------------------------------------------------------------------
+    # --- the path ----------------------------------------------------------------------------
 
     def _base(self, play: float, period: float) -> tuple[_Knot, _Knot, tuple[_Weights, ...]]:
-        """Return two samples, and how position, velocity and acceleration at a time follow."""
+        """Return two samples and their weights in position, velocity and acceleration at a time."""
         knots = self._knots
         newest, first = knots[-1], knots[0]
         if play >= newest.time:
@@ -228,7 +229,7 @@ class Interpolator:
         if play <= first.time:
             ahead = (1.0, 0.0, play - first.time, 0.0)
             return first, first, (ahead, (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0))
-        # From the newest: the lag is a period or two.
+        # Searched from the newest, since the lag is a period or two.
         right = len(knots) - 1
         while knots[right - 1].time > play:
             right -= 1
@@ -236,17 +237,17 @@ class Interpolator:
         return left, knots[right], _hermite(left.time, knots[right].time, play)
 
     def _positions(self, play: float, period: float) -> list[float]:
-        """Return positions on the way between the samples, without the error."""
+        """Return the positions on the path between the samples, without the error."""
         left, right, (weights, _, _) = self._base(play, period)
         return _combined(left, right, weights)
 
     def _motions(self, play: float, period: float) -> list[Motion]:
-        """Return the motions on the way between the samples, without the error."""
+        """Return the motions on the path between the samples, without the error."""
         left, right, rows = self._base(play, period)
         return list(zip(*(_combined(left, right, row) for row in rows), strict=True))
 
     def _coast(self, now: float, period: float) -> None:
-        """Begin to coast: the acceleration that leads to the newest sample ends smoothly."""
+        """Begin to coast: the acceleration at the newest sample decays smoothly."""
         self._coasts = True
         if len(self._knots) < 2:
             return
@@ -258,12 +259,12 @@ class Interpolator:
     def _jump(
         self, before: Sequence[Motion], after: Sequence[Motion], now: float, period: float
     ) -> None:
-        """Let the errors that a jump of the way makes fall to nothing, within limits if possible.
+        """Turn a jump of the path into errors that decay, within the limits if possible.
 
         Args:
-            before: Motions of all that move, as they were.
-            after: Motions as they are from now on.
-            now: The time [s, the hand's].
+            before: Motions of the moving actuators before the jump.
+            after: Motions after the jump.
+            now: The time by the hand's clock [s].
             period: Time between samples [s].
         """
         for place, index in enumerate(self.indices):
@@ -274,9 +275,9 @@ class Interpolator:
                 e + b - a for e, b, a in zip(left, before[place], after[place], strict=True)
             )
             limits, size, speed = self._limits, abs(error), abs(slope)
-            # Peaks of the polynomials of `_error_at` over time T: 5.77·e/T² and 60·e/T³ from an
-            # error e of the position, 3.94·w/T and 36·w/T² from one of the velocity w. One of the
-            # acceleration is greatest where it begins, so that no time makes it less.
+            # Peaks of acceleration and jerk of the polynomials in `_error_at` over a time T:
+            # 5.77·e/T² and 60·e/T³ for a position error e, 3.94·w/T and 36·w/T² for a velocity
+            # error w. An error of the acceleration is largest at its start, whatever the time.
             acceleration = _SHARE * limits.acceleration[index]
             jerk = limits.jerk[index]
             time = max(
@@ -289,13 +290,13 @@ class Interpolator:
             self._error[place] = ((error, slope, bend), now, min(time, _LONGEST))
 
     def _error_at(self, place: int, now: float) -> Motion:
-        """Return what is left of an error at a time [s, the hand's]."""
+        """Return what is left of an actuator's error at a time by the hand's clock [s]."""
         (error, slope, bend), since, time = self._error[place]
         s = (now - since) / time if time > 0.0 else 1.0
         if s >= 1.0:
             return _STILL
         s = max(s, 0.0)
-        # Degree five, from (1, 0, 0), (0, 1, 0) and (0, 0, 1) to nothing.
+        # Three polynomials of degree five, from (1, 0, 0), (0, 1, 0) and (0, 0, 1) to zero.
         slope *= time
         bend *= time * time
         rest, s2 = 1.0 - s, s * s
@@ -325,18 +326,18 @@ class Interpolator:
         velocity: Sequence[float],
         into: list[float],
     ) -> None:
-        """Move the actuators on by one period of the loop.
+        """Advance the actuators by one period of the loop.
 
         Args:
-            play: What is played [s, the client's].
-            now: When the tick is due [s, the hand's].
+            play: Time that is played, by the client's clock [s].
+            now: Due time of the tick, by the hand's clock [s].
             period: Time between samples [s].
             position: Positions sent last, of all actuators [rad | m].
             velocity: Their velocities [rad/s | m/s].
-            into: Takes the positions to be sent, of those that move [rad | m].
+            into: Receives the positions to send, of the moving actuators [rad | m].
         """
         limits, dt, wanted = self._limits, self._tick, self._wanted
-        # After missed ticks the wanted position is further away, but not faster.
+        # After missed ticks the wanted position is further away, but no faster.
         passed, self._now = max(now - self._now, dt), now
         if play >= self.newest and not self._coasts:
             self._coast(now, period)
@@ -367,11 +368,11 @@ class Interpolator:
 
 
 _EXACT = 1e-12
-"""Nearer than this [rad | m] to what was wanted last counts as there: rounding."""
+"""A smaller distance to the last wanted position counts as rounding [rad | m]."""
 
 
 def _combined(left: _Knot, right: _Knot, weights: _Weights) -> list[float]:
-    """Return the sums of two samples' positions and velocities, each by its weight."""
+    """Return the weighted sums of two samples' positions and velocities."""
     a, b, c, d = weights
     return [
         a * p0 + b * p1 + c * v0 + d * v1
@@ -388,9 +389,10 @@ def _coasting(passed: float, period: float) -> tuple[_Weights, ...]:
         return (1.0, 0.0, passed, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 0.0)
     span = (_BRAKED - _COAST) * period
     s = min((passed - alone) / span, 1.0)
-    way = alone + span * s * (1.0 - s * s * (1.0 - 0.5 * s))
-    left = 1.0 - s * s * (3.0 - 2.0 * s)
-    return (1.0, 0.0, way, 0.0), (0.0, 0.0, left, 0.0), (0.0, 0.0, -6.0 * s * (1.0 - s) / span, 0.0)
+    time = alone + span * s * (1.0 - s * s * (1.0 - 0.5 * s))
+    share = 1.0 - s * s * (3.0 - 2.0 * s)
+    slope = -6.0 * s * (1.0 - s) / span
+    return (1.0, 0.0, time, 0.0), (0.0, 0.0, share, 0.0), (0.0, 0.0, slope, 0.0)
 
 
 def _hermite(begin: float, end: float, play: float) -> tuple[_Weights, ...]:

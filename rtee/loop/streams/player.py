@@ -1,4 +1,4 @@
-"""Play a stream in the loop: accept samples, pause without them, and give each tick's positions."""
+"""Play a stream in the loop: accept samples, pause without them, compute each tick's positions."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rtee.sample import FloatArray
 from rtee.types import Event, readonly
 
 CHANNEL = "stream/lag"
-"""The channel of the state that has lag and jitter of a stream [s], while it plays."""
+"""Channel of the state with lag and jitter of a stream [s], while it plays."""
 
 
 _SAME = 1e-6
-"""Stamps nearer than this are the same [s]: clocks resolve no less, and slopes between samples must
-stay finite."""
+"""Stamps closer than this are the same [s]: it is the resolution of clocks, and slopes between
+samples must stay finite."""
 
 
 class StreamPlayer:
@@ -33,9 +33,9 @@ class StreamPlayer:
 
     Attributes:
         name: The stream's identifier.
-        deadline: Without a sample for this long it pauses [s].
-        effort: Effort limits by actuator [N·m | N]; the others have the hand's own.
-        playing: Whether it moves actuators: from a first sample until it pauses.
+        deadline: Time without a sample after which the stream pauses [s].
+        effort: Effort limits by actuator [N·m | N]; other actuators keep the hand's own.
+        playing: Whether the stream moves actuators: from a first sample until it pauses.
         channels: Lag and jitter ``(2,)`` [s], by `CHANNEL`.
     """
 
@@ -44,7 +44,7 @@ class StreamPlayer:
         self.playing = False
         self.channels: Mapping[str, FloatArray] = {CHANNEL: readonly((0.0, 0.0))}
         self._playout = Playout(begin.rate, tick, begin.max_lag)
-        self._way = Interpolator(limits, tick)
+        self._path = Interpolator(limits, tick)
         self._arrival = -math.inf
         self._doubted = False
         self._newest = -math.inf
@@ -53,11 +53,11 @@ class StreamPlayer:
 
     @property
     def indices(self) -> Sequence[int]:
-        """The actuators that it moves."""
-        return self._way.indices
+        """The actuators that the stream moves."""
+        return self._path.indices
 
     def status(self) -> StreamStatus:
-        """Return how it is doing, as far as the loop knows."""
+        """Return the status of the stream; samples dropped before the loop are not counted."""
         playout = self._playout
         return StreamStatus(
             stream=self.name,
@@ -73,9 +73,9 @@ class StreamPlayer:
         )
 
     def taken(self, sample: StreamSample, positions: Mapping[int, float]) -> bool:
-        """Return whether to take a sample; one that is dropped is counted.
+        """Return whether to take a sample; dropped samples are counted.
 
-        A sample far from the one before is dropped once; if the next one is far, too, it was
+        A sample far from the last one is dropped; if the next one is far, too, the motion is
         intended.
 
         Args:
@@ -86,10 +86,10 @@ class StreamPlayer:
             self._duplicates += 1
         elif sample.stamp < self._newest:
             self._out_of_order += 1
-        elif not self._doubted and self._way.outlying(positions, sample.stamp):
+        elif not self._doubted and self._path.outlying(positions, sample.stamp):
             self._outliers += 1
             self._doubted = True
-            self._arrival = sample.arrival  # the client is there, whatever it sent
+            self._arrival = sample.arrival  # the client is alive, whatever it sent
         else:
             self._doubted = False
             return True
@@ -114,7 +114,7 @@ class StreamPlayer:
             reference: Positions sent last, of all actuators [rad | m].
             speed: Their velocities [rad/s | m/s].
         """
-        playout, way = self._playout, self._way
+        playout, path = self._playout, self._path
         self._samples += 1
         self._newest = sample.stamp
         self._arrival = sample.arrival
@@ -125,9 +125,9 @@ class StreamPlayer:
         elif sample.stamp < playout.time:
             self._late += 1
         for index in positions:
-            if index not in way.indices:
-                way.include(index, reference[index], speed[index])
-        way.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
+            if index not in path.indices:
+                path.include(index, reference[index], speed[index])
+        path.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
         self.channels = {CHANNEL: np.array((playout.lag, playout.jitter))}
 
     def overdue(self, now: float) -> bool:
@@ -135,15 +135,15 @@ class StreamPlayer:
         return self.playing and now - self._arrival > self.deadline
 
     def pause(self, now: float) -> Event:
-        """Move nothing until the next sample, from which it goes on; returns the event of that."""
+        """Pause until the next sample; return the event that reports it."""
         self.playing = False
         self._pauses += 1
-        self._way.clear()
+        self._path.clear()
         text = f"no sample for {self.deadline * 1e3:.0f} ms: braked, and holding"
         return Event("stream_paused", self.name, text, now, "warning")
 
     def ended(self, why: str, now: float) -> Event:
-        """Return the event of its end, with the reason in words."""
+        """Return the event that reports the end of the stream; ``why``: the reason in words."""
         dropped = self._duplicates + self._out_of_order + self._outliers
         text = f"the stream ended: {why}; {self._samples} samples taken, {dropped} dropped"
         return Event(STREAM_ENDED, self.name, text, now)
@@ -151,16 +151,16 @@ class StreamPlayer:
     def step(
         self, now: float, position: Sequence[float], velocity: Sequence[float], into: list[float]
     ) -> None:
-        """Move its actuators on by one period of the loop.
+        """Advance the stream's actuators by one period of the loop.
 
         Args:
             now: When the tick is due [s].
             position: Positions sent last, of all actuators [rad | m].
             velocity: Their velocities [rad/s | m/s].
-            into: Takes the positions to be sent, of its actuators [rad | m].
+            into: Receives the positions to send, of the stream's actuators [rad | m].
         """
-        playout, way = self._playout, self._way
-        was, before = playout.time, playout.now
+        playout, path = self._playout, self._path
+        last, before = playout.time, playout.now
         if playout.advance(now):
-            way.jumped(was, playout.time, before, playout.period)
-        way.step(playout.time, now, playout.period, position, velocity, into)
+            path.jumped(last, playout.time, before, playout.period)
+        path.step(playout.time, now, playout.period, position, velocity, into)

@@ -1,10 +1,10 @@
-"""Decide when a sample is played: the client's clock, the network's jitter, and the lag for it.
+"""Decide when samples are played, from estimates of the clocks' offset and the network's jitter.
 
 A sample with the stamp s arrives at a. The least a - s over the last seconds is the offset of the
-clocks and the shortest delay together (a minimum filter, as in NTP's clock filter, RFC 5905
-section 10): what a sample comes later than that is its own delay. Mean and mean deviation of the
-delays follow RFC 6298; the lag is a period, the mean and twice the deviation, as in Ramjee et al.,
-"Adaptive Playout Mechanisms for Packetized Audio Applications" (1994), and bounded.
+clocks plus the shortest delay (a minimum filter, as in NTP's clock filter, RFC 5905 section 10);
+the rest of a - s is the delay of the sample. Mean and mean deviation of the delays follow RFC 6298.
+The lag is a period, the mean and twice the deviation, as in Ramjee et al., "Adaptive Playout
+Mechanisms for Packetized Audio Applications" (1994), and bounded.
 """
 
 from __future__ import annotations
@@ -13,49 +13,51 @@ import math
 from collections import deque
 
 _SPAN = 0.5
-"""The least offset is kept for spans of this length [s] …"""
+"""Length of the spans whose least offsets are kept [s]: several samples even of slow streams."""
 
 _SPANS = 8
-"""… and taken over this many of them: 4 s, in which clocks drift by 0.4 ms at most (100 ppm)."""
+"""Spans over which the least offset is taken: 4 s, in which clocks drift by at most 0.4 ms
+(100 ppm)."""
 
 _SHARE = 1.0 / 16.0
-"""Weight of a sample in the means: as in RFC 3550, fast enough for a network that changes and slow
+"""Weight of a sample in the means: as in RFC 3550, fast enough for a changing network and slow
 enough for a single late sample."""
 
 _SETTLE = 0.3
-"""The lag reaches a new value within about this time [s]: faster would be felt as a jerk."""
+"""Time in which the lag reaches a new value, about [s]: a faster change would feel like a jerk."""
 
 _FASTEST = 0.1
-"""Meanwhile the stream is played faster or slower by at most this share, which nobody notices."""
+"""Largest share by which the stream is played faster or slower meanwhile: nobody notices it."""
 
 _EASE = 0.05
-"""Time in which that share follows [s]: it changes with every sample, and the way's velocity with
-it. A sixth of `_SETTLE`, so that the lag comes to its value without swinging."""
+"""Time constant of that share [s], which changes with every sample, and the path's velocity with
+it. A sixth of `_SETTLE`, so that the lag settles without oscillating."""
 
 _JUMP = 0.25
-"""With a larger error than this [s] the clocks have jumped: the stream continues from there."""
+"""An error larger than this [s] means that a clock has jumped: the stream continues from there."""
 
 LAG_PERIODS = 1.2
-"""The default for the longest lag: this many periods …"""
+"""Default of the longest lag in periods, besides `LAG_MARGIN`."""
 
 LAG_MARGIN = 3e-3
-"""… and this [s], two milliseconds less than what is promised, for the tick and the way to the
-hand. What comes later than that is covered by extrapolation."""
+"""Default of the longest lag besides `LAG_PERIODS` [s]: two milliseconds less than what is
+promised, for the tick and the transmission to the hand. Extrapolation covers samples that are
+later."""
 
 
 class Playout:
     """Maps the hand's time to that of a stream; pure: time is given.
 
     Args:
-        rate: Samples per second that the client means to send [Hz].
+        rate: Samples per second that the client intends to send [Hz].
         tick: Period of the loop [s].
         max_lag: Longest lag [s]; ``inf``: the default.
 
     Attributes:
         period: Mean time between the stamps of samples [s].
         jitter: Mean deviation of the samples' delays [s].
-        time: What is played at the last tick, in the client's time [s].
-        now: When that tick was due [s].
+        time: Time played at the last tick, by the client's clock [s].
+        now: Due time of that tick, by the hand's clock [s].
     """
 
     def __init__(self, rate: float, tick: float, max_lag: float = math.inf) -> None:
@@ -74,11 +76,11 @@ class Playout:
 
     @property
     def wanted_lag(self) -> float:
-        """The lag that is aimed at [s]."""
+        """The lag aimed at [s]."""
         longest = self._max_lag
         if math.isinf(longest):
             longest = LAG_PERIODS * self.period + LAG_MARGIN
-        # A sample may arrive just after a tick and waits for the next one then.
+        # A sample that arrives just after a tick waits for the next one.
         return min(self.period + self._delay + 2.0 * self.jitter + self._tick, longest)
 
     @property
@@ -87,24 +89,24 @@ class Playout:
         return self.now - self._offset - self.time if math.isfinite(self.time) else 0.0
 
     def arrived(self, stamp: float, arrival: float) -> None:
-        """Learn from a sample that is newer than those before.
+        """Update the estimates by a sample that is newer than those before.
 
         Args:
-            stamp: When it was meant, by the client's clock [s].
-            arrival: When it arrived, by the hand's clock [s].
+            stamp: Stamp of the sample, by the client's clock [s].
+            arrival: Time of its arrival, by the hand's clock [s].
         """
         offset = arrival - stamp
         if arrival >= self._span_ends:
             self._span_ends = arrival + _SPAN
-            # A new span: the oldest falls out, and with it what the clocks have drifted since.
+            # A new span drops the oldest one, and with it the drift of the clocks since.
             self._least.append(offset)
         elif offset < self._least[-1]:
             self._least[-1] = offset
         self._offset = min(self._least)
         delay = offset - self._offset
         if math.isfinite(self._stamp):
-            # A lost sample doubles the time to the next one, which is not the period; a client that
-            # is slower than it said is found out, too, if later.
+            # A lost sample doubles the time to the next one, so the step is bounded; a client
+            # slower than announced is still followed, though later.
             step = min(stamp - self._stamp, 1.5 * self.period)
             self.period += _SHARE * (step - self.period)
             self._delay += _SHARE * (delay - self._delay)
@@ -112,19 +114,19 @@ class Playout:
         self._stamp = stamp
 
     def restart(self, now: float) -> None:
-        """Begin to play, or go on after a pause, at a time [s]."""
+        """Begin to play, or continue after a pause, at a time by the hand's clock [s]."""
         self.now = now
         self.time = now - self._offset - self.wanted_lag
         self._faster = 0.0
 
     def advance(self, now: float) -> bool:
-        """Go on to a tick.
+        """Advance to a tick.
 
         Args:
-            now: When it is due [s].
+            now: Due time of the tick [s].
 
         Returns:
-            Whether the stream's time has jumped, since the client's clock did.
+            Whether the stream's time has jumped, because the client's clock has.
         """
         passed, self.now = now - self.now, now
         aim = now - self._offset - self.wanted_lag
@@ -132,7 +134,7 @@ class Playout:
         if abs(error) > _JUMP:
             self.time = aim
             return True
-        # Never a step: what is wanted of the hand moves on smoothly while the lag changes.
+        # No step: the wanted position must move smoothly while the lag changes.
         wanted = min(max(error / _SETTLE, -_FASTEST), _FASTEST)
         self._faster += (wanted - self._faster) * min(passed / _EASE, 1.0)
         self.time += passed * (1.0 + self._faster)

@@ -1,8 +1,8 @@
 """Resolve the names in the samples of a stream: actuators, joints, or actions with elements.
 
 A blend of actions adds up their displacements from rest, each scaled by its intensity, and clamps
-the sum into the limits, as postures are combined from synergies (Santello, Flanders and Soechting
-1998) and eigengrasps (Ciocarlie and Allen 2009).
+the sum into the limits. Synergies (Santello, Flanders and Soechting 1998) and eigengrasps
+(Ciocarlie and Allen 2009) combine postures in the same way.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ if TYPE_CHECKING:
 
 _FAR = 0.5
 """A position further beyond the limits than this share of the range is a mistake, such as degrees
-for radians; a nearer one, as a glove's, is clamped."""
+for radians. A nearer position, as of a glove, is clamped."""
 
 _FAST = 20.0
-"""A velocity of more than this many times the limit is a mistake, too; a lower one is clamped."""
+"""A velocity above this multiple of the limit is a mistake, too; a lower one is clamped."""
 
 _AGREE = 1e-2
-"""Two joints of one actuator may ask for positions that differ by this share of its range: clients
-round their numbers."""
+"""Tolerated difference between the positions that two joints require of their actuator, as a share
+of its range: clients round their numbers."""
 
 _STEPS = 60
-"""Halvings of a range in which a joint's position is searched: to the last digit of a double."""
+"""Bisections of the range in the search for a joint's position: enough for the last digit of a
+double."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Joint:
-    """A joint, which one actuator moves."""
+    """A joint that one actuator moves; ``coupling``: the map from the actuator to the joint."""
 
     name: str
     index: int
     coupling: Coupling | None
 
     def actuator(self, value: float, spec: ActuatorSpec) -> float:
-        """Return the actuator's position for one of the joint [rad | m]."""
+        """Return the actuator's position for a position of the joint [rad | m]."""
         coupling = self.coupling
         if coupling is None:
             return value
@@ -57,7 +58,7 @@ class _Joint:
         rising = coupling.value(high) > coupling.value(low)
         ends = sorted((coupling.value(low), coupling.value(high)))
         share = (value - ends[0]) / (ends[1] - ends[0])
-        if not 0.0 <= share <= 1.0:  # beyond the range: by as much for the actuator
+        if not 0.0 <= share <= 1.0:  # beyond the range, by the same share as the joint
             return low + (share if rising else 1.0 - share) * (high - low)
         for _ in range(_STEPS):
             middle = 0.5 * (low + high)
@@ -68,24 +69,24 @@ class _Joint:
         return 0.5 * (low + high)
 
     def rate(self, velocity: float, at: float) -> float:
-        """Return the actuator's velocity for one of the joint [rad/s | m/s]."""
+        """Return the actuator's velocity for a velocity of the joint [rad/s | m/s]."""
         if self.coupling is None:
             return velocity
         slope = self.coupling.dual(at)[1]
-        # Where the joint turns round, no velocity of the actuator gives it one.
+        # Where the joint reverses, no velocity of the actuator moves it.
         return velocity / slope if slope else math.nan
 
 
 @dataclass(frozen=True, slots=True)
 class _Blend:
-    """An action: how far its actuators are from rest at intensity 1, by index [rad | m]."""
+    """An action: its actuators' displacements from rest at intensity 1, by index [rad | m]."""
 
     name: str
-    ways: Mapping[int, float]
+    displacement: Mapping[int, float]
 
 
 class Targets:
-    """The meaning of the names of a sample; made once for samples with the same names.
+    """The actuators behind the names of a sample; made once for samples with the same names.
 
     Args:
         names: The names.
@@ -93,10 +94,10 @@ class Targets:
         library: Its actions.
 
     Attributes:
-        indices: The actuators that are meant.
+        indices: The actuators that the names refer to.
 
     Raises:
-        GoalRejected: if a name is unknown, cannot be a target, or one actuator is meant twice.
+        GoalRejected: if a name is unknown or cannot be a target, or two refer to one actuator.
     """
 
     def __init__(self, names: Sequence[str], hand: Hand, library: ActionLibrary) -> None:
@@ -106,7 +107,7 @@ class Targets:
         self._blends: list[_Blend] = []
         for name in names:
             self._add(name, library)
-        blended = {i for blend in self._blends for i in blend.ways}
+        blended = {i for blend in self._blends for i in blend.displacement}
         for joint in self._joints:
             if joint.index in blended:
                 raise GoalRejected(
@@ -168,14 +169,14 @@ class Targets:
     def resolve(
         self, values: Mapping[str, float], velocity: Mapping[str, float]
     ) -> tuple[dict[int, float], dict[int, float]]:
-        """Return positions and velocities of actuators, the latter only where given.
+        """Return positions and, where given, velocities by actuator index.
 
         Args:
-            values: By name [rad | m], of actions the intensity.
-            velocity: By some of the names [rad/s | m/s], of actions [1/s].
+            values: Positions by name [rad | m], for actions the intensity.
+            velocity: Velocities by name [rad/s | m/s], for actions [1/s]; may be incomplete.
 
         Raises:
-            GoalRejected: if a value cannot be meant.
+            GoalRejected: if a value is not plausible.
         """
         for name in velocity:
             if name not in values:
@@ -233,9 +234,9 @@ class Targets:
         positions: dict[int, float],
         rates: dict[int, float],
     ) -> None:
-        """Add up the ways from rest of all actions."""
+        """Add up the displacements from rest of all actions."""
         rest = self._hand.rest
-        # A velocity that is not given of one action is not known of what it shares with others.
+        # An action without a velocity makes those of the actuators it shares unknown, too.
         given = all(blend.name in velocity for blend in self._blends)
         for blend in self._blends:
             intensity = values[blend.name]
@@ -243,11 +244,11 @@ class Targets:
                 raise GoalRejected(
                     f"the intensity of '{blend.name}' must be 0 to 1, not {intensity:g}"
                 )
-            for i, way in blend.ways.items():
-                positions[i] = positions.get(i, float(rest[i])) + intensity * way
+            for i, displacement in blend.displacement.items():
+                positions[i] = positions.get(i, float(rest[i])) + intensity * displacement
                 if given:
-                    rates[i] = rates.get(i, 0.0) + velocity[blend.name] * way
+                    rates[i] = rates.get(i, 0.0) + velocity[blend.name] * displacement
         for blend in self._blends:
-            for i in blend.ways:
+            for i in blend.displacement:
                 spec = self._hand.actuators[i]
                 positions[i] = min(max(positions[i], spec.lower), spec.upper)
