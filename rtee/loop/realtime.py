@@ -44,7 +44,10 @@ def backend_options() -> dict[str, bool]:
     Raises:
         ConfigError: if the environment names an unknown event loop, or uvloop is not installed.
     """
-    installed = importlib.util.find_spec("uvloop") is not None
+    try:
+        installed = importlib.util.find_spec("uvloop") is not None
+    except ImportError:  # an import hook refuses it
+        installed = False
     match os.environ.get(EVENT_LOOP, ""):
         case "":
             return {"use_uvloop": installed}
