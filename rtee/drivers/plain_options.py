@@ -1,4 +1,4 @@
-"""Options of a driver that are a plain dataclass, and what both kinds of options have in common.
+"""Read the options of a driver that are a plain dataclass; defaults and errors of all options.
 
 The stand-in for devices runs on every computer, so its options need no pydantic, whose import takes
 9 MB; those of drivers for devices are pydantic models, see `rtee.drivers.options`.
@@ -34,10 +34,10 @@ def read_plain_options(kind: type[T], spec: DeviceSpec) -> T:
 
 
 def default_options(kind: Any) -> dict[str, Any]:
-    """Return the options there are with their defaults, those of pydantic models as well.
+    """Return the default of each option, also for pydantic models.
 
     Args:
-        kind: A driver's ``Options``; ``None`` has none. What must be given is ``None``.
+        kind: A driver's ``Options``; ``None`` for none. Required options have the default ``None``.
     """
     if kind is None:
         return {}
@@ -59,10 +59,10 @@ def default_options(kind: Any) -> dict[str, Any]:
 def options_error(
     mistakes: Sequence[Mapping[str, Any]], known: Collection[str], spec: DeviceSpec
 ) -> ConfigError:
-    """Return what is wrong with a device's options, in a sentence.
+    """Return the error for the first mistake in a device's options, as a sentence.
 
     Args:
-        mistakes: The mistakes, as `Invalid.errors` has them; the first is told.
+        mistakes: The mistakes, in the form of `Invalid.errors`.
         known: The names that options may have.
         spec: The device.
     """

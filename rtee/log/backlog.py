@@ -1,4 +1,4 @@
-"""Ticks that wait for the writer, packed: a tenth of the memory, and all of it comes back."""
+"""Ticks that wait for the writer, packed into a tenth of their memory, all of which is returned."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _arrays = attrgetter(*COLUMNS)
 class PackedTicks:
     """A piece of a backlog: some ticks, which are added by one thread and taken by another.
 
-    As records, the ticks of some seconds are a hundred thousand objects. Where they were, other
-    objects settle meanwhile, so that the process would keep their memory for ever. Here they are
-    rows in memory of their own, which goes back to the system with this object.
+    As records, the ticks of some seconds are a hundred thousand objects. Other objects settle
+    between them, so that the process would never return their memory to the system. Here they are
+    rows of one separate mapping, which is returned with this object.
 
     Args:
-        like: A tick; all that are added have arrays as long as those of this one.
+        like: A tick; all added ticks have arrays of the same lengths.
     """
 
     def __init__(self, like: TickRecord) -> None:
@@ -39,10 +39,10 @@ class PackedTicks:
         self._actuators = len(like.position)
         self._size = _HEAD.size + self._actuators * sum(kind.itemsize for kind in self._types)
         self._room = max(1, _MEMORY // self._size)
-        # Private: it counts as this process's own.
+        # Private, so that it counts as this process's own memory.
         flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS
         self._memory = mmap.mmap(-1, self._room * self._size, flags)
-        # Mostly one object for many ticks, so that it is kept as it is.
+        # Kept as they are, since many ticks share one object.
         self._channels: list[Mapping[str, FloatArray]] = [NOTHING] * self._room
         self._touch: list[Mapping[str, TouchState]] = [NOTHING] * self._room
         self._added = 0

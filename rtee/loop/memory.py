@@ -1,4 +1,4 @@
-"""The memory of the process: locked, or given back where only the start needed it."""
+"""Lock the memory of the process, or return to the system what only the start needed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def lock_memory() -> list[str]:
     """
     library = ctypes.CDLL(None, use_errno=True)
     everything = _MCL_CURRENT | _MCL_FUTURE
-    # What is reserved and never used, such as most of each stack, is twice as much as what is used.
+    # Memory that is reserved and never used, such as most of each stack, is twice the used memory.
     if library.mlockall(everything | _MCL_ONFAULT) == 0:
         _lock_programs(library)
         return []
@@ -58,20 +58,20 @@ def _lock_programs(library: ctypes.CDLL) -> None:
 
 
 def give_memory_back() -> None:
-    """Give back memory that only the start needed, and from now on what is freed.
+    """Return memory to the system that only the start needed, and from now on all freed memory.
 
-    A process that locks its memory must not do this. The code of a start is code of libraries, of
-    which Linux maps 64 kB around each instruction that is met first: three times as much as what
-    runs afterwards. Those pages stay in the system's cache of files, from where what is used comes
-    back within microseconds.
+    A process that locks its memory must not do this. Linux maps 64 kB of a library around each
+    instruction that runs for the first time, so that a start maps three times the code that runs
+    afterwards. The unmapped pages stay in the system's cache of files; those that are used again
+    are mapped again within microseconds.
     """
     if not sys.platform.startswith("linux"):
         return
     library = ctypes.CDLL(None, use_errno=True)
     if hasattr(library, "malloc_trim"):  # glibc's; other libraries give back by themselves
         library.malloc_trim(ctypes.c_size_t(0))
-        # Left to itself, glibc takes the first large block that is freed for a sign that many will
-        # come, and from then on keeps up to twice its size for ever.
+        # By default, glibc raises both thresholds when the first large block is freed, and then
+        # keeps up to twice its size.
         for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
             library.mallopt(threshold, _LARGE)
     library.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
@@ -80,12 +80,12 @@ def give_memory_back() -> None:
 
 
 def _unchanged_files() -> Iterator[tuple[int, int]]:
-    """Yield where files are mapped to be read: code and constants; address and size [byte].
+    """Yield address and size [byte] of each read-only mapping of a file: code and constants.
 
-    Not where something was written since they were mapped, which would be lost: libraries hold
-    addresses that are filled in as they are loaded, and then protected.
+    Mappings that were written to are left out, since unmapping them would lose what was written:
+    the loader fills addresses into libraries before it protects them.
     """
-    with contextlib.suppress(OSError):  # a kernel that does not tell
+    with contextlib.suppress(OSError):  # a kernel without these details
         for first, behind, details in _AREA.findall(_DETAILS.read_text()):
             written = _WRITTEN.findall(details)
             if written and not any(map(int, written)):
@@ -93,7 +93,7 @@ def _unchanged_files() -> Iterator[tuple[int, int]]:
 
 
 def _files() -> Iterator[tuple[str, int, int]]:
-    """Yield the files that are mapped: how they may be accessed, address and size [byte]."""
+    """Yield access rights, address and size [byte] of each mapping of a file."""
     for line in _MAPS.read_text().splitlines():
         where, access, _, _, _, *rest = line.split(maxsplit=5)
         if "".join(rest).startswith("/"):  # nothing where no file is mapped
