@@ -11,8 +11,9 @@ that are a whole period late count as missed: these are the computer's own.
 
 Sets: `ordinary` and `realtime` are one hand at 1000 Hz; `helpers` has the recorder's and the
 network's threads under real-time scheduling, too; `four` is four hands in one process at 500 Hz
-with real-time set-up, `four-fast` at 1000 Hz. `--beside` measures the first set in other
-circumstances, right after it:
+with real-time set-up, `four-fast` at 1000 Hz; `four-processes` is four hands at 1000 Hz, each in
+a process of its own, of which the table has the sums of ticks, memory and log, and the worst of
+the other figures. `--beside` measures the first set in other circumstances, right after it:
 
 - `alone`: no client;
 - `unrecorded`: no recorder, neither on the disk nor in memory;
@@ -53,7 +54,7 @@ from witness import Missed, StoodStill, Witness, child, judged
 from rtee.hand.catalog import find_hand
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
-SETS = ("ordinary", "realtime", "helpers", "four", "four-fast")
+SETS = ("ordinary", "realtime", "helpers", "four", "four-fast", "four-processes")
 BESIDE = ("alone", "unrecorded", "bare", "junk", "idle-junk")
 
 PRINTED = re.compile(
@@ -199,6 +200,7 @@ class How:
     Attributes:
         label: In words.
         count: Number of hands.
+        processes: Number of processes that the hands are divided among.
         rate: Ticks per second [Hz].
         realtime: With real-time set-up.
         helpers: The helper threads, too.
@@ -209,6 +211,7 @@ class How:
 
     label: str
     count: int = 1
+    processes: int = 1
     rate: int = 1000
     realtime: bool = True
     helpers: bool = False
@@ -240,6 +243,8 @@ def how_of(name: str) -> How:
         return How("4 hands at 500 Hz, real-time set-up", count=4, rate=500)
     if name == "four-fast":
         return How("4 hands at 1000 Hz, real-time set-up", count=4)
+    if name == "four-processes":
+        return How("4 hands at 1000 Hz, a process each, real-time set-up", count=4, processes=4)
     if name == "ordinary":
         return How("1 hand at 1000 Hz, ordinary", realtime=False)
     if name == "helpers":
@@ -286,6 +291,46 @@ def copies(hand: str, count: int, folder: Path, extra: str = "") -> list[str]:
     return names
 
 
+class Program:
+    """`rtee run` of some of the hands, with its notes of missed ticks.
+
+    Args:
+        how: The circumstances.
+        hands: Names of its hands.
+        folder: Where their configurations are.
+        logs: Where their recordings go.
+    """
+
+    def __init__(self, how: How, hands: list[str], folder: Path, logs: Path) -> None:
+        self._notes = folder / f"missed_{hands[0]}.json"
+        environment = os.environ | {
+            "RTEE_CONFIG_PATH": str(folder),
+            "RTEE_MISSED": str(self._notes),
+        }
+        words = [sys.executable, "-c", RUN, "run", *hands]
+        words += ["--driver", "kinematic", "--rate", str(how.rate)]
+        words += ["--realtime"] if how.realtime else []
+        words += ["--log", str(logs)] if how.record else ["--no-log"]
+        self.process = child(words, stdout=subprocess.PIPE, env=environment)
+        output = self.process.stdout
+        assert output is not None
+        for _ in hands:
+            print(f"  {output.readline().strip()[:100]}", file=sys.stderr)
+        self._lines: list[str] = []
+        # From a thread, because its output must be drained.
+        self._drain = threading.Thread(target=lambda: self._lines.extend(output), daemon=True)
+        self._drain.start()
+
+    def end(self) -> tuple[dict[str, int], list[Missed]]:
+        """Wait for its end; return what the loop printed, by name, and the ticks it missed."""
+        self.process.wait(timeout=30)
+        self._drain.join(10.0)
+        found = PRINTED.search("".join(self._lines))
+        assert found is not None, "".join(self._lines)
+        printed = {name: int(value) for name, value in found.groupdict().items()}
+        return printed, [Missed(*values) for values in json.loads(self._notes.read_text())]
+
+
 def run(
     how: How, hand: str, seconds: float, folder: Path, flight: float | None, witness: bool
 ) -> Row:
@@ -295,20 +340,7 @@ def run(
     extra += "" if kept is None else f"\nlog: {{flight_recorder: {kept:g}}}\n"
     hands = copies(hand, how.count, folder, extra)
     logs = folder / "logs" / hands[0]
-    notes = folder / "missed.json"
-    environment = os.environ | {"RTEE_CONFIG_PATH": str(folder), "RTEE_MISSED": str(notes)}
-    words = [sys.executable, "-c", RUN, "run", *hands]
-    words += ["--driver", "kinematic", "--rate", str(how.rate)]
-    words += ["--realtime"] if how.realtime else []
-    words += ["--log", str(logs)] if how.record else ["--no-log"]
-    process = child(words, stdout=subprocess.PIPE, env=environment)
-    assert process.stdout is not None
-    for _ in hands:
-        print(f"  {process.stdout.readline().strip()[:100]}", file=sys.stderr)
-    lines: list[str] = []
-    # From a thread, because its output must be drained.
-    drain = threading.Thread(target=lambda: lines.extend(process.stdout or ()), daemon=True)
-    drain.start()
+    programs = [Program(how, hands[k :: how.processes], folder, logs) for k in range(how.processes)]
     others = [[CLIENT, name] for name in hands if how.client and how.junk != "hand"]
     if how.junk:
         others.append([JUNK, hands[0], hands[0] if how.junk == "hand" else "somebody_else"])
@@ -318,26 +350,26 @@ def run(
     begin = time.monotonic()
     while (passed := time.monotonic() - begin) < seconds:
         time.sleep(min(10.0, seconds - passed))
-        memory.append(memory_of(process.pid))
+        memory.append(sum(memory_of(program.process.pid) for program in programs))
     # A client that crashed would make the loop look better than it is.
     failed = [client.args for client in clients if client.poll() is not None]
     assert not failed, f"a client ended early: {failed}"
     stood_still = StoodStill(watching.stop() if watching else None)
     until = time.monotonic()
-    process.send_signal(signal.SIGTERM)
-    process.wait(timeout=30)
-    drain.join(10.0)
+    # All at once, before it is waited for: the last ones would have more of the computer.
+    for program in programs:
+        program.process.send_signal(signal.SIGTERM)
+    ended = [program.end() for program in programs]
     for client, other in zip(clients, others, strict=True):
         # It never ends by itself.
         if other[0] is JUNK:
             client.kill()
         client.wait(timeout=30)
-    found = PRINTED.search("".join(lines))
-    assert found is not None, "".join(lines)
-    printed = {name: int(value) for name, value in found.groupdict().items()}
+    printed = {name: max(values[name] for values, _ in ended) for name in ended[0][0]}
+    printed |= {name: sum(values[name] for values, _ in ended) for name in ("ticks", "missed")}
     # Only the parts of the recordings; their folder also has other files.
     size = sum(file.stat().st_size for file in logs.glob("*_0*.mcap")) / 1e6
-    missed = [judged(Missed(*values), stood_still) for values in json.loads(notes.read_text())]
+    missed = [judged(one, stood_still) for _, ticks in ended for one in ticks]
     # While programs start or end, the witness does not run.
     unseen = [one for one in missed if one.woken > until or one.woken < begin]
     missed = [replace(one, computer=None) if one in unseen else one for one in missed]
