@@ -27,7 +27,7 @@ def grasp_plan(
         typer.Option(
             "--object",
             metavar="SHAPE|MESH",
-            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], or a mesh file.",
+            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a mesh file.",
         ),
     ],
     mass: Annotated[float, typer.Option(help="Mass of the object [kg].")] = 0.1,

@@ -77,7 +77,8 @@ def run(
             "--object",
             metavar="SHAPE",
             help="Between the fingers. With --emulated: 50mm, or 0.4 of the way that they close. "
-            "With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh.",
+            "With --driver mujoco: box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a "
+            "mesh.",
         ),
     ] = None,
     gravity: Annotated[

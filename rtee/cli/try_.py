@@ -41,7 +41,8 @@ def try_(
         typer.Option(
             "--object",
             metavar="SHAPE",
-            help="box:WxDxH, cylinder:RxH, sphere:R [m], drill, or a mesh; may be repeated.",
+            help="box:WxDxH, cylinder:RxH, sphere:R, capsule:RxL [m], drill, or a mesh; may be "
+            "repeated.",
         ),
     ] = None,
     intensity: Annotated[
@@ -244,15 +245,16 @@ def _all(
 ) -> list[TrialResult]:
     """Run the trials that have no stored result yet; store each result as it arrives."""
     from rtee.actions.fingerprints import Fingerprints
-    from rtee.drivers.mujoco.objects import parse_object
+    from rtee.drivers.mujoco.objects import MESHES
     from rtee.errors import ConfigError
     from rtee.hand.own_copy import own
+    from rtee.object_shape import parse_object
     from rtee.trials.store import FILE_NAME, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
 
     # Refuse a mistyped object once, before any process starts.
     for shape in {trial.object: None for trial in trials}:
-        parse_object(shape)
+        parse_object(shape, MESHES)
     ready = bench(name)
     path, made_with = out or ready.folder / FILE_NAME, Fingerprints.of(ready.folder, ready.library)
     if not trials:

@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from rtee.errors import ConfigError, RteeError, needing_extra
+from rtee.errors import RteeError, needing_extra
 
 
 def answer(question: dict[str, Any]) -> dict[str, Any]:
@@ -27,17 +27,18 @@ def answer(question: dict[str, Any]) -> dict[str, Any]:
         UserError: if it cannot be answered.
     """
     with needing_extra("planning a grasp", "extract"):
-        from rtee.planning.objects import FORMS, is_shape, read_object
+        from rtee.planning.objects import read_object
         from rtee.planning.plan import plan_grasps
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
+    from rtee.object_shape import refuse_paths
     from rtee.planning.result import to_document
 
     text, mass, scale = question["object"], question["mass"], question["scale"]
     mesh = base64.b64decode(question["mesh"])
     # A path would let a client read files of the hand's computer: meshes come by content.
-    if not mesh and not is_shape(text):
-        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
+    if not mesh:
+        refuse_paths(text)
     folder = Path(question["hand"])
     hand = load_hand(folder)
     library = ActionLibrary.load(hand, folder / "actions")
@@ -57,12 +58,13 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     """Return how the hand reaches a planner's grasp, as plain data; see `answer`."""
     with needing_extra("reaching a grasp", "extract"):
         from rtee.planning.gripper_poses import GripperPose, reach_gripper_pose, with_openings
-        from rtee.planning.objects import FORMS, is_shape, read_object
+        from rtee.planning.objects import read_object
         from rtee.planning.reach import reach_contacts
     import numpy as np
 
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_hand
+    from rtee.object_shape import refuse_paths
     from rtee.planning.reached import WantedContact, to_document
 
     folder, asked = Path(question["hand"]), question["reach"]
@@ -73,8 +75,8 @@ def reach(question: dict[str, Any]) -> dict[str, Any]:
     )
     text = asked["object"]
     # No path from outside is opened; see `answer`.
-    if text and not is_shape(text):
-        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS.rpartition(', or')[0]}")
+    if text:
+        refuse_paths(text)
     thing = read_object(text) if text else None
     approach, retreat = asked["approach"] or None, asked["retreat"]
     if not asked["points"]:

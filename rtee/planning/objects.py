@@ -1,4 +1,4 @@
-"""The object to be grasped: a box, cylinder, sphere or capsule, or the convex pieces of a mesh."""
+"""The object to be grasped: a shape, or the convex pieces of a drill or a mesh."""
 
 from __future__ import annotations
 
@@ -18,20 +18,8 @@ from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
+from rtee.object_shape import DRILL, LARGEST, NUMBERS, SMALLEST, drill_parts, parse_object
 from rtee.sample import FloatArray
-
-FORMS: Final = (
-    "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres), or the "
-    "path of a mesh"
-)
-
-_NUMBERS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
-
-_LARGEST: Final = 2.0
-"""Largest extent of an object [m]; what is larger is in other units, or nothing for a hand."""
-
-_SMALLEST: Final = 1e-4
-"""Smallest extent of an object [m]: thinner things have no sides to grasp."""
 
 _MOST_TRIANGLES: Final = 300_000
 """Triangles of a mesh; more take longer to read than to plan for."""
@@ -99,7 +87,7 @@ class GraspObject:
         """Return the same object with all lengths times a factor, each piece by its hull."""
         pieces = []
         for piece in self.pieces:
-            if piece.kind in _NUMBERS:
+            if piece.kind in NUMBERS:
                 pieces.append(_primitive(piece.kind, tuple(factor * v for v in piece.size)))
                 continue
             points = factor * piece.points
@@ -155,18 +143,13 @@ class GraspObject:
         )
 
 
-def is_shape(text: str) -> bool:
-    """Return whether a text means a shape with its sizes, and not a file."""
-    kind, colon, _ = text.partition(":")
-    return bool(colon) and kind in _NUMBERS
-
-
 def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject:
     """Read an object as it is written on the command line.
 
     Args:
         text: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
-            ``capsule:RADIUSxLENGTH`` (in metres; the length with its caps), or the path of a mesh.
+            ``capsule:RADIUSxLENGTH`` (in metres; the length with its caps), ``drill``, or the path
+            of a mesh.
         mass: Its mass [kg].
         scale: Brings a mesh to metres: 0.001 for one in millimetres.
 
@@ -178,36 +161,13 @@ def read_object(text: str, mass: float = 0.1, scale: float = 1.0) -> GraspObject
         raise ConfigError(f"the mass of an object is above 0 and at most 100 kg, not {mass:g}")
     if not (math.isfinite(scale) and scale > 0.0):
         raise ConfigError(f"the scale of a mesh is above 0, not {scale:g}")
-    kind, _, numbers = text.partition(":")
-    if is_shape(text):
-        piece = _primitive(kind, _sizes(text, kind, numbers))
-        return GraspObject(text, (piece,), mass)
-    path = Path(text)
-    if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"'{text[:200]}' is not an object; write {FORMS} ({', '.join(FORMATS)})")
-    if not path.is_file():
-        raise ConfigError("no such mesh", path=path)
-    pieces, notes = _mesh(path, scale)
-    return GraspObject(text, pieces, mass, notes)
-
-
-def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
-    try:
-        size = tuple(float(part) for part in numbers.split("x"))
-    except ValueError:
-        size = ()
-    if len(size) != _NUMBERS[kind] or not all(
-        math.isfinite(value) and _SMALLEST <= value <= _LARGEST for value in size
-    ):
-        raise ConfigError(
-            f"'{text[:200]}' is not an object; write {FORMS}, each number from {_SMALLEST:g} to "
-            f"{_LARGEST:g}"
-        )
-    if kind == "capsule" and size[1] < 2.0 * size[0]:
-        raise ConfigError(
-            f"'{text}' is not an object: a capsule is at least as long as thick, {2 * size[0]:g} m"
-        )
-    return size
+    shape = parse_object(text, FORMATS)
+    if shape.path is not None:
+        pieces, notes = _mesh(shape.path, scale)
+        return GraspObject(text, pieces, mass, notes)
+    if shape.kind == DRILL:
+        return GraspObject(text, tuple(hull_piece(points) for points in drill_parts()), mass)
+    return GraspObject(text, (_primitive(shape.kind, shape.size),), mass)
 
 
 def hull_piece(points: FloatArray) -> Piece:
@@ -246,7 +206,7 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
     """
     corners, faces = _triangles(path, scale)
     extent = float(np.ptp(corners, axis=0).max())
-    if not _SMALLEST <= extent <= _LARGEST:
+    if not SMALLEST <= extent <= LARGEST:
         raise ModelError(
             f"the mesh is {extent:g} m in size, no object for a hand; is it in millimetres? then "
             "give --scale 0.001",

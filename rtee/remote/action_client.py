@@ -101,7 +101,8 @@ class ActionClient:
 
         Args:
             thing: ``box:WxDxH``, ``cylinder:RADIUSxHEIGHT``, ``sphere:RADIUS``,
-                ``capsule:RADIUSxLENGTH`` [m], or the path of a local mesh file, which is sent.
+                ``capsule:RADIUSxLENGTH`` [m], ``drill``, or the path of a local mesh file, which is
+                sent.
             options: See `GraspOptions`.
 
         Raises:

@@ -12,12 +12,13 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.drivers.mujoco.model import compiled
-from rtee.drivers.mujoco.objects import ObjectShape, add_object
+from rtee.drivers.mujoco.objects import add_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
+from rtee.object_shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
 from rtee.planning.objects import GraspObject, Piece
 from rtee.planning.result import Check, GraspPlan, Ranking
@@ -166,8 +167,8 @@ def _add_pieces(spec: mujoco.MjSpec, thing: GraspObject, pose: FloatArray, folde
 
 
 def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
-    """Return a piece as MuJoCo takes it; a hull and a capsule as a mesh file."""
-    if piece.kind in ("box", "cylinder", "sphere"):
+    """Return a piece as MuJoCo takes it; a hull as a mesh file."""
+    if piece.kind in NUMBERS:
         return ObjectShape(piece.kind, piece.size)
     path = folder / f"piece-{number}.stl"
     path.write_bytes(_stl(piece))
@@ -177,9 +178,6 @@ def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
 def _stl(piece: Piece) -> bytes:
     """Return the hull of a piece as a binary STL file; MuJoCo makes the hull of its corners."""
     points = piece.points
-    if piece.radius:
-        ball = _BALL * piece.radius
-        points = (points[:, None] + ball).reshape(-1, 3)
     count = len(points)
     # Any triangles that hold all points will do, since MuJoCo takes the corners alone.
     corners = points[
@@ -191,13 +189,3 @@ def _stl(piece: Piece) -> bytes:
     triangles = np.zeros(count, dtype=record)
     triangles["corners"] = corners
     return bytes(80) + count.to_bytes(4, "little") + triangles.tobytes()
-
-
-_BALL: Final = np.array(
-    [
-        (np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b))
-        for a in np.arange(24) * (np.pi / 12.0)
-        for b in np.linspace(-np.pi / 2.0, np.pi / 2.0, 13)
-    ]
-)
-"""Points on a ball of radius 1."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, Primitive
-from rtee.drivers.mujoco.objects import drill_parts, parse_object
 from rtee.drivers.mujoco.simulation import Simulation
-from rtee.planning.objects import GraspObject, hull_piece, read_object
+from rtee.planning.objects import GraspObject
 from rtee.planning.planner import Planner
 from rtee.planning.poses import Candidate
 from rtee.planning.robust import robust_poses, too_wide
@@ -29,20 +28,6 @@ _OUTLOOK: Final = np.array(
     [np.array(v) / np.linalg.norm(v) for v in itertools.product((-1, 0, 1), repeat=3) if any(v)]
 )
 """Directions in which outlines are compared."""
-
-
-def graspable(text: str, mass: float) -> GraspObject:
-    """Return an object as it is planned for: a shape, a mesh or a drill.
-
-    Raises:
-        ConfigError: if it is none.
-        ModelError: if the mesh cannot be used.
-    """
-    # `read_object` knows shapes and meshes; the drill is a body of several hulls.
-    if parse_object(text).kind == "drill":
-        pieces = tuple(hull_piece(points) for points in drill_parts())
-        return GraspObject(text, pieces, mass)
-    return read_object(text, mass)
 
 
 def robust_places(

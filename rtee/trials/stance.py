@@ -10,9 +10,9 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action
-from rtee.drivers.mujoco.objects import ObjectShape
 from rtee.drivers.mujoco.scene import approach, downward
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.object_shape import ObjectShape
 from rtee.planning.objects import GraspObject
 from rtee.sample import FloatArray
 from rtee.trials.robust_places import robust_places

@@ -18,9 +18,9 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, SimulationUnstable
+from rtee.planning.objects import read_object
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.robust_places import graspable
 from rtee.trials.sweep import Bench
 from rtee.types import Goal, OnContact
 
@@ -135,7 +135,7 @@ class TaskTrial:
         """Return the goal that grasps the object."""
         width = self.width
         if width is None:
-            width = graspable(self.object, self.mass or self.task.mass).extents[0]
+            width = read_object(self.object, self.mass or self.task.mass).extents[0]
         reflexes = self.way is Way.REFLEXES
         return Goal(
             self.action,

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.drivers.mujoco.objects import parse_object
+from rtee.drivers.mujoco.objects import MESHES
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import CONTAINER_SIZE, make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
@@ -20,10 +20,11 @@ from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import OPEN
 from rtee.loop.settings import LoopSettings
+from rtee.object_shape import parse_object
+from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.arm_motion import CarrierScript
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.robust_places import graspable
 from rtee.trials.stance import Stance, find_stances
 from rtee.trials.transfer_result import Transfer, TransferResult
 from rtee.trials.variation import CHOOSING_FROM, Variation, draw
@@ -156,7 +157,7 @@ class _Bench:
         self._hand, self._library, self._settings = hand, library, settings
         self._transfer, self._observers, self._watch = transfer, observers, watch
         self._action = library.find(transfer.action, transfer.elements)
-        self._shape = parse_object(transfer.object)
+        self._shape = parse_object(transfer.object, MESHES)
         self._ticks = ticks
 
     def stances(self) -> Iterable[Stance]:
@@ -167,7 +168,7 @@ class _Bench:
             make_simulation(hand, options, hand.actuator_names, self._settings.period),
             self._library,
             self._action,
-            graspable(transfer.object, transfer.mass),
+            read_object(transfer.object, transfer.mass),
             transfer.reach,
             _LOOKED_AT * transfer.places,
         )

@@ -17,12 +17,13 @@ from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.loop.observer import LoopObserver
 from rtee.loop.settings import LoopSettings
+from rtee.planning.objects import read_object
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.result import CHOOSING
 from rtee.trials.result import Trial as Trial
 from rtee.trials.result import TrialResult as TrialResult
-from rtee.trials.robust_places import graspable, misfit, robust_places
+from rtee.trials.robust_places import misfit, robust_places
 from rtee.trials.trial_run import TrialRun, Watch
 from rtee.trials.variation import EXPLORING_FROM, Variation, choosing_draw, draw
 
@@ -99,7 +100,7 @@ def run_trial(
     # Built once: the variations differ in the object and in friction alone.
     built = build_hand(hand, SimOptions())
     simulation = _simulation(hand, settings, trial, built=built)
-    thing = graspable(trial.object, trial.mass)
+    thing = read_object(trial.object, trial.mass)
     unfit = misfit(library, action, thing, trial.variations)
     if unfit:
         return TrialResult(trial, False, unfit, fits=False)

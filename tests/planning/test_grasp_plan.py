@@ -20,6 +20,7 @@ from rtee.errors import ConfigError, ModelError, UserError
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder
+from rtee.object_shape import parse_object
 from rtee.planning.apart import Question, ask
 from rtee.planning.composition import action_of
 from rtee.planning.objects import read_object
@@ -27,6 +28,7 @@ from rtee.planning.plan import grasp_plan, plan_grasps
 from rtee.planning.poses import orientations
 from rtee.planning.result import from_document, to_document
 from rtee.sample import FloatArray
+from rtee.trials.result import OBJECTS
 
 ROOT = Path(__file__).parents[2]
 
@@ -227,6 +229,19 @@ def test_a_saved_action_goes_as_far_as_planned(library: ActionLibrary) -> None:
     action = action_of(library, "Ball", plan, "")
     assert action.parts == (ActionReference("PinchTight", ("left", "right"), 0.8),)
     assert action.posture.position["jaw"] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("text", OBJECTS)
+def test_every_standard_object_is_known_to_planner_and_simulation(text: str) -> None:
+    assert read_object(text).name == parse_object(text, ()).name == text
+
+
+def test_a_drill_is_planned_for_as_a_handle_with_a_motor_above_it(library: ActionLibrary) -> None:
+    thing = read_object("drill", mass=0.4)
+    assert len(thing.pieces) == 3
+    # The motor is 140 mm long and 50 mm wide; with the handle below it, the drill is 180 mm high.
+    assert thing.extents == pytest.approx((0.05, 0.14, 0.18), abs=1e-3)
+    assert plan_grasps(library.hand, library, thing).plans
 
 
 @pytest.mark.parametrize(

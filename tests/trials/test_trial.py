@@ -24,11 +24,12 @@ from rtee.drivers.mujoco.simulation import Simulation
 from rtee.errors import ConfigError, UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.loop.observer import Observer
+from rtee.planning.objects import read_object
 from rtee.trials import trial as trial_module
 from rtee.trials import variation as variation_module
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
-from rtee.trials.robust_places import graspable, robust_places
+from rtee.trials.robust_places import robust_places
 from rtee.trials.store import (
     FILE_NAME,
     from_document,
@@ -123,7 +124,7 @@ def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
     action = ready.library.find("Grasp", ())
     options = SimOptions(object=shape, carrier="arm")
     simulation = make_simulation(ready.hand, options, ready.hand.actuator_names, 0.004)
-    thing = graspable(shape, 0.1)
+    thing = read_object(shape, 0.1)
     places = robust_places(simulation, ready.library, action, thing, 4)
     assert len(places) == 4
     around, rest = simulation.surroundings, mujoco.MjData(simulation.model)

@@ -15,14 +15,15 @@ pytest.importorskip("mujoco")
 from rtee.actions.fingerprints import Fingerprints
 from rtee.cli._common import app_of
 from rtee.cli.try_ import try_
-from rtee.drivers.mujoco.objects import parse_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
+from rtee.object_shape import parse_object
+from rtee.planning.objects import read_object
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.result import CHOOSING
-from rtee.trials.robust_places import graspable, robust_places
+from rtee.trials.robust_places import robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
 from rtee.trials.sweep import attempt, bench
 from rtee.trials.trial import Trial, TrialResult, _carefully, _simulation, _Tried, _Varied
@@ -111,8 +112,8 @@ def test_an_object_is_scaled_in_all_its_lengths(shape: str) -> None:
         model = make_simulation(hand, options, hand.actuator_names, 0.004).model
         own = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body("object").id)
         volumes.append(np.prod(np.where(model.geom_size[own] > 0, model.geom_size[own], 1.0)))
-        lowest = parse_object(shape).scaled(scale).lowest(np.eye(4))
-        assert lowest == pytest.approx(scale * parse_object(shape).lowest(np.eye(4)))
+        lowest = parse_object(shape, ()).scaled(scale).lowest(np.eye(4))
+        assert lowest == pytest.approx(scale * parse_object(shape, ()).lowest(np.eye(4)))
     assert volumes[1] > 1.09 * volumes[0]
 
 
@@ -186,7 +187,7 @@ def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
     varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
     simulation = _simulation(ready.hand, ready.settings, trial)
     action = ready.library.find("Grasp", ())
-    thing = graspable(trial.object, trial.mass)
+    thing = read_object(trial.object, trial.mass)
     middle = robust_places(simulation, ready.library, action, thing, 1)[0]
     pose = np.array(middle.pose)
     pose[2, 3] += 0.014  # towards the ends of the fingertips
@@ -202,7 +203,7 @@ def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
 def place_for(trial: Trial) -> tuple[_Varied, Place]:
     ready = bench(GRIPPER)
     simulation = _simulation(ready.hand, ready.settings, trial)
-    thing = graspable(trial.object, trial.mass)
+    thing = read_object(trial.object, trial.mass)
     action = ready.library.find(trial.action, ())
     place = robust_places(simulation, ready.library, action, thing, 1)[0]
     return _Varied(ready.hand, ready.library, ready.settings, trial, None), place

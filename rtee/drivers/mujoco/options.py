@@ -28,7 +28,8 @@ class SimOptions(BaseModel):
             their links needs it.
         missing_effort: Effort limit of actuators that have none [N·m | 0.01 N].
         object: An object to grasp: ``box:0.05x0.05x0.1``, ``cylinder:0.03x0.1``, ``sphere:0.03``,
-            ``drill``, or the path of a mesh; empty for none.
+            ``capsule:0.02x0.1`` (length with its caps), ``drill``, or the path of a mesh; empty
+            for none.
         object_mass: Mass of the object [kg].
         object_scale: Factor of all lengths of the object.
         support: What carries the object before the grasp: ``held``: a yielding hand, which lets go

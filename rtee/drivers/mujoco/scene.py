@@ -10,7 +10,7 @@ import numpy as np
 
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, copied, set_tiny
-from rtee.drivers.mujoco.objects import OBJECT, ObjectShape, add_object, parse_object
+from rtee.drivers.mujoco.objects import MESHES, OBJECT, add_object
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, rest_position
 from rtee.drivers.mujoco.simulation import Simulation
@@ -19,6 +19,7 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
+from rtee.object_shape import ObjectShape, parse_object
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -283,7 +284,7 @@ def make_simulation(
         pose[:3, :3] = downward(hand) if mount is None else mount
     add_carrier(built.spec, pose[:3, :3], options)
     if options.object:
-        shape = parse_object(options.object).scaled(options.object_scale)
+        shape = parse_object(options.object, MESHES).scaled(options.object_scale)
         if place is None:
             inside = np.eye(4)
             inside[:3, 3] = grasp_centre(hand)

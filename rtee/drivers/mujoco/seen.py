@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.drivers.mujoco.objects import OBJECT, parse_object
+from rtee.drivers.mujoco.objects import MESHES, OBJECT
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.surroundings import Surroundings, pose_vector
@@ -26,6 +26,7 @@ from rtee.object_description import (
     ObjectDescription,
     ObjectPart,
 )
+from rtee.object_shape import parse_object
 from rtee.sample import FloatArray
 
 _LEAST_FORCE: Final = 1e-3
@@ -123,7 +124,7 @@ def describe(
         pose = np.eye(4)
         pose[:3, :3] = turn.T @ data.geom_xmat[geom].reshape(3, 3)
         pose[:3, 3] = turn.T @ (data.geom_xpos[geom] - at)
-        parts.append(_part(model, int(geom), pose_vector(pose)))
+        parts += _parts(model, int(geom), pose)
     return ObjectDescription(_name(options), float(model.body_subtreemass[body]), tuple(parts))
 
 
@@ -131,20 +132,33 @@ def _name(options: SimOptions) -> str:
     """Return the object's name; of a mesh only its file's name, since clients see it."""
     if not options.object:
         return OBJECT
-    shape = parse_object(options.object).scaled(options.object_scale)
+    shape = parse_object(options.object, MESHES).scaled(options.object_scale)
     return shape.name if shape.path is None else Path(shape.path).name
 
 
-def _part(model: mujoco.MjModel, geom: int, pose: FloatArray) -> ObjectPart:
-    size = model.geom_size[geom].tolist()
+def _parts(model: mujoco.MjModel, geom: int, pose: FloatArray) -> list[ObjectPart]:
+    """Return what a geom at a pose ``(4, 4)`` in the object's frame looks like."""
+    size, at = model.geom_size[geom].tolist(), pose_vector(pose)
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
-            return ObjectPart("box", tuple(2.0 * half for half in size), pose)
+            return [ObjectPart("box", tuple(2.0 * half for half in size), at)]
         case mujoco.mjtGeom.mjGEOM_SPHERE:
-            return ObjectPart("sphere", (size[0],), pose)
+            return [ObjectPart("sphere", (size[0],), at)]
         case mujoco.mjtGeom.mjGEOM_CYLINDER:
-            return ObjectPart("cylinder", (size[0], 2.0 * size[1]), pose)
-    return ObjectPart("mesh", (), pose, *_mesh(model, int(model.geom_dataid[geom])))
+            return [ObjectPart("cylinder", (size[0], 2.0 * size[1]), at)]
+        case mujoco.mjtGeom.mjGEOM_CAPSULE:
+            # Clients know no capsules: a cylinder and a sphere at each end.
+            radius, half = size[0], size[1]
+            tube = [ObjectPart("cylinder", (radius, 2.0 * half), at)] if half > 0.0 else []
+            ends = (pose @ _raised(z) for z in (-half, half))
+            return tube + [ObjectPart("sphere", (radius,), pose_vector(end)) for end in ends]
+    return [ObjectPart("mesh", (), at, *_mesh(model, int(model.geom_dataid[geom])))]
+
+
+def _raised(z: float) -> FloatArray:
+    pose = np.eye(4)
+    pose[2, 3] = z
+    return pose
 
 
 def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:

@@ -101,6 +101,16 @@ def test_a_drill_has_a_handle_a_motor_and_a_trigger() -> None:
     assert trigger.pose[1] > 0.02
 
 
+def test_a_capsule_is_a_cylinder_between_two_balls() -> None:
+    thing = simulated(object="capsule:0.01x0.06", object_mass=0.2).object_description
+    assert thing.name == "capsule:0.01x0.06"
+    assert thing.mass == pytest.approx(0.2)
+    tube, low, high = thing.parts
+    assert (tube.kind, tube.size) == ("cylinder", pytest.approx((0.01, 0.04)))
+    assert [(end.kind, end.size) for end in (low, high)] == [("sphere", (0.01,))] * 2
+    assert [end.pose[2] for end in (low, high)] == pytest.approx([-0.02, 0.02])
+
+
 def test_contact_forces_are_on_the_object_from_both_sides_and_carry_it() -> None:
     simulation = squeezed(object="box:0.04x0.04x0.1", object_mass=0.3)
     assert simulation.surroundings.unsupported

@@ -1,0 +1,200 @@
+"""Objects as users write them: a box, cylinder, sphere or capsule, a drill, or a mesh file.
+
+The planner and the simulation read them here, so that both know the same ones.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtee.errors import ConfigError
+from rtee.sample import FloatArray
+
+SHAPES: Final = (
+    "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS, capsule:RADIUSxLENGTH (in metres) or drill"
+)
+"""Forms of an object that is no mesh, for messages."""
+
+NUMBERS: Final = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2}
+"""Kinds of shapes with the number of their sizes."""
+
+DRILL: Final = "drill"
+"""A pistol-like body with a trigger, as it is written."""
+
+LARGEST: Final = 2.0
+"""Largest extent of an object [m]; what is larger is in other units, or nothing for a hand."""
+
+SMALLEST: Final = 1e-4
+"""Smallest extent of an object [m]: thinner things have no sides to grasp."""
+
+HANDLE: Final = (0.044, 0.048, 0.130)
+"""Width, depth and length of a drill's handle [m]; its back and its front are round."""
+
+MOTOR: Final = (0.050, 0.140, 0.050)
+"""Width, length and height of the housing above the handle, flush with its back [m]."""
+
+PLATE: Final = (0.022, 0.008, 0.034)
+"""Width, thickness and height of a drill's trigger [m]."""
+
+TRIGGER_TRAVEL: Final = 0.010
+"""How far a drill's trigger can be pressed [m]."""
+
+_BELOW: Final = 0.002
+"""Gap between a drill's housing and its trigger, so that they never touch [m]."""
+
+_AROUND: Final = 24
+"""Corners of a round side in the points of a drill: its polygon is 0.2 mm inside the handle."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectShape:
+    """The shape of an object.
+
+    Attributes:
+        kind: ``box``, ``cylinder``, ``sphere``, ``capsule``, ``drill`` or ``mesh``.
+        size: Edge lengths; radius and height, or radius and length with the caps; or radius [m];
+            empty for a drill and a mesh.
+        path: The mesh file.
+        scale: Factor of all lengths of a drill or a mesh.
+    """
+
+    kind: str
+    size: tuple[float, ...] = ()
+    path: Path | None = None
+    scale: float = 1.0
+
+    def scaled(self, factor: float) -> ObjectShape:
+        """Return the same shape with all lengths times a factor."""
+        if self.size:
+            return replace(self, size=tuple(factor * value for value in self.size))
+        return replace(self, scale=factor * self.scale)
+
+    @property
+    def name(self) -> str:
+        """How it is written on the command line, such as ``sphere:0.03``."""
+        if self.path is not None:
+            return str(self.path)
+        if not self.size:
+            return self.kind
+        return f"{self.kind}:{'x'.join(f'{value:g}' for value in self.size)}"
+
+    def lowest(self, pose: FloatArray) -> float:
+        """Return the height of its lowest point [m] at a pose ``(4, 4)`` in the world.
+
+        The origin of a mesh is taken for its lowest point.
+        """
+        down = pose[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+        match self.kind:
+            case "box":
+                reach = float(np.abs(down) @ np.array(self.size)) / 2.0
+            case "cylinder":
+                radius, height = self.size
+                reach = radius * math.hypot(down[0], down[1]) + 0.5 * height * abs(down[2])
+            case "sphere":
+                reach = self.size[0]
+            case "capsule":
+                radius, length = self.size
+                reach = radius + (0.5 * length - radius) * abs(float(down[2]))
+            case "drill":
+                reach = 0.5 * HANDLE[2] * self.scale
+            case _:
+                reach = 0.0
+        return float(pose[2, 3]) - reach
+
+
+def is_shape(text: str) -> bool:
+    """Return whether a text means a shape with its sizes or a drill, and not a file."""
+    kind, colon, _ = text.partition(":")
+    return text == DRILL or (bool(colon) and kind in NUMBERS)
+
+
+def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
+    """Read an object as it is written on the command line.
+
+    Args:
+        text: What is written.
+        formats: Suffixes of the mesh files that can be used, such as ``.stl``.
+
+    Raises:
+        ConfigError: if it is none of the forms there are.
+    """
+    if text == DRILL:
+        return ObjectShape(DRILL)
+    if is_shape(text):
+        kind, _, numbers = text.partition(":")
+        return ObjectShape(kind, _sizes(text, kind, numbers))
+    path = Path(text)
+    if path.suffix.lower() not in formats:
+        raise ConfigError(f"{_no_object(text)}, or the path of a mesh ({', '.join(formats)})")
+    if not path.is_file():
+        raise ConfigError("no such mesh", path=path)
+    return ObjectShape("mesh", path=path)
+
+
+def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:
+    try:
+        size = tuple(float(part) for part in numbers.split("x"))
+    except ValueError:
+        size = ()
+    if len(size) != NUMBERS[kind] or not all(
+        math.isfinite(value) and SMALLEST <= value <= LARGEST for value in size
+    ):
+        raise ConfigError(f"{_no_object(text)}, each number from {SMALLEST:g} to {LARGEST:g}")
+    if kind == "capsule" and size[1] < 2.0 * size[0]:
+        raise ConfigError(
+            f"'{text}' is not an object: a capsule is at least as long as thick, {2 * size[0]:g} m"
+        )
+    return size
+
+
+def refuse_paths(text: str) -> None:
+    """Refuse what is no shape, for requests from outside: no file that they name is opened.
+
+    Raises:
+        ConfigError: if it is no shape.
+    """
+    if not is_shape(text):
+        raise ConfigError(_no_object(text))
+
+
+def _no_object(text: str) -> str:
+    return f"'{text[:200]}' is not an object; write {SHAPES}"
+
+
+def trigger_place(scale: float = 1.0) -> tuple[float, float, float]:
+    """Return where the middle of a drill's trigger is in its frame [m]; it is not pressed.
+
+    The trigger's travel, and its gap to the housing, stay as they are at any scale.
+    """
+    front = 0.5 * (scale * HANDLE[1]) + TRIGGER_TRAVEL + 0.5 * (scale * PLATE[1])
+    return 0.0, front, 0.5 * (scale * HANDLE[2]) - 0.5 * (scale * PLATE[2]) - _BELOW
+
+
+def motor_place(scale: float = 1.0) -> tuple[float, float, float]:
+    """Return where the middle of a drill's housing is in its frame [m]."""
+    back = 0.5 * (scale * MOTOR[1] - scale * HANDLE[1])
+    return 0.0, back, 0.5 * (scale * HANDLE[2] + scale * MOTOR[2])
+
+
+def drill_parts() -> tuple[FloatArray, ...]:
+    """Return points ``(k, 3)`` [m] whose hulls are a drill's handle, motor and trigger.
+
+    The handle's middle is the origin; the trigger is not pressed.
+    """
+    radius, flat = 0.5 * HANDLE[0], 0.5 * (HANDLE[1] - HANDLE[0])
+    turn = np.arange(_AROUND) * (2.0 * np.pi / _AROUND)
+    ring = radius * np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    ends = np.array([[0.0, y, 0.5 * z * HANDLE[2]] for y in (-flat, flat) for z in (-1, 1)])
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    return (
+        (ends[:, None] + ring).reshape(-1, 3),
+        corners * MOTOR + np.array(motor_place()),
+        corners * PLATE + np.array(trigger_place()),
+    )
