@@ -104,18 +104,18 @@ def descend(
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
             direction *= _LONGEST_STEP / longest
-        found, used = _search_line(function, (y, value, free), direction, bounds, resolution)
+        point, used = _search_line(function, (y, value, free), direction, bounds, resolution)
         count += used
-        if found is None or value - found[1] <= resolution.value:  # stalled
-            if found is not None:
-                y, value, slope = found
+        if point is None or value - point[1] <= resolution.value:  # stalled
+            if point is not None:
+                y, value, slope = point
             # Stalled with the identity, so that this is a minimum, or as good as one.
             if restarted or fresh:
                 break
             inverse, fresh, restarted = np.eye(len(y)), True, True
             continue
-        step, change = found[0] - y, found[2] - slope
-        y, value, slope = found
+        step, change = point[0] - y, point[2] - slope
+        y, value, slope = point
         along = dot(step, change)
         if along > _CURVED:
             # Before the first update, scale the identity to the measured curvature (Nocedal and
