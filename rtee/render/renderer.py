@@ -137,7 +137,7 @@ class _GBuffer:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the light at points in given pixels: that of the most similar pixel around."""
         best = np.full(len(y), np.inf)
-        found = np.ones((len(y), 2))
+        light = np.ones((len(y), 2))
         left = np.arange(len(y))
         for dy, dx in _NEIGHBOURS:
             beside = self._beside(y[left], x[left], dy, dx)
@@ -146,10 +146,10 @@ class _GBuffer:
             difference += 9.0 * (self.links[beside] != hits.links[left])
             better = difference < best[left]
             best[left[better]] = difference[better]
-            found[left[better]] = self.light[beside][better]
+            light[left[better]] = self.light[beside][better]
             # Most points match their own pixel; only the others search around it.
             left = left[best[left] > _ALIKE]
-        return found[:, 0], found[:, 1]
+        return light[:, 0], light[:, 1]
 
     def _beside(
         self, y: NDArray[np.int64], x: NDArray[np.int64], dy: int, dx: int
