@@ -234,12 +234,7 @@ class _Collector:
             return self._entries(name, make, start)
 
         objects = entries(topics.OBJECT, convert.OBJECT.of)
-        attachments = {
-            name: bytes(attachment.data)
-            # The attachments of the first file take precedence, being those of the start.
-            for each in reversed(self._surveys)
-            for name, attachment in each.attachments.items()
-        }
+        attachments = self._attachments()
         recording = Recording(
             paths=tuple(each.path for each in self._surveys),
             hand=self._hand,
@@ -275,6 +270,14 @@ class _Collector:
         object.__setattr__(recording, "notes", tuple(self._notes))
         object.__setattr__(recording, "damage", tuple(self._damage))
         return recording
+
+    def _attachments(self) -> dict[str, bytes]:
+        return {
+            name: bytes(attachment.data)
+            # The attachments of the first file take precedence, being those of the start.
+            for survey in reversed(self._surveys)
+            for name, attachment in survey.attachments.items()
+        }
 
     def _note_damage(self, text: str) -> None:
         self._notes.append(text)
