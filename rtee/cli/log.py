@@ -49,19 +49,43 @@ def info(file: File, series: Series = False, as_json: JsonOption = False) -> Non
 def _show(summary: Info) -> None:
     from rtee.log.info import iso
 
-    def show(line: str) -> None:
-        # A recording may come from anywhere: escape control characters for the terminal.
-        print(printable(line))
-
     recording = summary.recording
     for path, size in summary.files:
         print(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    show(f"hand {recording.hand or 'unknown'}{rate}, written by {summary.library}")
+    _print_safely(f"hand {recording.hand or 'unknown'}{rate}, written by {summary.library}")
     print(
         f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
         f"{summary.size_per_minute / 1e6:.1f} MB a minute"
     )
+    _show_topics(summary)
+    if summary.attachments:
+        names = ", ".join(name for name, _ in summary.attachments)
+        _print_safely(f"attachments: {names}")
+    if summary.statistics is not None:
+        last = summary.statistics
+        print(
+            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
+            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
+            f"{last.dropped} records dropped"
+        )
+    if recording.spans:
+        _show_goals(recording)
+    for entry in recording.events:
+        event = entry.value
+        # Traces hold the bytes on the buses, with several in each tick.
+        if event.kind != "trace":
+            _print_safely(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
+    for note in recording.notes:
+        _print_safely(f"note: {note}")
+
+
+def _print_safely(line: str) -> None:
+    # A recording may come from anywhere: escape control characters for the terminal.
+    print(printable(line))
+
+
+def _show_topics(summary: Info) -> None:
     columns = (
         Column("topic"),
         Column("type"),
@@ -73,35 +97,20 @@ def _show(summary: Info) -> None:
         for each in summary.topics
     )
     Table(columns, tuple(topics)).show()
-    if summary.attachments:
-        names = ", ".join(name for name, _ in summary.attachments)
-        show(f"attachments: {names}")
-    if summary.statistics is not None:
-        last = summary.statistics
-        print(
-            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
-            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
-            f"{last.dropped} records dropped"
-        )
-    if recording.spans:
-        columns = (
-            Column("at [s]", right=True, whole=True),
-            Column("goal"),
-            Column("took [s]", right=True, whole=True),
-            Column("outcome"),
-        )
-        spans = (
-            Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
-            for s in recording.spans
-        )
-        Table(columns, tuple(spans)).show()
-    for entry in recording.events:
-        event = entry.value
-        # Traces hold the bytes on the buses, with several in each tick.
-        if event.kind != "trace":
-            show(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
-    for note in recording.notes:
-        show(f"note: {note}")
+
+
+def _show_goals(recording: Recording) -> None:
+    columns = (
+        Column("at [s]", right=True, whole=True),
+        Column("goal"),
+        Column("took [s]", right=True, whole=True),
+        Column("outcome"),
+    )
+    spans = (
+        Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
+        for s in recording.spans
+    )
+    Table(columns, tuple(spans)).show()
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
@@ -11,6 +12,7 @@ from rtee.cli._table import Column, Row, Table, on_terminal
 if TYPE_CHECKING:
     from rtee.commands import StreamStatus
     from rtee.remote.monitoring import HandStatus
+    from rtee.types import DeviceStatus
 
 
 def status(
@@ -40,9 +42,13 @@ def _show(hand_status: HandStatus) -> None:
     print(f"held by:  {hand_status.holder or 'nobody'}")
     recording = (hand_status.recording, hand_status.recording_trouble)
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
-    print(f"profile:  {hand_status.profile}")
+    print(f"profile:  {hand_status.profile}\n")
+    _show_devices(hand_status.devices)
+
+
+def _show_devices(devices: Sequence[DeviceStatus]) -> None:
     rows = []
-    for device in hand_status.devices:
+    for device in devices:
         fault = (
             f"fault {device.fault_code} ({device.fault_name})"
             if device.fault_name
@@ -68,7 +74,6 @@ def _show(hand_status: HandStatus) -> None:
         *(Column(name, right=True, whole=True) for name in ("rate", "age", "errors", "overruns")),
         Column("remarks"),
     )
-    print()
     if not on_terminal():
         Table(columns, tuple(Row(cells) for cells in rows)).show()
         return
