@@ -122,13 +122,24 @@ def descend(
             # Wright, Numerical Optimization, 2006, equation 6.20).
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
-            # The BFGS update of the inverse, as a symmetric sum of two outer products.
-            bent = matvec(inverse, change) / along
-            half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
-            update = step[:, None] * half
-            inverse = inverse + (update + update.T)
-            fresh = False
+            inverse, fresh = _updated(inverse, step, change, along), False
     return Minimum(y, value, count)
+
+
+def _updated(inverse: FloatArray, step: FloatArray, change: FloatArray, along: float) -> FloatArray:
+    """Return the BFGS update of the inverse Hessian after a step, which changed the slope.
+
+    Args:
+        inverse: The inverse Hessian ``(k, k)``.
+        step: The step ``(k,)``.
+        change: The change of the slope ``(k,)``.
+        along: The product of both.
+    """
+    # As a symmetric sum of two outer products.
+    bent = matvec(inverse, change) / along
+    half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
+    update = step[:, None] * half
+    return inverse + (update + update.T)
 
 
 def _measured(
