@@ -124,26 +124,26 @@ class Codec(Generic[T]):
     Args:
         kind: The type of the messages, which begin with a header.
         cls: The dataclass.
-        conversions: Those of the attributes that differ from a field of the same name.
+        held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
         kind: The type of the messages.
     """
 
-    def __init__(self, kind: str, cls: type[T], /, **conversions: As) -> None:
+    def __init__(self, kind: str, cls: type[T], /, **held: As) -> None:
         self.kind = message_type(kind)
         self._cls = cls
         self._same = [
             attribute.name
             for attribute in dataclasses.fields(cls)  # type: ignore[arg-type]
-            if attribute.name not in conversions
+            if attribute.name not in held
         ]
         self._unpackers = {
             attribute: (list(conversion.pack), conversion.unpack)
-            for attribute, conversion in conversions.items()
+            for attribute, conversion in held.items()
         }
         get: dict[str, Callable[[T], Any]] = {name: attrgetter(name) for name in self._same}
-        for attribute, conversion in conversions.items():
+        for attribute, conversion in held.items():
             # By a function, since a lambda in this loop would see only the last attribute.
             get |= {name: _packing(attribute, pack) for name, pack in conversion.pack.items()}
         # All types begin with a header, which `_BEGIN` writes and `decode` skips.

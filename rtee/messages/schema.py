@@ -74,6 +74,11 @@ class Field:
     inner: MessageType | None = field(default=None, repr=False)
 
     @property
+    def nested(self) -> bool:
+        """Whether the field holds messages."""
+        return self.inner is not None
+
+    @property
     def notation(self) -> str:
         """The type as written in the definition."""
         return _short(self.kind) + ("[]" if self.sequence else "")

@@ -41,11 +41,11 @@ def _scalar(kind: str) -> st.SearchStrategy[Any]:
 
 
 def _field(field: Field) -> st.SearchStrategy[Any]:
-    one = fields(message_type(field.kind)) if field.inner is not None else _scalar(field.kind)
+    one = fields(message_type(field.kind)) if field.nested else _scalar(field.kind)
     if not field.sequence:
         return one
     many = st.lists(one, max_size=4)
-    if field.inner is not None or field.kind == "string":
+    if field.nested or field.kind == "string":
         return many
     return many.map(lambda values: np.array(values, dtype=DTYPES[field.kind]))
 
@@ -70,7 +70,7 @@ def rosbags_message(kind: MessageType, values: dict[str, Any]) -> Any:
     made = {}
     for field in kind.fields:
         value = values[field.name]
-        if field.inner is not None:
+        if field.nested:
             inner = message_type(field.kind)
             made[field.name] = (
                 [rosbags_message(inner, item) for item in value]
@@ -143,11 +143,7 @@ def test_every_shorter_message_is_refused(name: str) -> None:
     def sample(of: MessageType) -> dict[str, Any]:
         values: dict[str, Any] = {}
         for field in of.fields:
-            one = (
-                sample(message_type(field.kind))
-                if field.inner is not None
-                else filled.get(field.kind, 1)
-            )
+            one = sample(message_type(field.kind)) if field.nested else filled.get(field.kind, 1)
             values[field.name] = [one] if field.sequence else one
         return values
 
