@@ -35,6 +35,7 @@ class GripForce:
 
     def range_at(self, position: float) -> tuple[float, float]:
         """Return the weakest and the strongest force [N] at a position [rad | m]."""
+        # One point, which `interp` continues on both sides, if the force is the same everywhere.
         at = self.position or (0.0,)
         low, high = (np.interp(position, at, force) for force in (self.weakest, self.strongest))
         return float(low), float(high)
@@ -48,6 +49,7 @@ class GripForce:
     def force_for(self, effort: float, position: float) -> float:
         """Return the force [N] of an effort limit [N·m | N] at a position [rad | m]."""
         low, high = self.range_at(position)
+        # Beyond the sheet's limits, the nearest force that it states: measured efforts may be.
         share = (effort - self.effort[0]) / (self.effort[1] - self.effort[0])
         return low + min(max(share, 0.0), 1.0) * (high - low)
 

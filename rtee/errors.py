@@ -27,7 +27,8 @@ The tree::
     │   ├── DeviceFault            the device reports a fault
     │   └── CommandRejected        a reference that the device refuses
     ├── MessageError (ValueError)  bytes that are not a valid message
-    ├── SimulationUnstable         the equations of a simulation diverged
+    ├── WorkerLost                 a worker process was ended from outside
+ ├── SimulationUnstable         the equations of a simulation diverged
     ├── LoopError                  the loop itself failed; carries its last cycles
     └── RemoteError
         ├── NoHand                 nobody answers on the network
@@ -81,6 +82,7 @@ class UserError(RteeError):
     def __init__(
         self, message: str, *, path: Path | str | None = None, line: int | None = None
     ) -> None:
+        # Files and names are quoted in it, and must not send control characters to a terminal.
         message = printable(message)
         super().__init__(message)
         self.message = message
@@ -95,6 +97,7 @@ class UserError(RteeError):
         return f"{self.path}:{self.line}: {self.message}"
 
 
+# Errors also derive from the fitting built-in error, which callers may know already.
 class ConfigError(UserError, ValueError):
     """A configuration that cannot be used.
 
@@ -430,4 +433,5 @@ class RequestRejected(RemoteError):
 class TooManyRequests(RequestRejected):
     """The hand refused a request because this client sends too many of its kind."""
 
+    # Unlike the other requests that are refused, it is right, and may be sent again later.
     exit_status: ClassVar[int] = 1

@@ -100,7 +100,7 @@ class PreparedHand:
         for file in files:
             try:
                 contents[file.relative_to(self.folder).as_posix()] = file.read_bytes()
-            except (OSError, ValueError) as error:
+            except (OSError, ValueError) as error:  # ValueError: an SRDF outside of the folder
                 log.warning("%s is not attached to the recording: %s", file, error)
         return contents
 
@@ -126,6 +126,7 @@ def open_to_everybody(folder: Path) -> list[str]:
             status = path.lstat()
         except OSError:
             continue
+        # The mode of a link itself, which Linux sets to 0o777, permits nothing.
         if stat.S_IMODE(status.st_mode) & stat.S_IWOTH and not stat.S_ISLNK(status.st_mode):
             return [f"{path} can be changed by everybody; 'chmod -R o-w {folder}' prevents it"]
     return []
@@ -189,6 +190,7 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
         replace(spec, options={**spec.options, "home": "on_connect"}) if _homes(spec) else spec
         for spec in specs
     )
+    # `replace` makes a new object, so that the same object means "unchanged".
     if all(spec is given for spec, given in zip(allowed, specs, strict=True)):
         drivers = ", ".join(sorted({spec.driver for spec in specs}))
         hint = "; give --driver devices, too" if drivers == "kinematic" else ""

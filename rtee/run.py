@@ -60,7 +60,7 @@ Serve = Callable[[HandLoop, RemoteSettings, Recorder, str], AbstractAsyncContext
 
 
 @dataclass
-class _Running:
+class _RunningHand:
     prepared: PreparedHand
     loop: HandLoop
     recorder: Recorder
@@ -95,12 +95,12 @@ async def run_hands(
     options = options or RunOptions()
     until = until or anyio.Event()
     prepared = [prepare(name, options) for name in names]
-    twice = [hand.hand.name for hand in prepared]
-    if len(set(twice)) < len(twice):
-        raise ConfigError(f"the hand '{max(twice, key=twice.count)}' is given twice")
-    for hand in prepared:
-        for warning in hand.warnings():
-            log.warning("%s: %s", hand.hand.name, warning)
+    given = [one.hand.name for one in prepared]
+    if len(set(given)) < len(given):
+        raise ConfigError(f"the hand '{max(given, key=given.count)}' is given twice")
+    for one in prepared:
+        for warning in one.warnings():
+            log.warning("%s: %s", one.hand.name, warning)
     _warn_of_profiles(prepared)
     if serve is not None:
         companions = (*options.companions, *_in_ros2(names, prepared, options))
@@ -108,25 +108,30 @@ async def run_hands(
     realtime = _realtime(prepared, options)
     collector = Collector()
     service = Service.of()
+    # Left in the opposite order: the network is closed first, then the devices and the recorders.
     async with AsyncExitStack() as stack:
         if service is not None:
             stack.enter_context(service)
+        # Before any thread is started, as it only counts for later ones.
         stack.callback(threading.stack_size, small_stacks())
+        # Before devices are opened: a signal meanwhile ends the run as configured, a moment later.
         signals = stack.enter_context(receive_signals())
         trace = _Trace()
         pool = await stack.enter_async_context(BusPool(trace=trace if options.trace else None))
-        running = [await _open(hand, pool, options, stack, trace) for hand in prepared]
-        await _connected(running)
-        for one in running:
+        hands = [await _open(one, pool, options, stack, trace) for one in prepared]
+        await _connected(hands)
+        for hand in hands:
             if serve is not None:
-                config = one.prepared.config
-                words = profile_words(config, one.prepared.settings)
-                server = serve(one.loop, config.remote, one.recorder, words)
-                one.server = await stack.enter_async_context(server)
-            say(start_line(one.loop, _log_words(one.recorder), _network_words(one.server)))
+                config = hand.prepared.config
+                words = profile_words(config, hand.prepared.settings)
+                server = serve(hand.loop, config.remote, hand.recorder, words)
+                hand.server = await stack.enter_async_context(server)
+            say(start_line(hand.loop, _log_words(hand.recorder), _network_words(hand.server)))
             if service is not None:
-                one.loop.add_observer(service.watch(one.loop.name))
+                hand.loop.add_observer(service.watch(hand.loop.name))
+        # As they are before this thread is pinned: for the companions, which would inherit them.
         cpus = affinity()
+        # Now that all threads of the hands run, which it gives precedence, too.
         for warning in set_up(realtime):
             log.warning("%s", warning)
         stack.enter_context(favoured_session(realtime))
@@ -136,9 +141,9 @@ async def run_hands(
         if not realtime.enabled:  # else no tick may wait for a page that was given back
             give_memory_back()
         try:
-            await _run(running, options, collector, until, signals, cpus, service)
+            await _run(hands, options, collector, until, signals, cpus, service)
         finally:
-            for line in _summary(running):
+            for line in _summary(hands):
                 say(line)
     return 0
 
@@ -181,12 +186,13 @@ async def _open(
     options: RunOptions,
     stack: AsyncExitStack,
     trace: _Trace,
-) -> _Running:
+) -> _RunningHand:
     devices = [
         (device, find_driver(device.spec.driver, source=device.spec.source)(device.spec, pool))
         for device in prepared.devices
     ]
     loop = HandLoop(prepared.hand, prepared.library, prepared.settings, devices)
+    # The recorder calls from its writer's thread.
     announce = asyncio.get_running_loop().call_soon_threadsafe
 
     def notify(event: Event) -> None:
@@ -205,28 +211,29 @@ async def _open(
         notify=notify,
     )
     tally = Tally()
+    # The recorder before the loop, so that it still records how the devices are closed.
     await stack.enter_async_context(recorder)
     trace.recorders.append(recorder)
     loop.add_observer(recorder)
     loop.add_observer(tally)
     loop.add_observer(EventLog())
     await stack.enter_async_context(loop)
-    return _Running(prepared, loop, recorder, tally)
+    return _RunningHand(prepared, loop, recorder, tally)
 
 
-async def _connected(running: Sequence[_Running]) -> None:
+async def _connected(hands: Sequence[_RunningHand]) -> None:
     """Wait until all devices have tried to connect, for `CONNECT_WITHIN` at most.
 
     Raises:
         UserError: if a mistake in the configuration keeps a device from ever connecting.
     """
     with anyio.move_on_after(CONNECT_WITHIN):
-        for one in running:
-            await one.loop.ready()
+        for hand in hands:
+            await hand.loop.ready()
 
 
 async def _run(
-    running: Sequence[_Running],
+    hands: Sequence[_RunningHand],
     options: RunOptions,
     collector: Collector,
     until: anyio.Event,
@@ -234,62 +241,66 @@ async def _run(
     cpus: Collection[int],
     service: Service | None,
 ) -> None:
-    clocks: dict[float, list[HandLoop]] = {}
-    for one in running:
-        clocks.setdefault(one.prepared.settings.rate, []).append(one.loop)
+    # Hands of one rate share a clock: one wake-up of the thread ticks them all.
+    loops_by_rate: dict[float, list[HandLoop]] = {}
+    for hand in hands:
+        loops_by_rate.setdefault(hand.prepared.settings.rate, []).append(hand.loop)
     rested = False
     try:
         async with anyio.create_task_group() as group:
-            for rate, loops in clocks.items():
+            for rate, loops in loops_by_rate.items():
                 group.start_soon(drive, loops, Clock(rate), collector.idle)
             for command in options.companions:
                 group.start_soon(companion, command, cpus)
             reason = await wait_for_end(options.duration, until, signals)
             if service is not None:
                 service.stopping()
-            await _rest(running, reason, ticking=True)
+            # The clocks still tick, which opening a hand at the end needs.
+            await _rest(hands, reason, ticking=True)
             rested = True
             group.cancel_scope.cancel()
     except Exception as error:
         if service is not None:
             service.stopping()
-        await _rest(running, "the loop failed", failed=True)
+        await _rest(hands, "the loop failed", failed=True)
         rested = True
-        raise _failure(error, running) from error
+        raise _failure(error, hands) from error
     finally:
-        if not rested:
-            await _rest(running, "the run was cancelled")
-        for one in running:  # while clients are still connected, to receive their results
-            one.loop.end()
+        if not rested:  # cancelled from outside, which is no `Exception`
+            await _rest(hands, "the run was cancelled")
+        for hand in hands:  # while clients are still connected, to receive their results
+            hand.loop.end()
 
 
 async def _rest(
-    running: Sequence[_Running], reason: str, *, ticking: bool = False, failed: bool = False
+    hands: Sequence[_RunningHand], reason: str, *, ticking: bool = False, failed: bool = False
 ) -> None:
     """Bring all hands to rest at the same time, each as configured."""
+    # Shielded, since a run that is being cancelled must bring its hands to rest, too.
     with anyio.CancelScope(shield=True):
         async with anyio.create_task_group() as group:
-            for one in running:
-                safety = one.prepared.settings.safety
+            for hand in hands:
+                safety = hand.prepared.settings.safety
                 behaviour = safety.on_error if failed else safety.on_exit
-                rest = partial(bring_to_rest, one.loop, behaviour, reason, ticking=ticking)
+                rest = partial(bring_to_rest, hand.loop, behaviour, reason, ticking=ticking)
                 group.start_soon(rest)
 
 
-def _failure(error: Exception, running: Sequence[_Running]) -> RteeError:
+def _failure(error: Exception, hands: Sequence[_RunningHand]) -> RteeError:
     """Log an error of the loop, write the last minute to a file, and return the error to raise."""
+    # The task group wraps the error of a clock, which is worth more to the user by itself.
     while isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         error = error.exceptions[0]
     log.error("the loop failed", exc_info=error)
-    for one in running:
-        one.recorder.fault("the loop failed")
+    for hand in hands:
+        hand.recorder.fault("the loop failed")
     if isinstance(error, RteeError):
         return error
     return LoopError(f"the loop failed: {type(error).__name__}: {error}")
 
 
 class _Trace:
-    """Records the bytes on all buses as events."""
+    """Records the bytes on all buses as events, once there are recorders."""
 
     def __init__(self) -> None:
         self.recorders: list[Recorder] = []
@@ -312,18 +323,20 @@ def _network_words(server: Server | None) -> str:
     return "off" if server is None else server.endpoint
 
 
-def _summary(running: Sequence[_Running]) -> list[str]:
-    lines: list[str] = []
-    by_clock: dict[int, list[_Running]] = {}
-    for one in running:
-        by_clock.setdefault(id(one.loop.clock_statistics), []).append(one)
-    for group in by_clock.values():
-        names = [one.loop.name for one in group]
-        lines.append(statistics_line(group[0].loop.statistics(), names))
-    lines += [f"{one.loop.name}: {one.tally.text()}" for one in running]
-    for one in running:
-        if trouble := one.recorder.status().trouble:
-            lines.append(f"{one.loop.name}: recording: {trouble}")
-        for path in one.recorder.status().flight_files:
-            lines.append(f"{one.loop.name}: the last minute before the fault is in {path}")
+def _summary(hands: Sequence[_RunningHand]) -> list[str]:
+    # Hands on one clock share its statistics, and one line.
+    by_clock: dict[int, list[HandLoop]] = {}
+    for hand in hands:
+        by_clock.setdefault(id(hand.loop.clock_statistics), []).append(hand.loop)
+    lines = [
+        statistics_line(loops[0].statistics(), [loop.name for loop in loops])
+        for loops in by_clock.values()
+    ]
+    lines += [f"{hand.loop.name}: {hand.tally.text()}" for hand in hands]
+    for hand in hands:
+        status = hand.recorder.status()
+        if status.trouble:
+            lines.append(f"{hand.loop.name}: recording: {status.trouble}")
+        for path in status.flight_files:
+            lines.append(f"{hand.loop.name}: the last minute before the fault is in {path}")
     return lines

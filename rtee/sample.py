@@ -79,6 +79,7 @@ class Measurements:
 
 
 def _quantities(kind: type) -> dict[str, Quantity]:
+    # With the extras, as `get_type_hints` drops what `Annotated` adds otherwise.
     hints = get_type_hints(kind, include_extras=True).items()
     return {name: hint.__metadata__[0] for name, hint in hints if get_origin(hint) is Annotated}
 
@@ -94,7 +95,7 @@ measured_arrays = attrgetter(*MEASURED)
 def unmeasured(shape: tuple[int, ...]) -> FloatArray:
     """Return the shared read-only array of ``NaN`` for quantities that are not measured."""
     array = np.full(shape, np.nan)
-    array.flags.writeable = False
+    array.flags.writeable = False  # one array for all devices and moments
     return array
 
 

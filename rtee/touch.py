@@ -88,6 +88,7 @@ class TouchReading:
     stamp: float
 
 
+# Without slots, since `cached_property` stores its values in the instance's dictionary.
 @dataclass(frozen=True, eq=False)
 class TouchState:
     """The newest reading of one device's touch sensors, with the sensors.
@@ -139,8 +140,9 @@ def totals(sensors: tuple[TouchSensor, ...], values: FloatArray) -> FloatArray:
         sensors: The sensors, with at least one taxel each.
         values: Values of all their taxels ``(n,)``, or over time ``(k, n)``.
     """
-    if not sensors:
+    if not sensors:  # `reduceat` would refuse an empty array
         return np.zeros((*values.shape[:-1], 0))
+    # `reduceat` sums from each start to the next one, and the last one to the end.
     starts = np.cumsum([0, *(sensor.taxels for sensor in sensors[:-1])])
     sums: FloatArray = np.add.reduceat(values, starts, axis=-1)
     return sums

@@ -31,6 +31,7 @@ FORMER_NAMES: Mapping[str, str] = MappingProxyType(
 older hand.yaml is refused with a message that says what to change."""
 
 
+# A function, since a dataclass refuses the mapping itself as a default: it has no hash.
 def _nothing() -> Mapping[str, Any]:
     return NOTHING
 
@@ -160,6 +161,7 @@ class Reference:
 
     def __post_init__(self) -> None:
         # This runs at every exchange: for so few numbers, lists are faster than numpy's functions.
+        # A sum is NaN or infinite if one of its terms is, and infinite limits are allowed.
         if not math.isfinite(sum(self.position.tolist()) + sum(self.velocity.tolist())):
             raise ValueError("a reference must be finite")
         if math.isnan(sum(self.max_effort.tolist()) + sum(self.max_velocity.tolist())):

@@ -24,6 +24,7 @@ SPEED: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Units of speed, in m/s."""
 
+# By identity, since mappings have no hash.
 _KINDS: Final = {id(LENGTH): "a length", id(FORCE): "a force", id(SPEED): "a speed"}
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
@@ -52,6 +53,7 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
                 f"the {name} must be {kind}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
+        # A number without a unit counts as SI.
         size = number * units.get(unit, 1.0)
     else:
         size = float(value)

@@ -136,10 +136,10 @@ class ActionFiles:
             return Changes(files, [*primitives.gone, *custom.gone], primitives.folders)
 
         # Compared first, so that a shipped hand is copied only if something changes.
-        found = changes(self.folder)
-        if found.files or found.gone:
-            found = changes(self._writable())
-        found.write()
+        pending = changes(self.folder)
+        if pending.files or pending.gone:
+            pending = changes(self._writable())
+        pending.write()
         self._remember(index.custom)
 
     def delete(self, action: Action) -> None:
@@ -220,15 +220,15 @@ def _files(folder: Path) -> list[Path]:
 
 def stamps(folder: Path) -> dict[Path, int]:
     """Return the time of the last change [ns] of each file in a folder of actions."""
-    found: dict[Path, int] = {}
-    for room in (PRIMITIVES, *CUSTOM):
-        for path in _files(folder / room):
+    times: dict[Path, int] = {}
+    for subfolder in (PRIMITIVES, *CUSTOM):
+        for path in _files(folder / subfolder):
             try:
-                found[path] = path.stat().st_mtime_ns
+                times[path] = path.stat().st_mtime_ns
             except OSError:
                 # Deleted since the listing; its absence from the result shows as a change.
                 continue
-    return found
+    return times
 
 
 # --- reading ---------------------------------------------------------------------------------
@@ -241,6 +241,7 @@ def read_actions(hand: Hand, folder: Path) -> list[Action]:
         ActionError: for every mistake, with file and line.
     """
     primitives: list[Primitive] = []
+    # First, since custom actions refer to them.
     for path in _files(folder / PRIMITIVES):
         primitives += read_primitives(hand, path)
     _refuse_twins(primitives, folder)
@@ -333,8 +334,8 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
         comment = f"{name}: {members[0].kind.label}."
         changed |= _change(path, primitives_document(members), (comment,))
         kept.add(path)
-    room = folder / PRIMITIVES
-    return Changes(changed, [path for path in _files(room) if path not in kept], [room])
+    subfolder = folder / PRIMITIVES
+    return Changes(changed, [path for path in _files(subfolder) if path not in kept], [subfolder])
 
 
 def custom_changes(
@@ -364,10 +365,10 @@ def custom_changes(
 
 
 def _custom_path(folder: Path, action: Action) -> Path:
-    room = folder / kind_of(action)
+    subfolder = folder / kind_of(action)
     # Reuse a file with another spelling, since a second one would define the action twice.
-    same = (path for path in _files(room) if normalise(path.stem) == normalise(action.name))
-    return next(same, room / f"{action.name}.yaml")
+    same = (path for path in _files(subfolder) if normalise(path.stem) == normalise(action.name))
+    return next(same, subfolder / f"{action.name}.yaml")
 
 
 def _change(

@@ -150,7 +150,9 @@ def compose(
             setter[actuator] = label(use.action, use.elements)
             values.setdefault(actuator, []).append(posture.position[actuator])
     # With fsum, the order of the parts does not change the last digit.
-    mean = {actuator: math.fsum(found) / len(found) for actuator, found in values.items()}
+    mean = {
+        actuator: math.fsum(positions) / len(positions) for actuator, positions in values.items()
+    }
     return Composed(name, tuple(resolved), full_posture(hand, mean), independent, description)
 
 
@@ -178,7 +180,7 @@ def sequence(
     check_custom_name(name)
     if not steps:
         raise ActionError(f"the timed action '{name}' has no inner actions")
-    made: list[Step] = []
+    inner: list[Step] = []
     taken: set[str] = set()
     for plan in steps:
         use, posture = _resolve(hand, find, plan.use, f"the timed action '{name}'")
@@ -196,8 +198,8 @@ def sequence(
                     f"the margin {side} '{alias}' is {margin:g} s; "
                     f"it must be from 0 to {MAX_MARGIN:g} s"
                 )
-        made.append(Step(use, alias, plan.before, plan.after, posture))
-    return Timed(name, tuple(made), description)
+        inner.append(Step(use, alias, plan.before, plan.after, posture))
+    return Timed(name, tuple(inner), description)
 
 
 def generic(
@@ -255,13 +257,13 @@ def _resolve(
 ) -> tuple[ActionReference, Posture]:
     what = label(use.action, use.elements)
     check_scale(use.scale, f"{what} in {where}")
-    found = find(use.action, use.elements)
+    action = find(use.action, use.elements)
     # A timed action has no single posture to scale or average.
-    if isinstance(found, Timed):
-        raise ActionError(f"{where} cannot contain the timed action '{found.name}'")
+    if isinstance(action, Timed):
+        raise ActionError(f"{where} cannot contain the timed action '{action.name}'")
     # In the action's own spelling, which files and users see.
-    reference = ActionReference(found.name, found.elements, use.scale)
-    return reference, scaled(hand, found.posture, use.scale)
+    reference = ActionReference(action.name, action.elements, use.scale)
+    return reference, scaled(hand, action.posture, use.scale)
 
 
 _PRIMITIVE_NAMES = tuple(normalise(kind) for kind in PrimitiveKind)

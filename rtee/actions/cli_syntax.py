@@ -68,15 +68,15 @@ def read_set_points(words: Sequence[str]) -> dict[str, float]:
     Raises:
         ActionError: if a word is not like that, or an actuator is given twice.
     """
-    found: dict[str, float] = {}
+    set_points: dict[str, float] = {}
     for word in words:
         name, equals, value = word.rpartition("=")
         if not equals or not name:
             raise ActionError(f"'{word}' is not a set-point; write ACTUATOR=VALUE")
-        if name in found:
+        if name in set_points:
             raise ActionError(f"the actuator '{name}' is given twice")
-        found[name] = _number(value, f"set-point of '{name}'", word)
-    return found
+        set_points[name] = _number(value, f"set-point of '{name}'", word)
+    return set_points
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,8 @@ def _styled(value: Any) -> Any:
     if isinstance(value, Mapping):
         return CommentedMap((key, _styled(item)) for key, item in value.items())
     if isinstance(value, list):
-        made = CommentedSeq(_styled(item) for item in value)
+        entries = CommentedSeq(_styled(item) for item in value)
         if not any(isinstance(item, Mapping) for item in value):
-            made.fa.set_flow_style()
-        return made
+            entries.fa.set_flow_style()
+        return entries
     return value

@@ -32,8 +32,8 @@ def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> f
     scale = 1.0
     if abs(whole[widest]) > SLACK:
         scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
-    made = {name: from_rest(rest[name], posture.position[name], scale) for name in whole}
-    close = all(abs(made[name] - set_points[name]) <= CLOSE for name in made)
+    scaled = {name: from_rest(rest[name], posture.position[name], scale) for name in whole}
+    close = all(abs(scaled[name] - set_points[name]) <= CLOSE for name in scaled)
     return scale if scale >= 0.0 and close else None
 
 

@@ -38,7 +38,7 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
         ``hand``, ``fingers``, ``actuators``, ``primitives``, ``composed``, ``timed``, ``generic``
         and ``seconds``. A limit that a continuous actuator does not have is ``None``.
     """
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "hand": hand.name,
         "fingers": {
             finger.name: {"tip": finger.tip, "actuators": list(finger.actuators)}
@@ -55,10 +55,10 @@ def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None
         **{_section(kind): [] for kind in ActionKind},
     }
     for action in actions:
-        found[_section(kind_of(action))].append(describe_action(action))
+        document[_section(kind_of(action))].append(describe_action(action))
     if seconds is not None:
-        found["seconds"] = seconds
-    return found
+        document["seconds"] = seconds
+    return document
 
 
 def _finite(value: float) -> float | None:
@@ -87,15 +87,15 @@ def _primitive(action: Primitive) -> dict[str, Any]:
         }
         for i, posture in enumerate(action.postures)
     ]
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "kind": action.name,
         "elements": list(action.elements),
         "fingers": list(action.fingers),
         **ranked[0],
     }
     if len(ranked) > 1:
-        found["alternatives"] = ranked[1:]
-    return found
+        document["alternatives"] = ranked[1:]
+    return document
 
 
 def _plain(value: Any) -> Any:
@@ -107,11 +107,11 @@ def _plain(value: Any) -> Any:
             return [_plain(item) for item in value]
         case _ if not is_dataclass(value):
             return value
-    found: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for field in fields(value):
         plain = _plain(getattr(value, field.name))
-        found |= plain if isinstance(plain, dict) else {field.name: plain}
-    return found
+        document |= plain if isinstance(plain, dict) else {field.name: plain}
+    return document
 
 
 def _posture(posture: Posture) -> dict[str, Any]:

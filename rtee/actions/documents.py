@@ -86,11 +86,11 @@ class EvidenceEntry:
 
     def evidence(self) -> Evidence:
         """Return the evidence."""
-        found: dict[str, Any] = {name: getattr(self, name) for name in field_types(EvidenceEntry)}
+        values: dict[str, Any] = {name: getattr(self, name) for name in field_types(EvidenceEntry)}
         if self.opposition is not None:
             known = field_types(OppositionEntry)
-            found["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
-        return Evidence(**found)
+            values["opposition"] = Opposition(**{n: getattr(self.opposition, n) for n in known})
+        return Evidence(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +125,12 @@ def read_primitives(hand: Hand, path: Path) -> list[Primitive]:
         ActionError: for every mistake, with file and line.
     """
     document = read_document(path)
-    found = read_as(PrimitivesDocument, document)
+    content = read_as(PrimitivesDocument, document)
     with located(document, ("kind",)):
-        kind, count = _primitive_kind(found.kind)
+        kind, count = _primitive_kind(content.kind)
     return [
         _primitive(hand, kind, count, entry, document, ("primitives", i))
-        for i, entry in enumerate(found.primitives)
+        for i, entry in enumerate(content.primitives)
     ]
 
 
@@ -212,8 +212,8 @@ def set_points(posture: Posture) -> dict[str, float]:
 
 def evidence_document(evidence: Evidence) -> dict[str, Any]:
     """Return evidence as plain data, without unknown values."""
-    found = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
-    return {name: _plain(value) for name, value in found.items() if value not in (None, ())}
+    values = {name: getattr(evidence, name) for name in field_types(EvidenceEntry)}
+    return {name: _plain(value) for name, value in values.items() if value not in (None, ())}
 
 
 def _plain(value: Any) -> Any:
@@ -427,36 +427,36 @@ def first_mistake(
         kind: The dataclass that the content was checked against, where unknown keys are refused.
         at: Where that content is in the file; its root unless given.
     """
-    found = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
-    location, mistake = document.located(found)[0]
+    placed = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
+    location, mistake = document.located(placed)[0]
     words = _sentence(kind, location, mistake)
     return ActionError(words, path=document.path, line=document.line(location))
 
 
 def _sentence(kind: Any, location: Location, error: Mapping[str, Any]) -> str:
     """Return a mistake in words."""
-    what, value, limits = error["type"], error["input"], error.get("ctx", {})
+    reason, value, limits = error["type"], error["input"], error.get("ctx", {})
     key = location[-1] if location else ""
-    if what == "extra_forbidden":
+    if reason == "extra_forbidden":
         hint = suggestion(str(key), known_keys(kind, location[:-1]))
         return f"unknown key '{key}'; {hint}"
-    if what == "missing":
+    if reason == "missing":
         return f"{_called(location[:-1])} lacks the key '{key}'"
-    if what == "value_error":
+    if reason == "value_error":
         cause = limits["error"]
         return cause.message if isinstance(cause, UserError) else str(cause)
     entry = _called(location)
     if error["loc"][-1:] == ("[key]",):  # the mark of a wrong key, which `location` leaves out
         return f"the key {value} in {_called(location[:-1])} must be a name"
     # An integer that is too large for a float is of the wrong type.
-    if what == "finite_number" or (what == "float_type" and type(value) is int):
+    if reason == "finite_number" or (reason == "float_type" and type(value) is int):
         return f"{entry} must be a finite number"
-    if what == "greater_than_equal":
+    if reason == "greater_than_equal":
         return f"{entry} is {value:g}; it must be at least {limits['ge']:g}"
-    if what in ("too_short", "too_long"):
+    if reason in ("too_short", "too_long"):
         length = limits.get("min_length", limits.get("max_length"))
         return f"{entry} is empty" if not value else f"{entry} must have {length} entries"
-    return f"{entry} must be {_WANTED.get(what, error['msg'])}, not {_kind(value)}"
+    return f"{entry} must be {_WANTED.get(reason, error['msg'])}, not {_kind(value)}"
 
 
 _WANTED: Final = {

@@ -1,4 +1,4 @@
-"""Which files and actions of a hand something was made with, action by action."""
+"""Fingerprints of a hand's files and actions, by which outdated results are recognised."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _DECIMALS = 9
 
 @dataclass(frozen=True, slots=True)
 class Fingerprints:
-    """Words that change with a hand's files and with what its actions do.
+    """Fingerprints that change with a hand's files, and with what each of its actions does.
 
     Attributes:
         files: Changes with any of the files.
@@ -33,37 +33,38 @@ class Fingerprints:
 
     @classmethod
     def of(cls, folder: Path, library: ActionLibrary) -> Self:
-        """Return those of a hand.
+        """Return the fingerprints of a hand.
 
         Args:
             folder: The hand's folder.
             library: Its actions.
         """
-        actions = {" ".join((one.name, *one.elements)): _word(one) for one in library}
+        actions = {" ".join((a.name, *a.elements)): _fingerprint_of(a) for a in library}
         return cls(fingerprint(folder), model_fingerprint(folder), actions)
 
     def same(self, action: str, made_with: Mapping[str, Any]) -> bool:
-        """Return whether what an action was made with is still as it was.
+        """Return whether stored results of an action were made with the same model and action.
 
         Args:
             action: Name and elements of the action.
-            made_with: ``made_with``, the word of all files then; ``model`` and ``actions``, the
-                other ones, which older versions of rtee did not note.
+            made_with: The fingerprints stored with the results: ``made_with`` of all files, and
+                ``model`` and ``actions``, which results of older versions of rtee lack.
         """
         if made_with["made_with"] == self.files:
             return True
-        word = self.actions.get(action)
+        # Some file has changed, but perhaps none that matters to this action.
+        present = self.actions.get(action)
         then = made_with.get("model"), made_with.get("actions", {}).get(action)
-        return word is not None and then == (self.model, word)
+        return present is not None and then == (self.model, present)
 
 
-def _word(action: Action) -> str:
-    """Return a word that changes with what an action does, and not with how it is written."""
+def _fingerprint_of(action: Action) -> str:
+    """Return a fingerprint of what an action does, whatever the form of its file."""
     does: list[Any] = [
         [[name, round(posture.position[name], _DECIMALS)] for name in sorted(posture.involved)]
         for posture in action.waypoints
     ]
-    # The fingers tell between what an object is put.
+    # Trials place the object between these fingers.
     does.append(action.fingers)
     if isinstance(action, Timed):
         does.append([[step.before, step.after] for step in action.steps])

@@ -74,6 +74,7 @@ class Index:
         for primitive in self.primitives:
             self._enter(primitive)
 
+    # A set, since elements may be given in any order.
     def _key(self, elements: Iterable[str]) -> Key:
         return frozenset(map(self._spelling, elements))
 
@@ -114,11 +115,11 @@ class Index:
         if not elements and len(group) == 1:
             return next(iter(group.values()))
         key = self._key(elements)
-        found = group.get(key)
+        primitive = group.get(key)
         # The key is a set, in which a repeated element would count once.
-        if found is None or len(key) != len(elements):
+        if primitive is None or len(key) != len(elements):
             raise self._wrong_elements(name, elements, group)
-        return found
+        return primitive
 
     def _names_of(self, kind: ActionKind | None) -> list[str]:
         chosen = [a.name for a in self.ordered if kind in (None, kind_of(a))]
@@ -183,9 +184,9 @@ class Index:
         wanted = self._spelling(element)
         with_it = [p for key, p in group.items() if wanted in key]
         if not with_it:
-            there = {e for p in group.values() for e in p.elements}
+            known = {e for p in group.values() for e in p.elements}
             raise ActionError(
-                f"{name} does not exist with '{element}'; {suggestion(element, there)}"
+                f"{name} does not exist with '{element}'; {suggestion(element, known)}"
             )
         return self._sorted({e for p in with_it for e in p.elements if self._spelling(e) != wanted})
 

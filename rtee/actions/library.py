@@ -217,8 +217,8 @@ class ActionLibrary:
         """
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
-            there = self.find(action.name, action.elements).name
-            raise ActionError(f"there already is an action '{label(there, action.elements)}'")
+            same = self.find(action.name, action.elements).name
+            raise ActionError(f"there already is an action '{label(same, action.elements)}'")
         if not isinstance(action, Primitive):
             check_custom_name(action.name)
         # The new index is checked, written to files and assigned, in this order, so that an error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+# Where a capital follows a small letter or a digit, a new word begins.
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 
 

@@ -283,19 +283,19 @@ class Openings:
         remedy = f"`rtee openings {self.hand.name} --save` makes the tables"
         if not self.made:
             raise ActionError(f"the openings of '{self.hand.name}' are not known; {remedy}")
-        found = self._by_key.get(_key(action.name, action.elements))
+        table = self._by_key.get(_key(action.name, action.elements))
         if self.outdated:
             raise ActionError(
                 f"the openings of '{self.hand.name}' were made for another model of it; {remedy}"
             )
-        if found is None:
+        if table is None:
             raise ActionError(
                 f"{name} has no opening: no two fingertips oppose each other on its way, or it is "
                 f"newer than the tables; {remedy}"
             )
-        if found.posture != fingerprint_of(self.hand, action):
+        if table.posture != fingerprint_of(self.hand, action):
             raise ActionError(f"the opening of {name} was made for another posture; {remedy}")
-        return found.corrected(self.measured(action))
+        return table.corrected(self.measured(action))
 
     def measured(self, action: Action) -> tuple[tuple[float, float], ...]:
         """Return the measured pairs of intensity and opening [m] of an action in hand.yaml."""

@@ -62,10 +62,10 @@ class Builder:
             ActionError: for every mistake in a definition, with file and line.
         """
         for key in self.definitions:
-            self._made(key)
+            self._action(key)
         return list(self.done.values())
 
-    def _made(self, key: str) -> Action:
+    def _action(self, key: str) -> Action:
         if key not in self.done:
             self.under_way.append(key)
             self.done[key] = self._make(self.definitions[key])
@@ -85,7 +85,7 @@ class Builder:
             raise ActionError(f"the action would contain itself: {names}")
         if elements:
             raise ActionError(f"'{name}' is not a primitive and takes no elements")
-        return self._made(key)
+        return self._action(key)
 
     def _make(self, definition: Definition) -> Action:
         content, document = definition.content, definition.document

@@ -92,12 +92,12 @@ def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
     # If the largest motion slides the tips along each other, they lie side by side.
     if moved[farthest] == 0.0 or not opposed[farthest]:
         return {}
-    found = {}
+    bounds = {}
     for i, spec in enumerate(hand.actuators):
         bound = spec.upper if parting[i] > 0.0 else spec.lower
         if moved[i] > 0.0 and opposed[i] and abs(bound - spec.rest) > _HERE * spans[i]:
-            found[spec.name] = bound
-    return found
+            bounds[spec.name] = bound
+    return bounds
 
 
 def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:

@@ -79,6 +79,7 @@ Joints = dict[str, Any]
 class _Entry(BaseModel):
     """A mapping in a file of ROS End-Effector, with any other keys."""
 
+    # Its keys are in PascalCase, such as ``JointPos``.
     model_config = ConfigDict(strict=True, alias_generator=to_pascal)
 
 
@@ -107,6 +108,7 @@ class _Composed(_Entry):
 
 
 class _Margins(_Entry):
+    # The keys of margins are in camelCase.
     model_config = ConfigDict(alias_generator=to_camel)
 
     margin_before: Amount
@@ -148,7 +150,7 @@ def _validated(model: type[M], document: YamlDocument, at: Location, data: Any) 
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _Source:
     """An action in a file.
 
     Attributes:
@@ -206,7 +208,7 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     except OSError as error:  # a folder may vanish during the search, such as below /proc
         raise ActionError(f"cannot be searched: {reason(error)}", path=folder) from None
     reader = _Reader(hand)
-    entries: list[_Found] = []
+    entries: list[_Source] = []
     for path in paths:
         document = read_document(path)
         # The folder may also hold YAML files of other programs.
@@ -218,19 +220,19 @@ def import_folder(hand: Hand, folder: Path) -> Imported:
     if not entries:
         why = f"; {_EARLY}" if reader.imported.notes else ""
         raise ActionError(f"holds no action files of ROS End-Effector{why}", path=folder)
-    reader.imported.files = len({found.document.path for found in entries})
+    reader.imported.files = len({source.document.path for source in entries})
     # In this order, since parts are searched among the actions read before.
     for stage in (None, _GENERIC, _COMPOSED, _TIMED):
-        for found in entries:
-            with located(found.document, (found.key,)):
-                if _type_of(found) == stage:
-                    reader.add(found, stage)
+        for source in entries:
+            with located(source.document, (source.key,)):
+                if _type_of(source) == stage:
+                    reader.add(source, stage)
     return reader.imported
 
 
-def _entries(document: YamlDocument) -> list[_Found]:
+def _entries(document: YamlDocument) -> list[_Source]:
     return [
-        _Found(key, value, document)
+        _Source(key, value, document)
         for key, value in document.data.items()
         if isinstance(value, dict) and ("PrimitiveType" in value or "Type" in value)
     ]
@@ -243,10 +245,10 @@ def _is_early(data: dict[str, Any]) -> bool:
     )
 
 
-def _type_of(found: _Found) -> int | None:
-    if "PrimitiveType" in found.data:
+def _type_of(source: _Source) -> int | None:
+    if "PrimitiveType" in source.data:
         return None
-    kind = found.data["Type"]
+    kind = source.data["Type"]
     # In Python, True equals 1.
     if kind not in (_GENERIC, _COMPOSED, _TIMED) or isinstance(kind, bool):
         raise ActionError(f"the type {kind!r} is unknown; there are 1, 2 and 3")
@@ -259,16 +261,16 @@ class _Reader:
         self.library = ActionLibrary(hand)
         self.imported = Imported()
 
-    def add(self, found: _Found, stage: int | None) -> None:
-        name = str(found.key)
+    def add(self, source: _Source, stage: int | None) -> None:
+        name = str(source.key)
         if stage is None:
-            self._add(self._primitive(found))
+            self._add(self._primitive(source))
         elif stage == _TIMED:
-            self._add(self._timed(name, found))
+            self._add(self._timed(name, source))
         elif stage == _COMPOSED:
-            self._add(self._composed(name, found))
+            self._add(self._composed(name, source))
         else:
-            self._add(generic(self.hand, name, self._counted(name, found)))
+            self._add(generic(self.hand, name, self._counted(name, source)))
 
     def _add(self, action: Action) -> None:
         self.library.add(action)
@@ -279,10 +281,10 @@ class _Reader:
 
     # --- primitives
 
-    def _primitive(self, found: _Found) -> Primitive:
-        key = found.key
+    def _primitive(self, source: _Source) -> Primitive:
+        key = source.key
         elements = tuple(map(str, key)) if isinstance(key, tuple) else (str(key),)
-        name = found.read(_Named).action_name
+        name = source.read(_Named).action_name
         base = normalise(name).rstrip("0123456789")
         kind = _KINDS.get(base)
         if kind is None:
@@ -290,14 +292,14 @@ class _Reader:
         what = label(name, elements)
         if kind.of_actuators:
             self.hand.actuator(elements[0])
-            entry = found.read(_SingleJoint)
+            entry = source.read(_SingleJoint)
             fingers = self._fingers(entry.fingers_involved)
             at = (key, "JointPosFurther")
-            values = self._joints(found, at, entry.joint_pos_further, what, elements)
+            values = self._joints(source, at, entry.joint_pos_further, what, elements)
             postures = [full_posture(self.hand, {elements[0]: values[elements[0]]})]
         else:
             fingers = elements = self._fingers(elements)
-            postures = self._states(found, what)
+            postures = self._states(source, what)
         return Primitive(kind, elements, tuple(postures), fingers=fingers)
 
     def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
@@ -305,29 +307,29 @@ class _Reader:
         by_tip = {f.tip: f.name for f in self.hand.fingers if f.name not in names}
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
-    def _states(self, found: _Found, what: str) -> list[Posture]:
+    def _states(self, source: _Source, what: str) -> list[Posture]:
         keys = [
             key
-            for key in found.data
+            for key in source.data
             if isinstance(key, str) and re.fullmatch("ActionState_[0-9]{1,9}", key)
         ]
         if not keys:
             raise ActionError(f"{what} has no ActionState_1")
-        counts = found.read(_Counted).joints_involved_count
+        counts = source.read(_Counted).joints_involved_count
         # By number, since the first one is executed and "10" sorts before "2".
         keys.sort(key=lambda key: int(key.removeprefix("ActionState_")))
-        places = [found.joints(key) for key in keys]
-        return [self._posture(found, *place, counts, what) for place in places]
+        places = [source.joints(key) for key in keys]
+        return [self._posture(source, *place, counts, what) for place in places]
 
     # --- custom actions
 
-    def _counted(self, name: str, found: _Found) -> dict[str, float]:
-        counts = found.read(_Counted).joints_involved_count
-        return _involved(self._posture(found, *found.joints(), counts, name))
+    def _counted(self, name: str, source: _Source) -> dict[str, float]:
+        counts = source.read(_Counted).joints_involved_count
+        return _involved(self._posture(source, *source.joints(), counts, name))
 
-    def _composed(self, name: str, found: _Found) -> Action:
-        set_points = self._counted(name, found)
-        entry = found.read(_Composed)
+    def _composed(self, name: str, source: _Source) -> Action:
+        set_points = self._counted(name, source)
+        entry = source.read(_Composed)
         names = entry.inner_actions_names
         parts = find_parts(
             self.hand,
@@ -358,20 +360,20 @@ class _Reader:
             )
         ]
 
-    def _timed(self, name: str, found: _Found) -> Timed:
-        entry = found.read(_Timed)
+    def _timed(self, name: str, source: _Source) -> Timed:
+        entry = source.read(_Timed)
         margins, positions = entry.actions_time_margins, entry.actions_joint_pos
         counts = entry.actions_joint_count
         plans = []
         for i, alias in enumerate(entry.actions_names_ordered):
-            with located(found.document, (found.key, "ActionsNamesOrdered", i)):
+            with located(source.document, (source.key, "ActionsNamesOrdered", i)):
                 if alias not in margins or alias not in positions or alias not in counts:
                     raise ActionError(
                         f"the inner action '{alias}' has no margins, positions or counts"
                     )
-            at = (found.key, "ActionsJointPos", alias)
+            at = (source.key, "ActionsJointPos", alias)
             what = f"{name}, {alias}"
-            posture = self._posture(found, at, positions[alias], counts[alias], what)
+            posture = self._posture(source, at, positions[alias], counts[alias], what)
             use = self._use(name, alias, _involved(posture))
             before, after = margins[alias].margin_before, margins[alias].margin_after
             # Aliases of ROS End-Effector may have characters that rtee does not allow.
@@ -386,43 +388,43 @@ class _Reader:
             scale = scale_of(self.hand, action.posture, set_points)
             if scale is not None:
                 return ActionReference(action.name, action.elements, scale)
-        made = generic(
+        inner = generic(
             self.hand,
             safe_name(f"{timed}_{alias}"),
             set_points,
             description=f"inner action {alias} of {timed}",
         )
-        self._add(made)
+        self._add(inner)
         self._note(
-            f"'{made.name}' is made for the inner action '{alias}' of '{timed}': "
+            f"'{inner.name}' is made for the inner action '{alias}' of '{timed}': "
             "no imported action has its posture"
         )
-        return ActionReference(made.name)
+        return ActionReference(inner.name)
 
     # --- values
 
     def _posture(
-        self, found: _Found, at: Location, joints: Joints, counts: Counts, what: str
+        self, source: _Source, at: Location, joints: Joints, counts: Counts, what: str
     ) -> Posture:
         involved = {name for name, count in counts.items() if count > 0.0}
-        values = self._joints(found, at, joints, what, involved)
+        values = self._joints(source, at, joints, what, involved)
         chosen = {name: value for name, value in values.items() if name in involved}
         return full_posture(self.hand, chosen)
 
     def _joints(
-        self, found: _Found, at: Location, joints: Joints, what: str, involved: Collection[str]
+        self, source: _Source, at: Location, joints: Joints, what: str, involved: Collection[str]
     ) -> dict[str, float]:
         """Return positions by actuator, clamped to the limits [rad | m]."""
         actuators = self.hand.actuator_names
         for name in joints:
             if name in involved and name not in actuators:
-                with located(found.document, (*at, name)):
+                with located(source.document, (*at, name)):
                     hint = suggestion(name, actuators)
                     raise ActionError(f"the hand has no actuator '{name}'; {hint}")
         # Joints that the hand does not have may have any values, even other than numbers.
         own = {name: value for name, value in joints.items() if name in actuators}
         values: dict[str, float] = {}
-        for name, value in _validated(_Positions, found.document, at, own).root.items():
+        for name, value in _validated(_Positions, source.document, at, own).root.items():
             spec = self.hand.actuator(name)
             clamped = min(max(value, spec.lower), spec.upper)
             if name in involved and not math.isclose(clamped, value, abs_tol=SLACK):
@@ -430,7 +432,7 @@ class _Reader:
             values[name] = clamped
         for name in involved:
             if name not in values:
-                with located(found.document, at):
+                with located(source.document, at):
                     raise ActionError(f"'{at[-1]}' lacks the involved actuator '{name}'")
         return values
 

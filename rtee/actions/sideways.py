@@ -14,8 +14,10 @@ def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
     """
     if not isinstance(action, Primitive) or action.kind is not PrimitiveKind.TRIG:
         return ()
-    found = dict.fromkeys(a for name in action.fingers for a in abduction(hand, hand.finger(name)))
-    return tuple(name for name in found if name in action.posture.involved)
+    swinging = dict.fromkeys(
+        a for name in action.fingers for a in abduction(hand, hand.finger(name))
+    )
+    return tuple(name for name in swinging if name in action.posture.involved)
 
 
 def sideways_words(hand: Hand, action: Action, prefix: str = "") -> str:

@@ -210,6 +210,7 @@ class Primitive(_Action):
     fingers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        # By `object`, since the dataclass is frozen.
         if not self.fingers and not self.kind.of_actuators:
             object.__setattr__(self, "fingers", self.elements)
         if self.fingers:

@@ -78,6 +78,7 @@ class Table:
     def show(self) -> None:
         """Print the table."""
         if on_terminal():
+            # Imported only here: scripts, which print to pipes, need not wait for it.
             from rich.console import Console
 
             console = Console(highlight=False)

@@ -73,6 +73,7 @@ def install(
         return
     _check_rights(installation, f"install {needs.hand}")
     _print_states(installation, installation.install(needs.hand, files | copies))
+    # Not before the files are written, from which both read.
     for problem in (installation.make_user(), *installation.reload()):
         if problem:
             print(f"! {problem}")

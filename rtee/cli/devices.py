@@ -42,11 +42,11 @@ def _devices_of(name: str, only: str | None, emulated: bool) -> list[DeviceSpec]
     specs = [device.spec for device in prepared.devices]
     if only is None:
         return specs
-    found = [spec for spec in specs if spec.name == only]
-    if not found:
+    chosen = [spec for spec in specs if spec.name == only]
+    if not chosen:
         names = [spec.name for spec in specs]
         raise ConfigError(f"hand '{name}' has no device '{only}'; {suggestion(only, names)}")
-    return found
+    return chosen
 
 
 def _with_options(spec: DeviceSpec, **options: Any) -> DeviceSpec:
@@ -93,31 +93,31 @@ def doctor(
     from rtee.drivers.diagnosis.model import check_model, has_devices
 
     async def execute() -> dict[str, list[Check]]:
-        found = {"computer": check_machine()}
+        results = {"computer": check_machine()}
         if hand:
-            found[_MODEL] = check_model(hand)
+            results[_MODEL] = check_model(hand)
         # Services are those of systemd, which only Linux has.
         if hand and sys.platform.startswith("linux"):
             checks, service = _service(hand)
-            found["computer"] += checks
+            results["computer"] += checks
             if certificates := check_certificates(hand, service):
-                found["network"] = certificates
+                results["network"] = certificates
         if ros2:
-            found["ROS 2"] = await _graph(hand)
+            results["ROS 2"] = await _graph(hand)
         # A hand without devices is no mistake, unless the user names one of them.
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
                 for spec in _devices_of(hand, device, emulated):
-                    found[spec.name] = await check_device(spec, pool)
-        return found
+                    results[spec.name] = await check_device(spec, pool)
+        return results
 
-    found = asyncio.run(execute())
+    results = asyncio.run(execute())
     if as_json:
-        print(json.dumps({k: [asdict(c) for c in v] for k, v in found.items()}, indent=2))
+        print(json.dumps({k: [asdict(c) for c in v] for k, v in results.items()}, indent=2))
     else:
-        for name, checks in found.items():
+        for name, checks in results.items():
             _print(name, checks)
-    wrong = any(check.verdict is Verdict.WRONG for checks in found.values() for check in checks)
+    wrong = any(check.verdict is Verdict.WRONG for checks in results.values() for check in checks)
     raise typer.Exit(1 if wrong else 0)
 
 
@@ -188,8 +188,8 @@ def locate(
     async def execute() -> None:
         async with BusPool() as pool:
             for spec in specs:
-                made = _with_options(spec, home="on_connect") if home else spec
-                driver = find_driver(spec.driver, source=spec.source)(made, pool)
+                configured = _with_options(spec, home="on_connect") if home else spec
+                driver = find_driver(spec.driver, source=spec.source)(configured, pool)
                 # Printed before it moves, so that people look in time.
                 print(f"{spec.name}: twitching", flush=True)
                 await twitch(driver, times=times, share=share)
@@ -267,10 +267,10 @@ def calibrate(
             for spec in specs:
                 path = file_of(spec)
                 # The driver would apply the stored values to the measurement; they may be wrong.
-                made = _with_options(spec, calibration=None)
-                driver = find_driver(spec.driver, source=spec.source)(made, pool)
-                found: object = await calibration.calibrate(driver, path, ready)
-                values = found if isinstance(found, list | tuple) else [found]
+                uncalibrated = _with_options(spec, calibration=None)
+                driver = find_driver(spec.driver, source=spec.source)(uncalibrated, pool)
+                result: object = await calibration.calibrate(driver, path, ready)
+                values = result if isinstance(result, list | tuple) else [result]
                 print(f"{spec.name}: {'; '.join(map(str, values))}")
                 print(f"{spec.name}: stored in {path}")
                 if not spec.options.get("calibration"):

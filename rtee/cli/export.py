@@ -28,8 +28,8 @@ def export(
 
     asked = {Kind.URDF: urdf, Kind.MJCF: mjcf, Kind.SRDF: srdf}
     kinds = [kind for kind, wanted in asked.items() if wanted] or list(Kind)
-    done = export_hand(hand_folder(hand), target, kinds)
-    for note in done.notes:
+    exported = export_hand(hand_folder(hand), target, kinds)
+    for note in exported.notes:
         print(f"note: {note}")
-    for file in done.files:
+    for file in exported.files:
         print(f"written to {file}")

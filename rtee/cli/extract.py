@@ -126,15 +126,15 @@ def extract(
             if folder is not None:
                 model = load_hand(folder)
             else:
-                given = as_urdf(urdf, mjcf, words, package_dir or [])
-                model = _hand_in(stack.enter_context(given), srdf)
+                readable = as_urdf(urdf, mjcf, words, package_dir or [])
+                model = _hand_in(stack.enter_context(readable), srdf)
             with progress_bar() as progress:
-                found = run(model, jobs=jobs, rank=rank.value, progress=progress)
-        page = {} if report is None else {report: _report(model, found, folder, jobs)}
+                extraction = run(model, jobs=jobs, rank=rank.value, progress=progress)
+        page = {} if report is None else {report: _report(model, extraction, folder, jobs)}
     if home is not None and folder is not None:
         # Copied only now, so that a search that fails leaves no copy behind.
         report_copy(folder, own(folder))
-    _write(targets, page, model, found)
+    _write(targets, page, model, extraction)
     stored = []
     if home is not None:
         # Read from the stored files, since the hand's other actions have openings, too.
@@ -143,10 +143,10 @@ def extract(
     if as_json:
         from rtee.actions.describe import describe
 
-        print(json.dumps(describe(model, found.primitives, found.seconds), indent=2))
+        print(json.dumps(describe(model, extraction.primitives, extraction.seconds), indent=2))
     else:
-        _show(model, found)
-    notes = [f"note: {note}" for note in (*model.notes, *found.notes)]
+        _show(model, extraction)
+    notes = [f"note: {note}" for note in (*model.notes, *extraction.notes)]
     written = [*targets, *stored, *([report] if report else [])]
     notes += [f"written to {target}" for target in written]
     for note in notes:
@@ -154,29 +154,31 @@ def extract(
         print(note, file=sys.stdout if sys.stdout.isatty() and not as_json else sys.stderr)
 
 
-def _write(targets: list[Path], files: dict[Path, str], hand: HandModel, found: Extraction) -> None:
+def _write(
+    targets: list[Path], files: dict[Path, str], hand: HandModel, extraction: Extraction
+) -> None:
     """Write the primitives to each folder, and other files by path: everything or nothing."""
     if not (targets or files):
         return
     from rtee.actions.action_files import primitive_changes
     from rtee.hand.files import write_all
 
-    changes = [primitive_changes(target, hand, found.primitives) for target in targets]
+    changes = [primitive_changes(target, hand, extraction.primitives) for target in targets]
     for change in changes:
         files |= change.files
     folders = [folder for change in changes for folder in change.folders]
     write_all(files, folders=folders, gone=[path for c in changes for path in c.gone])
 
 
-def _report(hand: HandModel, found: Extraction, folder: Path | None, jobs: int) -> str:
+def _report(hand: HandModel, extraction: Extraction, folder: Path | None, jobs: int) -> str:
     from rtee.actions.library import ActionLibrary
     from rtee.extract.report import make_report
 
     custom = ActionLibrary.load(hand, folder / "actions") if folder is not None else None
     tried, notes = _tried(folder, custom)
-    found = replace(found, notes=(*found.notes, *notes))
+    extraction = replace(extraction, notes=(*extraction.notes, *notes))
     with progress_bar("taking pictures") as progress:
-        return make_report(hand, found, custom, trials=tried, jobs=jobs, progress=progress)
+        return make_report(hand, extraction, custom, trials=tried, jobs=jobs, progress=progress)
 
 
 def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tried], list[str]]:
@@ -186,7 +188,7 @@ def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tri
     from rtee.trials.store import FILE_NAME, read_results
 
     if folder is None or library is None:
-        return [], []
+        return [], []  # the trials of a model without a folder are stored nowhere
     results, notes = read_results(folder / FILE_NAME), []
     # Outdated results are still shown, with a note.
     old = len(results) - len(read_results(folder / FILE_NAME, Fingerprints.of(folder, library)))
@@ -280,15 +282,15 @@ def measured_openings(folder: Path) -> Openings:
         return Openings(library.hand, tuple(make_openings(library.hand, library, progress)))
 
 
-def _show(hand: HandModel, found: Extraction) -> None:
+def _show(hand: HandModel, extraction: Extraction) -> None:
     prefix = prefix_to_drop(hand.actuator_names)
-    title = f"Primitive grasping actions of {hand.name}, found in {found.seconds:.2f} s"
+    title = f"Primitive grasping actions of {hand.name}, found in {extraction.seconds:.2f} s"
     if prefix:
         title += f"\n(names of actuators begin with {prefix})"
     width = max(len(name.removeprefix(prefix)) for name in hand.actuator_names)
     columns = (Column("elements"), Column("posture", whole=True), Column("evidence"))
     rows = []
-    for primitive in found.primitives:
+    for primitive in extraction.primitives:
         colliding = bool(primitive.evidence) and not primitive.evidence[0].clear
         rows.append(Row(_cells(hand, primitive, prefix, width), primitive.name, faint=colliding))
     Table(columns, tuple(rows), title, "primitive").show()

@@ -53,17 +53,17 @@ def gains(
         return await remote.status() if values else status
 
     status = with_hand(hand, connect, "gains", execute)
-    found = {
+    by_device = {
         device.name: known
         for device in status.devices
         if (known := _shown(device.gains, device.gain_values, actuator))
     }
     if as_json:
-        print(to_json({"hand": status.hand, "devices": found}))
-    elif not found:
+        print(to_json({"hand": status.hand, "devices": by_device}))
+    elif not by_device:
         print(f"{status.hand}: no device has gains that can be set while it runs")
     else:
-        _show(found)
+        _show(by_device)
 
 
 def _changes(
@@ -112,10 +112,10 @@ def _shown(names: Sequence[str], values: Sequence[float], actuator: str | None) 
     }
 
 
-def _show(found: Mapping[str, Mapping[str, float]]) -> None:
+def _show(by_device: Mapping[str, Mapping[str, float]]) -> None:
     rows = [
         Row((device, name, "unknown" if math.isnan(value) else f"{value:.6g}"))
-        for device, gains_ in found.items()
-        for name, value in gains_.items()
+        for device, values in by_device.items()
+        for name, value in values.items()
     ]
     Table((Column("device"), Column("gain"), Column("value", right=True)), tuple(rows)).show()

@@ -66,6 +66,7 @@ def grasp_plan(
     from rtee.cli._common import actions_of
     from rtee.planning.result import to_document
 
+    # Mistakes in the options are found before the planning, which may take seconds.
     axis = None if weight_axis is None else _axis(weight_axis)
     if save is not None:
         check_custom_name(save)

@@ -67,6 +67,7 @@ def gui(
         from rtee.gui.app import serve
     from rtee.loop.shutdown_signals import work_beside
 
+    # Ends with the run that started this command, if one did, even if that is killed.
     page = partial(serve, hand, access=access, port=port, endpoint=endpoint)
     anyio.run(work_beside, beside, page)
 

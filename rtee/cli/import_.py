@@ -34,6 +34,7 @@ def import_(
     from rtee.actions.ros_end_effector import import_folder
 
     library = actions_of(hand)
+    # All files are read before any action is stored, so that a mistake stores nothing.
     imported = import_folder(library.hand, folder)
     if out is not None:
         library = ActionLibrary.load(library.hand, out)

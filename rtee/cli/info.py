@@ -33,11 +33,11 @@ def info(
     With --json also tip poses, Jacobians, the transmission and the URDF.
     """
     posture = dict(map(_position, at or ()))
-    found = with_hand(hand, connect, "info", lambda remote: remote.info(posture))
+    description = with_hand(hand, connect, "info", lambda remote: remote.info(posture))
     if as_json:
-        print(to_json(dataclasses.asdict(found)))
+        print(to_json(dataclasses.asdict(description)))
     else:
-        _show(found)
+        _show(description)
 
 
 def _position(text: str) -> tuple[str, float]:
@@ -51,23 +51,23 @@ def _position(text: str) -> tuple[str, float]:
     return name, position
 
 
-def _show(found: HandInfo) -> None:
-    print(f"{found.name}: {len(found.actuators)} actuators, {len(found.joints)} joints; ", end="")
-    print(f"base frame {found.base}\n")
+def _show(description: HandInfo) -> None:
+    counts = f"{len(description.actuators)} actuators, {len(description.joints)} joints"
+    print(f"{description.name}: {counts}; base frame {description.base}\n")
     columns = ("actuator", "kind", "lower", "upper", "velocity", "effort", "stiffness", "fingers")
-    names = (*columns[2:6], "stiffness")
+    numbers = columns[2:7]
     rows = [
         Row(
             (
                 each.name,
                 str(each.kind),
-                *(_number(getattr(each, name)) for name in names),
+                *(_number(getattr(each, name)) for name in numbers),
                 ", ".join(each.fingers),
             )
         )
-        for each in found.actuators
+        for each in description.actuators
     ]
-    Table(tuple(Column(name, right=name in names) for name in columns), tuple(rows)).show()
+    Table(tuple(Column(name, right=name in numbers) for name in columns), tuple(rows)).show()
     print("rad, rad/s, N·m, N·m/rad; of prismatic ones m, m/s, N, N/m\n")
     tips = [
         Row(
@@ -81,11 +81,11 @@ def _show(found: HandInfo) -> None:
                 ", ".join(each.actuators),
             )
         )
-        for each in found.fingers
+        for each in description.fingers
     ]
     heads = ("finger", "tip", "friction", "tip at [mm]", "moved by")
     Table(tuple(Column(name, right=name == "friction") for name in heads), tuple(tips)).show()
-    for sentence in found.missing:
+    for sentence in description.missing:
         print(f"note: {sentence}")
 
 

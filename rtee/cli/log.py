@@ -37,31 +37,55 @@ def _paths(path: Path, series: bool) -> list[Path]:
 @app.command()
 def info(file: File, series: Series = False, as_json: JsonOption = False) -> None:
     """Show the contents of a recording."""
-    from rtee.log.info import info as look
+    from rtee.log.info import info as summarise
 
-    found = look(_paths(file, series))
+    summary = summarise(_paths(file, series))
     if as_json:
-        print(to_json(found.as_dict(), indent=2))
+        print(to_json(summary.as_dict(), indent=2))
     else:
-        _show(found)
+        _show(summary)
 
 
-def _show(found: Info) -> None:
+def _show(summary: Info) -> None:
     from rtee.log.info import iso
 
-    def show(line: str) -> None:
-        # A recording may come from anywhere: escape control characters for the terminal.
-        print(printable(line))
-
-    recording = found.recording
-    for path, size in found.files:
+    recording = summary.recording
+    for path, size in summary.files:
         print(f"{path}  {size / 1e6:.1f} MB")
     rate = f", {recording.rate:g} Hz" if recording.rate else ""
-    show(f"hand {recording.hand or 'unknown'}{rate}, written by {found.library}")
+    _print_safely(f"hand {recording.hand or 'unknown'}{rate}, written by {summary.library}")
     print(
         f"{iso(recording.start) or 'no messages'}, {recording.duration:.1f} s, "
-        f"{found.size_per_minute / 1e6:.1f} MB a minute"
+        f"{summary.size_per_minute / 1e6:.1f} MB a minute"
     )
+    _show_topics(summary)
+    if summary.attachments:
+        names = ", ".join(name for name, _ in summary.attachments)
+        _print_safely(f"attachments: {names}")
+    if summary.statistics is not None:
+        last = summary.statistics
+        print(
+            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
+            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
+            f"{last.dropped} records dropped"
+        )
+    if recording.spans:
+        _show_goals(recording)
+    for entry in recording.events:
+        event = entry.value
+        # Traces hold the bytes on the buses, with several in each tick.
+        if event.kind != "trace":
+            _print_safely(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
+    for note in recording.notes:
+        _print_safely(f"note: {note}")
+
+
+def _print_safely(line: str) -> None:
+    # A recording may come from anywhere: escape control characters for the terminal.
+    print(printable(line))
+
+
+def _show_topics(summary: Info) -> None:
     columns = (
         Column("topic"),
         Column("type"),
@@ -70,38 +94,23 @@ def _show(found: Info) -> None:
     )
     topics = (
         Row((*map(printable, (each.topic, each.kind)), str(each.messages), f"{each.rate:.1f}"))
-        for each in found.topics
+        for each in summary.topics
     )
     Table(columns, tuple(topics)).show()
-    if found.attachments:
-        names = ", ".join(name for name, _ in found.attachments)
-        show(f"attachments: {names}")
-    if found.statistics is not None:
-        last = found.statistics
-        print(
-            f"loop: {last.ticks} ticks, {last.missed} missed, lateness p99 "
-            f"{last.lateness_p99 * 1e6:.0f} µs, max {last.lateness_max * 1e6:.0f} µs, "
-            f"{last.dropped} records dropped"
-        )
-    if recording.spans:
-        columns = (
-            Column("at [s]", right=True, whole=True),
-            Column("goal"),
-            Column("took [s]", right=True, whole=True),
-            Column("outcome"),
-        )
-        spans = (
-            Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
-            for s in recording.spans
-        )
-        Table(columns, tuple(spans)).show()
-    for entry in recording.events:
-        event = entry.value
-        # Traces hold the bytes on the buses, with several in each tick.
-        if event.kind != "trace":
-            show(f"{entry.t:.2f} s  {event.severity}  {event.kind}: {event.text}")
-    for note in recording.notes:
-        show(f"note: {note}")
+
+
+def _show_goals(recording: Recording) -> None:
+    columns = (
+        Column("at [s]", right=True, whole=True),
+        Column("goal"),
+        Column("took [s]", right=True, whole=True),
+        Column("outcome"),
+    )
+    spans = (
+        Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
+        for s in recording.spans
+    )
+    Table(columns, tuple(spans)).show()
 
 
 @app.command()
@@ -282,31 +291,32 @@ def _configured(name: str, actuators: list[str]) -> bool:
         return False
 
 
-def _show_check(found: Check, as_json: bool) -> None:
+def _show_check(comparison: Check, as_json: bool) -> None:
     from dataclasses import asdict
 
     if as_json:
-        print(to_json(asdict(found) | {"same": found.same}, indent=2))
-    elif found.same:
+        print(to_json(asdict(comparison) | {"same": comparison.same}, indent=2))
+    elif comparison.same:
         print(
-            f"the same, bit for bit: {found.ticks} ticks, {found.goals} goals, "
-            f"{found.values} numbers"
+            f"the same, bit for bit: {comparison.ticks} ticks, {comparison.goals} goals, "
+            f"{comparison.values} numbers"
         )
     else:
-        for sentence in found.damage:
+        for sentence in comparison.damage:
             print(f"the recording is not as it was written: {sentence}")
-        print(f"{found.different} of {found.values} numbers differ, by at most {found.largest:g}")
-        if found.first is not None:
-            first = found.first
+        share = f"{comparison.different} of {comparison.values} numbers"
+        print(f"{share} differ, by at most {comparison.largest:g}")
+        if comparison.first is not None:
+            first = comparison.first
             print(
                 f"first at tick {first.tick} ({first.t:.3f} s), {first.quantity} of "
                 f"'{first.actuator}': recorded {first.recorded!r}, computed {first.computed!r}"
             )
-        if not found.results:
+        if not comparison.results:
             print("the goals ended otherwise than recorded")
-        if found.missing:
-            print(f"{found.missing} ticks are not in the recording: missed, or dropped")
-    if not found.same:
+        if comparison.missing:
+            print(f"{comparison.missing} ticks are not in the recording: missed, or dropped")
+    if not comparison.same:
         # For scripts, a difference is a failure.
         raise typer.Exit(1)
 
@@ -347,13 +357,15 @@ def recover(
     if output is not None and len(paths) > 1:
         raise LogError("--out goes with one file only")
     for file in paths:
-        done = repair(file, output)
-        verb = "recovered" if not done.untouched else "holds" if done.damage else "is whole,"
-        text = f"{done.path}: {verb} {done.messages} messages, {done.seconds:.1f} s"
-        if done.damaged:
-            text += f"; {done.damaged} damaged chunks left out"
-        if done.lost_bytes:
-            text += f"; {done.lost_bytes} bytes at the end were of no use"
-        if done.damage:
-            text += f"; not to be repaired: {', '.join(done.damage)}"
+        recovery = repair(file, output)
+        verb = (
+            "recovered" if not recovery.untouched else "holds" if recovery.damage else "is whole,"
+        )
+        text = f"{recovery.path}: {verb} {recovery.messages} messages, {recovery.seconds:.1f} s"
+        if recovery.damaged:
+            text += f"; {recovery.damaged} damaged chunks left out"
+        if recovery.lost_bytes:
+            text += f"; {recovery.lost_bytes} bytes at the end were of no use"
+        if recovery.damage:
+            text += f"; not to be repaired: {', '.join(recovery.damage)}"
         print(text)

@@ -65,11 +65,11 @@ def new(
     from rtee.exchange.reading import as_urdf
 
     with as_urdf(urdf, mjcf, arguments or [], package_dir or []) as model:
-        made = make_hand(
+        new_hand = make_hand(
             name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
             ask=_ask if ask else None, passive=model.passive, excluded=model.excluded,
         )  # fmt: skip
-    _print(made, model.notes)
+    _print(new_hand, model.notes)
 
 
 def _ask(question: str, default: bool) -> bool:
@@ -88,18 +88,18 @@ def _known(folder: Path) -> str:
     return folder.name if folder.parent in (Path("config"), Path()) else str(folder)
 
 
-def _print(made: NewHand, notes: Sequence[str]) -> None:
-    hand = made.hand
-    print(f"{made.folder} is made.")
-    for finger, reason in zip(hand.fingers, made.reasons, strict=True):
+def _print(new_hand: NewHand, notes: Sequence[str]) -> None:
+    hand = new_hand.hand
+    print(f"{new_hand.folder} is made.")
+    for finger, reason in zip(hand.fingers, new_hand.reasons, strict=True):
         print(f"\nfinger {reason}\n  tip: {finger.tip or 'none'}")
         print(f"  moved by: {', '.join(finger.actuators) or 'nothing'}")
     print()
-    for note in (*notes, *made.notes):
+    for note in (*notes, *new_hand.notes):
         print(f"note: {note}")
     print(
-        f"{len(made.pairs)} pairs of links are never checked for collision; {hand.name}.srdf says "
-        f"why.\nNext: rtee extract {_known(made.folder)} --save"
+        f"{len(new_hand.pairs)} pairs of links are never checked for collision; "
+        f"{hand.name}.srdf says why.\nNext: rtee extract {_known(new_hand.folder)} --save"
     )
 
 

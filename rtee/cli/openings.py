@@ -30,16 +30,16 @@ def openings(
     if save:
         make(hand)
     library = actions_of(hand)
-    found, notes = current(library)
+    valid, notes = current(library)
     if as_json:
         import json
 
-        print(json.dumps({"hand": library.hand.name, "openings": [_plain(o) for o in found]}))
+        print(json.dumps({"hand": library.hand.name, "openings": [_plain(o) for o in valid]}))
     else:
-        _show(library.hand.name, found)
+        _show(library.hand.name, valid)
     for note in notes:
         print(f"note: {note}", file=sys.stderr)
-    raise typer.Exit(0 if found and not notes else 1)
+    raise typer.Exit(0 if valid and not notes else 1)
 
 
 def make(hand: str) -> None:
@@ -50,11 +50,11 @@ def make(hand: str) -> None:
 
     folder = hand_folder(hand)
     own_place(folder)  # a folder that cannot be written is refused before the work
-    made = measured_openings(folder)
+    measured = measured_openings(folder)
     # Copied after the work, which leaves no copy behind if it fails.
     home = own(folder)
     report_copy(folder, home)
-    print(f"written to {write_openings(home, made.hand, made.tables)}", file=sys.stderr)
+    print(f"written to {write_openings(home, measured.hand, measured.tables)}", file=sys.stderr)
 
 
 def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
@@ -63,18 +63,18 @@ def current(library: ActionLibrary) -> tuple[list[Opening], list[str]]:
 
     tables = library.openings
     known = {(table.action, frozenset(table.elements)) for table in tables.tables}
-    found: list[Opening] = []
+    valid: list[Opening] = []
     notes: dict[str, None] = {}
     for action in library:
         if tables.made and (action.name, frozenset(action.elements)) not in known:
             continue
         try:
-            found.append(tables.of(action))
+            valid.append(tables.of(action))
         except ActionError as error:
             # Timed actions never have an opening, so that nothing is wrong with those.
             if action.action_kind != "timed":
                 notes[str(error)] = None
-    return found, list(notes)
+    return valid, list(notes)
 
 
 def _plain(table: Opening) -> dict[str, Any]:
@@ -90,10 +90,10 @@ def _plain(table: Opening) -> dict[str, Any]:
     }
 
 
-def _show(hand: str, found: list[Opening]) -> None:
+def _show(hand: str, valid: list[Opening]) -> None:
     from rtee.cli._table import Column, Row, Table
 
-    if not found:
+    if not valid:
         return
     rows = [
         Row(
@@ -104,7 +104,7 @@ def _show(hand: str, found: list[Opening]) -> None:
                 table.note,
             )
         )
-        for table in found
+        for table in valid
     ]
     columns = (Column("action"), Column("opening mm", True), Column("sides"), Column("note"))
     Table(columns, tuple(rows), f"Openings of {hand}").show()

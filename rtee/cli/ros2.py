@@ -68,7 +68,7 @@ def _in_graph(
     try:
         settings = Ros2Settings(router=router, domain=domain or 0, distro=Distro(distro))
     except ValueError:
-        known = ", ".join(one.value for one in Distro)
+        known = ", ".join(distribution.value for distribution in Distro)
         raise ConfigError(f"--distro {distro}: there are {known}") from None
     environment = dict(os.environ)
     if domain is not None:
@@ -105,13 +105,13 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
     # A node that has just started may not be in the graph yet.
     with anyio.move_on_after(_NEW):
         await context.graph.wait_until(lambda: bool(kinds()))
-    found = kinds()
-    if not found:
+    types = kinds()
+    if not types:
         names = [row.name for row in offered()]
         raise ConfigError(f"no node offers the {sort} {name}; {suggestion(name, names)}")
-    if len(found) > 1:
-        raise ConfigError(f"the {sort} {name} is offered as {' and as '.join(found)}: say which")
-    return found[0]
+    if len(types) > 1:
+        raise ConfigError(f"the {sort} {name} is offered as {' and as '.join(types)}: say which")
+    return types[0]
 
 
 def _message(kind: type[Message], text: str | None, what: str) -> Any:
@@ -170,8 +170,8 @@ def list_(
     async def work(context: Context) -> list[Listed]:
         return listed(context.graph.entities(), parts=parts)
 
-    found = _in_graph(domain, router, distro, work)
-    rows = [row for row in found if sort in (None, row.sort)]
+    everything = _in_graph(domain, router, distro, work)
+    rows = [row for row in everything if sort in (None, row.sort)]
     if as_json:
         print(to_json([_as_dict(row) for row in rows]))
         return
@@ -190,7 +190,7 @@ def list_(
         for row in rows
     )
     Table(columns, tuple(cells), heading="kind").show()
-    for sentence in unheard(found):
+    for sentence in unheard(everything):
         print(f"rtee: warning: {sentence}", file=sys.stderr)
 
 
@@ -232,9 +232,9 @@ def echo(
 
     async def work(context: Context) -> None:
         kind = await _the_type(context, Sort.TOPIC, full, type_)
-        there = context.graph.of(Kind.PUBLISHER, full)
+        publishers = context.graph.of(Kind.PUBLISHER, full)
         # Earlier messages are resent only to a subscription that is latched, too.
-        latched = any(one.qos.transient_local for one in there)
+        latched = any(publisher.qos.transient_local for publisher in publishers)
         left, last, ended = count, anyio.current_time(), anyio.Event()
 
         def show(message: Message) -> None:
@@ -286,13 +286,14 @@ def call(
 
     async def work(context: Context) -> None:
         kind, fields = _swapped(type_, request)
-        named = await _the_type(context, Sort.SERVICE, full, kind)
-        made = context.interfaces.service(named)
-        asked = _message(made.request, fields, "request")
-        client = context.node(f"{NODE}_{os.getpid()}").client(full, made)
+        service_type = context.interfaces.service(
+            await _the_type(context, Sort.SERVICE, full, kind)
+        )
+        message = _message(service_type.request, fields, "request")
+        client = context.node(f"{NODE}_{os.getpid()}").client(full, service_type)
         try:
             await client.wait(timeout)
-            _print(await client.call(asked, timeout), as_json)
+            _print(await client.call(message, timeout), as_json)
         except TimeoutError as error:
             raise RemoteError(str(error)) from None
 
@@ -325,13 +326,13 @@ def send_goal(
 
     async def work(context: Context) -> GoalState:
         kind, fields = _swapped(type_, goal)
-        named = await _the_type(context, Sort.ACTION, full, kind)
-        client = ActionClient(context.node(f"{NODE}_{os.getpid()}"), full, named)
-        asked = _message(client.type.goal, fields, "goal")
+        action_type = await _the_type(context, Sort.ACTION, full, kind)
+        client = ActionClient(context.node(f"{NODE}_{os.getpid()}"), full, action_type)
+        message = _message(client.type.goal, fields, "goal")
         show = (lambda message: _print(message, as_json)) if feedback else None
         try:
             await client.wait_for_server(_FOUND)
-            sent = await client.send_goal(asked, show)
+            sent = await client.send_goal(message, show)
             try:
                 outcome = await sent.result(timeout)
             # Ctrl-C cancels this task: without the shield, the request would not be sent.

@@ -49,6 +49,7 @@ def scan(
         async with BusPool() as pool:
             return await scanning.scan(plans, pool, report)
 
+    # On a terminal only: lines that are overwritten are of no use in a file.
     def report(line: str) -> None:
         if sys.stderr.isatty():
             print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
@@ -58,10 +59,10 @@ def scan(
     # Erase the last line of progress.
     report("")
     if as_json:
-        print(json.dumps({"addresses": [asdict(one) for one in results]}, indent=2))
+        print(json.dumps({"addresses": [asdict(address) for address in results]}, indent=2))
     else:
         _print(results)
-    raise typer.Exit(1 if any(one.problem for one in results) else 0)
+    raise typer.Exit(1 if any(address.problem for address in results) else 0)
 
 
 def _plans(
@@ -75,9 +76,10 @@ def _plans(
     from rtee.drivers.diagnosis.can_probe import can as can_probe
     from rtee.drivers.diagnosis.scan import Plan, network_probes, serial_ports, serial_probes
 
+    # Where an address is given, the other ports of this computer are left alone.
     given = ports or hosts or channels
-    there = [(port, "") for port in ports or ()] if given else serial_ports()
-    plans = [Plan(port, about, serial_probes(units)) for port, about in there]
+    described = [(port, "") for port in ports or ()] if given else serial_ports()
+    plans = [Plan(port, about, serial_probes(units)) for port, about in described]
     plans += [Plan(f"tcp://{host}", probes=network_probes(units)) for host in hosts or ()]
     plans += [Plan(c, probes=(can_probe(interface, bitrate),)) for c in channels or ()]
     return plans
@@ -86,14 +88,14 @@ def _plans(
 def _print(results: list[Address]) -> None:
     if not results:
         print("no serial ports; give --host or --can for devices elsewhere")
-    for one in results:
-        about = f" ({one.about})" if one.about else ""
-        print(f"{one.address}{about}")
-        if one.problem:
-            print(f"  not asked: {one.problem}")
-        for device in one.found:
+    for address in results:
+        about = f" ({address.about})" if address.about else ""
+        print(f"{address.address}{about}")
+        if address.problem:
+            print(f"  not asked: {address.problem}")
+        for device in address.found:
             settings = ", ".join(f"{name}: {value}" for name, value in device.options.items())
             driver = f"driver: {device.driver}, " if device.driver else ""
             print(f"  {device.what}   {{{driver}options: {{{settings}}}}}")
-        if not one.found and not one.problem:
+        if not address.found and not address.problem:
             print("  nobody answers")

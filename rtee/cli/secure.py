@@ -85,13 +85,13 @@ def add_client(
     if path.exists():
         raise ConfigError("is there already", path=path)
     authority, folder = _authority(), _folder(hand)
-    made, text = authority.add_client(folder, name, _role(role), days)
+    person, text = authority.add_client(folder, name, _role(role), days)
     try:
         authority.write_private(path, text)
     except ConfigError:
-        authority.revoke(folder, made.name)  # nobody holds it, and nobody shall
+        authority.revoke(folder, person.name)  # nobody holds it, and nobody shall
         raise
-    print(f"{made.name}: {role}, until {_date(made.until)}, in {path}")
+    print(f"{person.name}: {role}, until {_date(person.until)}, in {path}")
     print("The file is as good as a key: bring it to the client's computer in a safe way, there as")
     print("~/.config/rtee/identity.pem or where RTEE_IDENTITY says, and delete it here.")
     print(
@@ -103,8 +103,8 @@ def add_client(
 def revoke(hand: HandArgument, name: PersonArgument) -> None:
     """Refuse the certificates of a client from now on; those of others stay valid."""
     revoked = _authority().revoke(_folder(hand), name)
-    for one in revoked:
-        print(f"{one.name} is refused")
+    for person in revoked:
+        print(f"{person.name} is refused")
     if not revoked:
         print(f"{name} was refused already")
     print("Within a second a hand that runs takes no request of it but stop, and sends it nothing.")
@@ -118,8 +118,8 @@ def list_(hand: HandArgument) -> None:
     known = Credentials(_folder(hand))
     known.read()
     rows = [
-        Row((one.name, one.role.name.lower(), _date(one.until), _state(one.until, one.revoked)))
-        for one in known.people
+        Row((p.name, p.role.name.lower(), _date(p.until), _state(p.until, p.revoked)))
+        for p in known.people
     ]
     print(f"{hand}: certificate until {_date(known.until)}, in {known.folder}")
     columns = (Column("client", whole=True), Column("role"), Column("until"), Column(""))
@@ -137,7 +137,7 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
     from rtee.deploy.files import secure_command
     from rtee.drivers.diagnosis.checks import ok, warning, wrong
     from rtee.hand.load import load_configured
-    from rtee.remote.credentials import Credentials
+    from rtee.remote.credentials import Credentials, person
     from rtee.remote.protection import credentials_of, exposed
 
     hand, config = load_configured(name)
@@ -159,17 +159,17 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
     left = (known.until - time.time()) / _DAY
     renew = f"{command} renew {hand.name}"
     if left <= 0:
-        found = [wrong("certificate", f"expired on {_date(known.until)}", renew)]
+        results = [wrong("certificate", f"expired on {_date(known.until)}", renew)]
     elif left < _SOON:
-        found = [warning("certificate", f"expires on {_date(known.until)}", renew)]
+        results = [warning("certificate", f"expires on {_date(known.until)}", renew)]
     else:
-        found = [ok("certificate", f"until {_date(known.until)}")]
-    for one in known.people:
-        if not one.revoked and one.until - time.time() < _SOON * _DAY:
-            person = one.name.rpartition(".")[0]
-            remedy = f"{command} add-client {hand.name} {person} --role {one.role.name.lower()}"
-            found.append(warning(f"client {one.name}", f"until {_date(one.until)}", remedy))
-    return found
+        results = [ok("certificate", f"until {_date(known.until)}")]
+    for entry in known.people:
+        if not entry.revoked and entry.until - time.time() < _SOON * _DAY:
+            who, role = person(entry.name), entry.role.name.lower()
+            remedy = f"{command} add-client {hand.name} {who} --role {role}"
+            results.append(warning(f"client {entry.name}", f"until {_date(entry.until)}", remedy))
+    return results
 
 
 def _role(word: str) -> Role:

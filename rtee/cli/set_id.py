@@ -136,7 +136,7 @@ def set_id(
                 raise ConfigError(
                     f"the largest id of a {servo.name} servo is {servo.largest_id}, not {new}"
                 )
-            if number == new and new_baudrate is None:
+            if number == new and new_baudrate is None:  # else only the rate changes
                 raise ConfigError(f"the servo at {port} has the id {new} already")
             model = await servo.set_id(pool, port, rate, number, new, new_baudrate)
             faster = f", at {new_baudrate} baud" if new_baudrate is not None else ""
@@ -156,15 +156,15 @@ def _chosen(
     """
     from rtee.errors import ConfigError
 
-    families = [one for one in _families() if family in (None, one.name)]
+    families = [servos for servos in _families() if family in (None, servos.name)]
     for option, rate in (("--baudrate", baudrate), ("--new-baudrate", new_baudrate)):
-        known = sorted({known for one in families for known in one.rates})
+        known = sorted({known for servos in families for known in servos.rates})
         if rate is not None and rate not in known:
             raise ConfigError(f"{option} is one of {', '.join(map(str, known))}, not {rate}")
     return [
-        (one, baudrate or one.factory_rate)
-        for one in families
-        if baudrate is None or baudrate in one.rates
+        (servos, baudrate or servos.factory_rate)
+        for servos in families
+        if baudrate is None or baudrate in servos.rates
     ]
 
 
@@ -180,25 +180,25 @@ async def _find(
     """
     from rtee.errors import ConfigError, NotConnected
 
-    asked = ", ".join(f"{one.name} at {rate} baud" for one, rate in families)
+    asked = ", ".join(f"{servos.name} at {rate} baud" for servos, rate in families)
     if old is not None:
-        for one, rate in families:
-            if old <= one.largest_id and await one.there(pool, port, rate, old):
-                return one, rate, old
+        for servos, rate in families:
+            if old <= servos.largest_id and await servos.there(pool, port, rate, old):
+                return servos, rate, old
         raise NotConnected(
             port,
             f"no servo {old} answers ({asked})",
             hint="`rtee scan` lists the servos there are",
         )
-    found = []
-    for one, rate in families:
-        heard = await one.probe(rate).ask(pool, port)
-        found += [(one, rate, int(servo.options["id"])) for servo in heard]
-    if not found:
+    present = []
+    for servos, rate in families:
+        answers = await servos.probe(rate).ask(pool, port)
+        present += [(servos, rate, int(servo.options["id"])) for servo in answers]
+    if not present:
         raise ConfigError(f"there is no servo at {port} ({asked}); --baudrate asks at another rate")
-    if len(found) > 1:
-        ids = ", ".join(str(number) for _, _, number in found)
+    if len(present) > 1:
+        ids = ", ".join(str(number) for _, _, number in present)
         raise ConfigError(
             f"there are servos {ids} at {port}: plug in one alone, or say which by --from"
         )
-    return found[0]
+    return present[0]

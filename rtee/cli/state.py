@@ -60,8 +60,8 @@ def state(
             _print(remote.name, await remote.state(), await _touch(remote), as_json)
         elif as_json or not on_terminal():
             touch = _TouchPoll(remote)
-            async for found in remote.states(rate):
-                _print(remote.name, found, await touch.newest(), as_json)
+            async for newest in remote.states(rate):
+                _print(remote.name, newest, await touch.newest(), as_json)
         else:
             await _live(remote, rate)
 
@@ -98,20 +98,20 @@ async def _live(remote: RemoteHand, rate: float) -> None:
     # Drawn only at a new state, instead of by a timer.
     poll = _TouchPoll(remote)
     with Live(console=Console(), auto_refresh=False) as live:
-        async for found in remote.states(rate):
-            tables = [_table(remote.name, found)]
+        async for newest in remote.states(rate):
+            tables = [_table(remote.name, newest)]
             if touch := await poll.newest():
-                tables.append(_touch_table(touch, found.stamp))
+                tables.append(_touch_table(touch, newest.stamp))
             live.update(Group(*(t.drawn(live.console.width) for t in tables)), refresh=True)
 
 
-def _print(name: str, found: State, touch: Touch, as_json: bool) -> None:
+def _print(name: str, newest: State, touch: Touch, as_json: bool) -> None:
     if as_json:
-        print(to_json(_plain(name, found, touch)), flush=True)
+        print(to_json(_plain(name, newest, touch)), flush=True)
         return
-    _table(name, found).show()
+    _table(name, newest).show()
     if touch:
-        _touch_table(touch, found.stamp).show()
+        _touch_table(touch, newest.stamp).show()
 
 
 def _touch_table(touch: Touch, now: float) -> Table:
@@ -155,43 +155,43 @@ def _plain_touch(touch: Touch) -> dict[str, Any]:
     }
 
 
-def _plain(name: str, found: State, touch: Touch) -> dict[str, Any]:
+def _plain(name: str, newest: State, touch: Touch) -> dict[str, Any]:
     columns = (*_COLUMNS, "reference_velocity", "reference_effort", "fresh")
     return {
         "hand": name,
-        "tick": found.tick,
-        "time": found.stamp,
+        "tick": newest.tick,
+        "time": newest.stamp,
         "actuators": {
-            actuator: {column: getattr(found, column)[i] for column in columns}
-            for i, actuator in enumerate(found.names)
+            actuator: {column: getattr(newest, column)[i] for column in columns}
+            for i, actuator in enumerate(newest.names)
         },
-        "opening": found.opening,
-        "force": found.force,
-        "force_error": found.force_error,
-        "force_source": found.force_source,
-        "joints": found.joints,
+        "opening": newest.opening,
+        "force": newest.force,
+        "force_error": newest.force_error,
+        "force_source": newest.force_source,
+        "joints": newest.joints,
         "touch": _plain_touch(touch),
-        "channels": found.channels,
+        "channels": newest.channels,
     }
 
 
-def _table(name: str, found: State) -> Table:
-    prefix = prefix_to_drop(found.names)
-    title = f"{name}, tick {found.tick}"
+def _table(name: str, newest: State) -> Table:
+    prefix = prefix_to_drop(newest.names)
+    title = f"{name}, tick {newest.tick}"
     if prefix:
         title += f" (names of actuators begin with {prefix})"
-    if not math.isnan(found.opening):
-        title += f"; opening {1e3 * found.opening:.1f} mm"
-    if not math.isnan(found.force):
-        title += f", force {found.force:.1f} ± {found.force_error:.1f} N"
-        title += f" by the {found.force_source}"
+    if not math.isnan(newest.opening):
+        title += f"; opening {1e3 * newest.opening:.1f} mm"
+    if not math.isnan(newest.force):
+        title += f", force {newest.force:.1f} ± {newest.force_error:.1f} N"
+        title += f" by the {newest.force_source}"
     # Quantities that no actuator measures are left out.
-    measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(found, c).tolist()))]
+    measured = [c for c in _COLUMNS if not all(map(math.isnan, getattr(newest, c).tolist()))]
     columns = [Column("actuator", whole=True)]
     columns += [Column(_COLUMNS[c].heading or c, right=True, whole=True) for c in measured]
     rows = []
-    for i, actuator in enumerate(found.names):
-        values = [_number(float(getattr(found, c)[i]), _COLUMNS[c].digits) for c in measured]
+    for i, actuator in enumerate(newest.names):
+        values = [_number(float(getattr(newest, c)[i]), _COLUMNS[c].digits) for c in measured]
         rows.append(Row((actuator.removeprefix(prefix), *values)))
     return Table(tuple(columns), tuple(rows), title)
 

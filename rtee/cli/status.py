@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
@@ -11,6 +12,7 @@ from rtee.cli._table import Column, Row, Table, on_terminal
 if TYPE_CHECKING:
     from rtee.commands import StreamStatus
     from rtee.remote.monitoring import HandStatus
+    from rtee.types import DeviceStatus
 
 
 def status(
@@ -19,41 +21,49 @@ def status(
     """Show the status of a hand's loop and its devices."""
     from dataclasses import asdict
 
-    found = with_hand(hand, connect, "status", lambda remote: remote.status())
+    hand_status = with_hand(hand, connect, "status", lambda remote: remote.status())
     if as_json:
-        print(to_json(asdict(found)))
+        print(to_json(asdict(hand_status)))
     else:
-        _show(found)
+        _show(hand_status)
 
 
-def _show(found: HandStatus) -> None:
-    clock = found.statistics
+def _show(hand_status: HandStatus) -> None:
+    clock = hand_status.statistics
     # The rate is measured over 1 s, so that a hand that has just started has none.
     measured = f"{clock.measured_rate:.1f} Hz of " if clock.measured_rate else ""
-    print(f"{found.hand}: {measured}{clock.rate:g} Hz, ", end="")
+    print(f"{hand_status.hand}: {measured}{clock.rate:g} Hz, ", end="")
     print(f"{clock.ticks} ticks, {clock.missed} missed, {clock.dropped} log records dropped")
     print(f"lateness: {_times(clock.lateness_p50, clock.lateness_p99, clock.lateness_max)}")
     print(f"busy:     {_times(clock.busy_p50, clock.busy_p99, clock.busy_max)}")
-    print(f"goal:     {found.action or 'none'}")
-    if found.stream.stream:
-        print(f"stream:   {_stream(found.stream)}")
-    print(f"held by:  {found.holder or 'nobody'}")
-    recording = (found.recording, found.recording_trouble)
+    print(f"goal:     {hand_status.action or 'none'}")
+    if hand_status.stream.stream:
+        print(f"stream:   {_stream(hand_status.stream)}")
+    print(f"held by:  {hand_status.holder or 'nobody'}")
+    recording = (hand_status.recording, hand_status.recording_trouble)
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
-    print(f"profile:  {found.profile}")
+    print(f"profile:  {hand_status.profile}\n")
+    _show_devices(hand_status.devices)
+
+
+def _show_devices(devices: Sequence[DeviceStatus]) -> None:
     rows = []
-    for one in found.devices:
-        fault = f"fault {one.fault_code} ({one.fault_name})" if one.fault_name else one.message
-        remarks = "; ".join(text for text in (fault, one.hint) if text)
+    for device in devices:
+        fault = (
+            f"fault {device.fault_code} ({device.fault_name})"
+            if device.fault_name
+            else device.message
+        )
+        remarks = "; ".join(text for text in (fault, device.hint) if text)
         rows.append(
             (
-                one.name,
-                one.driver,
-                str(one.lifecycle),
-                f"{one.rate:.0f} Hz",
-                f"{one.age * 1e3:.1f} ms",
-                str(one.errors),
-                str(one.overruns),
+                device.name,
+                device.driver,
+                str(device.lifecycle),
+                f"{device.rate:.0f} Hz",
+                f"{device.age * 1e3:.1f} ms",
+                str(device.errors),
+                str(device.overruns),
                 remarks,
             )
         )
@@ -64,7 +74,6 @@ def _show(found: HandStatus) -> None:
         *(Column(name, right=True, whole=True) for name in ("rate", "age", "errors", "overruns")),
         Column("remarks"),
     )
-    print()
     if not on_terminal():
         Table(columns, tuple(Row(cells) for cells in rows)).show()
         return
@@ -75,17 +84,19 @@ def _show(found: HandStatus) -> None:
             print(f"{name}: {remarks}")
 
 
-def _stream(found: StreamStatus) -> str:
+def _stream(stream: StreamStatus) -> str:
     dropped = {
-        "duplicate": found.duplicates,
-        "out of order": found.out_of_order,
-        "outlying": found.outliers,
-        "too many": found.thinned,
-        "refused": found.refused,
+        "duplicate": stream.duplicates,
+        "out of order": stream.out_of_order,
+        "outlying": stream.outliers,
+        "too many": stream.thinned,
+        "refused": stream.refused,
     }
     left_out = ", ".join(f"{count} {why}" for why, count in dropped.items() if count)
-    text = f"{found.rate:.1f} Hz, lag {found.lag * 1e3:.1f} ms, jitter {found.jitter * 1e3:.1f} ms"
-    text += f"; {found.samples} samples, {found.late} late, {found.pauses} pauses"
+    text = (
+        f"{stream.rate:.1f} Hz, lag {stream.lag * 1e3:.1f} ms, jitter {stream.jitter * 1e3:.1f} ms"
+    )
+    text += f"; {stream.samples} samples, {stream.late} late, {stream.pauses} pauses"
     return f"{text}; dropped: {left_out}" if left_out else text
 
 

@@ -32,7 +32,7 @@ def stop(
     confirmed: dict[str, dict[str, bool]] = {}
     errors: list[RteeError] = []
 
-    async def one(name: str | None) -> None:
+    async def stop_hand(name: str | None) -> None:
         try:
             async with connected(name, endpoint=connect, client="rtee-stop") as remote:
                 devices = confirmed[remote.name] = await remote.stop()
@@ -45,13 +45,13 @@ def stop(
         except RteeError as error:
             errors.append(error)
 
-    async def everyone() -> None:
+    async def stop_all() -> None:
         async with anyio.create_task_group() as group:
             for name in names:
                 # All at once, so that no hand moves on while another is slow to answer.
-                group.start_soon(one, name)
+                group.start_soon(stop_hand, name)
 
-    anyio.run(everyone)
+    anyio.run(stop_all)
     if as_json:
         print(to_json(confirmed))
     for error in errors[1:]:

@@ -111,6 +111,7 @@ def play(
     from rtee.teleop.drive import play as play_samples
     from rtee.teleop.drive import rate_of, recorded
 
+    # Read before the hand is connected, so that a wrong file moves nothing.
     samples, efforts = recorded(file), read_efforts(effort or [])
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
@@ -122,9 +123,9 @@ def play(
         async with remote.stream(rate, deadline=max(0.1, 3.0 / rate), effort=limits) as stream:
             await play_samples(samples, stream, speed)
             await anyio.sleep(_PASS)
-            found = await stream.status()
-        print(f"{found.samples} samples in {samples[-1].time / speed:.1f} s, ", end="")
-        print(f"lag {found.lag * 1e3:.1f} ms, {found.late} late")
+            sent = await stream.status()
+        print(f"{sent.samples} samples in {samples[-1].time / speed:.1f} s, ", end="")
+        print(f"lag {sent.lag * 1e3:.1f} ms, {sent.late} late")
 
     with_hand(hand, connect, "stream", run, wait=wait)
 

@@ -176,12 +176,11 @@ def try_(
         return
     if action is None:
         raise ConfigError("which action? give its name, or --all")
-    ready = bench(name)
-    found = ready.library.find(action, elements or ())
+    known = bench(name).library.find(action, elements or ())
     shapes = object_ or ["sphere:0.03"]
     trials = [
         Trial(
-            found.name,
+            known.name,
             tuple(elements or ()),
             shape,
             intensity,
@@ -299,6 +298,7 @@ def _done(trial: Trial, known: TrialResult | None) -> bool:
     """Return whether the stored result of a trial was made with the same variations."""
     if known is None:
         return False
+    # The key of a trial has none of these, so that a result with others is replaced.
     before, wanted = ((each.variations, each.seed, each.choosing) for each in (known.trial, trial))
     return before == wanted
 

@@ -30,16 +30,16 @@ def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
         needs: The present needs of the hand.
         root: Root folder of the system.
     """
-    again = f"sudo rtee deploy install {needs.hand}"
+    install = f"sudo rtee deploy install {needs.hand}"
     try:
         installation = Installation(root)
     except ConfigError as error:
-        return [wrong("service", str(error), f"restore it, or remove it and type: {again}")]
+        return [wrong("service", str(error), f"restore it, or remove it and type: {install}")]
     if not installation.manifest.of(needs.hand):
-        return [ok("service", f"none for {needs.hand}; `{again}` makes it one")]
+        return [ok("service", f"none for {needs.hand}; `{install}` makes it one")]
     return [
-        _files(needs, installation, again),
-        _user(installation, again),
+        _files(needs, installation, install),
+        _user(installation, install),
         *_certificates(needs, installation),
         *_ports(needs),
         _recordings(needs, installation.root),
@@ -47,27 +47,27 @@ def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
     ]
 
 
-def _files(needs: Needs, installation: Installation, again: str) -> Check:
+def _files(needs: Needs, installation: Installation, install: str) -> Check:
     states = {path: installation.written(path) for path in installation.manifest.of(needs.hand)}
     lost = [path for path, state in states.items() if state is State.NEW]
     if lost:
-        return wrong("service", f"missing: {', '.join(lost)}", again)
+        return wrong("service", f"missing: {', '.join(lost)}", install)
     changed = [path for path, state in states.items() if state is State.KEPT]
     if changed:
         # Installing again would keep such a file, so that the user has to remove it first.
         text = f"changed by hand: {', '.join(changed)}"
-        return warning("service", text, f"if that was not meant, remove it and type: {again}")
+        return warning("service", text, f"if that was not meant, remove it and type: {install}")
     wanted = drop_in(needs) | hand_files(needs, installation.root)
     behind = [path for path, content in wanted.items() if installation.content(path) != content]
     if behind:
         text = f"the hand was changed since it was installed: {', '.join(behind)}"
-        return warning("service", text, again)
+        return warning("service", text, install)
     return ok("service", f"{len(states)} files as installed")
 
 
-def _user(installation: Installation, again: str) -> Check:
+def _user(installation: Installation, install: str) -> Check:
     if not installation.has_user():
-        return wrong("service's user", f"there is no user {USER}", again)
+        return wrong("service's user", f"there is no user {USER}", install)
     return ok("service's user", USER)
 
 
@@ -119,12 +119,12 @@ def _recordings(needs: Needs, root: Path) -> Check:
         # Present recordings already have their space. Not by glob, which is silent about a folder
         # that cannot be read.
         files = [file for file in folder.iterdir() if file.suffix == ".mcap"]
-        there = sum(file.stat().st_size for file in files)
+        used = sum(file.stat().st_size for file in files)
     except OSError as error:  # other users may not read the service's folders
         text = f"{folder} cannot be looked at: {reason(error)}"
         return warning("recordings", text, f"sudo rtee doctor {needs.hand}")
     wanted = f"{needs.log_size / 1e9:.0f} GB of recordings are kept"
-    if space.free + there < needs.log_size:
+    if space.free + used < needs.log_size:
         return warning(
             "recordings",
             f"{wanted}, {space.free / 1e9:.0f} GB are free",

@@ -171,7 +171,7 @@ def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
     inside = Path(__file__).resolve().parents[1] / "_config"
     if folder.is_relative_to(inside) or folder == (root / HANDS[1:] / needs.hand).resolve():
         return {}
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     for path in sorted(needs.folder.rglob("*")):
         name = path.relative_to(needs.folder)
         hidden = any(part.startswith((".", "__")) for part in name.parts)
@@ -179,10 +179,10 @@ def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
         if hidden or path.is_symlink() or not path.is_file():
             continue
         try:
-            found[f"{HANDS}/{needs.hand}/{name.as_posix()}"] = path.read_bytes()
+            contents[f"{HANDS}/{needs.hand}/{name.as_posix()}"] = path.read_bytes()
         except OSError as error:
             raise ConfigError(f"cannot be read: {error.strerror}", path=path) from error
-    return found
+    return contents
 
 
 def _rules(needs: Needs) -> str:
@@ -212,41 +212,41 @@ def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> 
         realtime: Whether the real-time settings are written.
         live: Whether the system is the running one.
     """
-    found: list[str] = []
+    sentences: list[str] = []
     if (program or own_program()).startswith(("/home/", "/root/", "/run/user/")):
-        found.append("the service sees no homes: install rtee in /opt/rtee, or give --program")
+        sentences.append("the service sees no homes: install rtee in /opt/rtee, or give --program")
     for port in needs.ports:
         name = link_of(port, needs.hand)
         if port.serial and name != port.path:
-            found.append(f"in hand.yaml, at '{port.device}': port: {name}")
+            sentences.append(f"in hand.yaml, at '{port.device}': port: {name}")
         elif not port.serial and port.has_own_name:
-            found.append(f"{port.path} needs a rule: --serial {port.device}=NUMBER makes it")
+            sentences.append(f"{port.path} needs a rule: --serial {port.device}=NUMBER makes it")
     if needs.addresses:
-        found.append(f"its network is open to: {', '.join(needs.addresses)}")
+        sentences.append(f"its network is open to: {', '.join(needs.addresses)}")
     if needs.unknown:
-        found.append(
+        sentences.append(
             f"the drivers of {', '.join(needs.unknown)} are not rtee's: what they need beyond their"
             " options in hand.yaml belongs into a drop-in of your own (systemctl edit"
             f" rtee@{needs.hand})"
         )
     if needs.certificates is not None:
-        found += [f"certificates: {words}" for words in certificates_made(needs, program)]
-    found.append(
+        sentences += [f"certificates: {words}" for words in certificates_made(needs, program)]
+    sentences.append(
         f"recordings: {STATE / needs.log}, at most {needs.log_size / 1e9:g} GB"
         " (log: max_total_size in hand.yaml)"
     )
     if not realtime:
-        found.append("real time: --realtime sets the CPUs' governor to performance")
+        sentences.append("real time: --realtime sets the CPUs' governor to performance")
         words = kernel_words(needs.cpus, os.cpu_count() if live else None)
-        found.append(
+        sentences.append(
             f"real time: on the kernel's command line: {words}"
             if needs.cpus
             else "real time: a CPU for the loop alone: realtime: {cpus: [N]} in hand.yaml"
         )
     if live:
-        found.append(f"start it: sudo systemctl start rtee@{needs.hand}")
-        found.append("people who command hands: sudo usermod -aG rtee USER, and log in again")
-    return found
+        sentences.append(f"start it: sudo systemctl start rtee@{needs.hand}")
+        sentences.append("people who command hands: sudo usermod -aG rtee USER, and log in again")
+    return sentences
 
 
 def certificates_made(needs: Needs, program: str | None = None) -> list[str]:

@@ -23,8 +23,8 @@ MANIFEST = "/etc/rtee/deploy.json"
 
 WANTS = "/etc/systemd/system/multi-user.target.wants"
 
-# No other files are ever changed, whatever the manifest contains.
-_PLACES = (
+# No files outside are ever changed, whatever the manifest contains.
+_FOLDERS = (
     "/etc/systemd/system/",
     "/etc/udev/rules.d/",
     "/etc/security/limits.d/",
@@ -33,7 +33,9 @@ _PLACES = (
     "/etc/default/grub.d/",
     f"{HANDS}/",
 )
-_LIMIT = 1_000_000  # size of the largest manifest read, for some thousand files [bytes]
+
+_LIMIT = 1_000_000
+"""Size of the largest manifest that is read, for some thousand files [bytes]."""
 
 
 class State(StrEnum):
@@ -78,9 +80,9 @@ class Manifest:
                 str(k): [check_name(hand, "hand") for hand in v["hands"]]
                 for k, v in document["files"].items()
             }
-            folders = [str(each) for each in document["folders"]]
+            folders = [str(folder) for folder in document["folders"]]
             # A forged manifest must not make root remove other files.
-            if any(not _is_ours(each) for each in files):
+            if not all(map(_is_ours, files)):
                 raise ValueError("a path is none of rtee's")
             return cls(files, hands, folders, bool(document["user"]))
         except FileNotFoundError:
@@ -165,15 +167,13 @@ class Installation:
 
     def has_user(self) -> bool:
         """Return whether the user that runs hands exists."""
-        return self._listed("passwd")
+        return self._account("passwd") is not None
 
     def user_id(self) -> int | None:
         """Return the number of the user that runs hands, or ``None``."""
-        with contextlib.suppress(OSError, ValueError, IndexError):
-            # The module pwd knows only the accounts of the running system.
-            for line in self._place("/etc/passwd").read_text("utf-8", "replace").splitlines():
-                if line.startswith(f"{USER}:"):
-                    return int(line.split(":")[2])
+        account = self._account("passwd") or []
+        with contextlib.suppress(ValueError, IndexError):
+            return int(account[2])
         return None
 
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
@@ -209,6 +209,7 @@ class Installation:
             link = self._link(hand)
             if not link.is_symlink():
                 link.symlink_to(UNIT)
+        # After the new files, so that a failed installation lacks none of the old ones.
         states |= self._drop(hand, stale)
         return states
 
@@ -249,7 +250,7 @@ class Installation:
             return ""
         problem = self._call("userdel", *self._in_root("--prefix", "{}"), USER)
         # userdel may keep the group, by its configuration or for other members.
-        if not problem and self._listed("group"):
+        if not problem and self._account("group"):
             problem = self._call("groupdel", *self._in_root("--prefix", "{}"), USER)
         if problem:
             return f"the user was not removed ({problem}); type: userdel {USER}"
@@ -300,16 +301,17 @@ class Installation:
         place = self._place(path)
         if not place.is_symlink() and not place.exists():
             return State.NEW
-        there = _digest(place)
-        if there == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
+        digest = _digest(place)
+        if digest == hashlib.sha256(content).hexdigest() and path in self.manifest.files:
             return State.SAME
         # Even with the same content, since uninstalling must not remove somebody else's file.
         if path not in self.manifest.files:
             return None
-        return State.CHANGED if there == self.manifest.files[path] else State.KEPT
+        return State.CHANGED if digest == self.manifest.files[path] else State.KEPT
 
     def _make_folders(self, folders: Sequence[Path]) -> None:
         for folder in folders:
+            # One by one, since each folder that was made is removed again with the last hand.
             for each in (*reversed(folder.parents), folder):
                 place = self._folder(str(each))
                 if place.is_dir():
@@ -329,8 +331,8 @@ class Installation:
             manifest.hands[path].remove(hand)
             if manifest.hands[path]:
                 continue
-            place, there = self._place(path), self.written(path)
-            if there is State.SAME:
+            place, state = self._place(path), self.written(path)
+            if state is State.SAME:
                 try:
                     place.unlink()
                 except OSError as error:
@@ -339,9 +341,9 @@ class Installation:
                     self._save()
                     raise ConfigError(f"cannot be removed: {error.strerror}", path=place) from error
                 states[path] = State.REMOVED
-            elif there is State.KEPT:
+            elif state is State.KEPT:
                 # A changed file leaves the manifest, too, and from now on belongs to its author.
-                states[path] = there
+                states[path] = state
             del manifest.hands[path], manifest.files[path]
         self._tidy()
         return states
@@ -364,11 +366,14 @@ class Installation:
     def _save(self) -> None:
         write_atomically(self._place(MANIFEST), self.manifest.document())
 
-    def _listed(self, name: str) -> bool:
+    def _account(self, file: str) -> list[str] | None:
+        """Return the user's entries in the system's ``passwd`` or ``group``, if it is there."""
         with contextlib.suppress(OSError):
-            text = self._place(f"/etc/{name}").read_text("utf-8", "replace")
-            return any(line.startswith(f"{USER}:") for line in text.splitlines())
-        return False
+            # The modules pwd and grp know only the accounts of the running system.
+            for line in self._place(f"/etc/{file}").read_text("utf-8", "replace").splitlines():
+                if line.startswith(f"{USER}:"):
+                    return line.split(":")
+        return None
 
     def _in_root(self, *words: str) -> list[str]:
         return [] if self.live else [word.replace("{}", str(self.root)) for word in words]
@@ -380,16 +385,16 @@ class Installation:
         if program is None:
             return f"there is no {words[0]} here"
         done = subprocess.run([program, *words[1:]], capture_output=True, text=True)
+        if done.returncode == 0:
+            return ""
         output = (done.stderr or done.stdout).strip().splitlines()
-        return (
-            "" if done.returncode == 0 else (output[-1] if output else f"status {done.returncode}")
-        )
+        return output[-1] if output else f"status {done.returncode}"
 
 
 def _is_ours(path: str) -> bool:
     normal = str(PurePosixPath(path))
     plain = normal == path and ".." not in path.split("/")
-    return plain and path.startswith(_PLACES) and "rtee" in path
+    return plain and path.startswith(_FOLDERS) and "rtee" in path
 
 
 def _digest(place: Path) -> str:
@@ -404,6 +409,7 @@ def _digest(place: Path) -> str:
 @contextlib.contextmanager
 def _usual_permissions() -> Iterator[None]:
     """Set the umask so that everybody may read new files and only their owner may change them."""
+    # Root's own may be stricter, but the service's user has to read the hand's files.
     before = os.umask(0o022)
     try:
         yield

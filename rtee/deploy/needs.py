@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import DRIVERS, find_driver
 from rtee.errors import ConfigError
+from rtee.hand.config_schema import RemoteSettings
 from rtee.prepare import PreparedHand
 from rtee.remote.protection import credentials_of, exposed
 from rtee.types import DeviceSpec
@@ -25,6 +26,9 @@ SECURE = Path("/var/lib/rtee/secure")
 
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108
 """Folders hidden from the service by ``ProtectHome`` and ``PrivateTmp``."""
+
+Options = Mapping[str, Mapping[str, Any]]
+"""Options of the devices, by name of the device."""
 
 # Valid in a rule or a unit: no characters that end a line, a value or a word.
 _WORD = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.:+@-]*\Z")
@@ -75,8 +79,8 @@ class Port:
     @property
     def kind(self) -> str:
         """The kernel's name of the port without the number, such as ``ttyUSB``; else empty."""
-        found = _KERNEL_NAME.match(self.path)
-        return found[1] if found else ""
+        name = _KERNEL_NAME.match(self.path)
+        return name[1] if name else ""
 
     @property
     def has_own_name(self) -> bool:
@@ -126,53 +130,64 @@ class Needs:
             ConfigError: if a device with a serial number has no port, a value is not valid in a
                 system file, or the service could not run with it.
         """
-        ports: list[Port] = []
-        can: dict[str, int] = {}
-        ethercat = False
-        addresses: set[str] = set()
-        for device in prepared.devices:
-            spec = device.spec
-            options = _options(spec)
-            port, host = options.get("port"), options.get("host") or options.get("address")
-            if isinstance(port, str) and port.startswith("/"):
-                path = checked_path(port, f"the port of '{spec.name}'")
-                serial = serials.get(spec.name, "")
-                serial = serial and checked_word(serial, f"the serial number of '{spec.name}'")
-                ports.append(Port(spec.name, path, serial))
-            # Not a path but a URL, such as socket://host:port.
-            elif isinstance(port, str):
-                host = port
-            if isinstance(host, str):
-                addresses |= _beyond(host)
-            channel, interface = options.get("channel"), options.get("interface")
-            if channel and interface == "socketcan":
-                name = checked_word(str(channel), f"the CAN channel of '{spec.name}'")
-                can[name] = int(options.get("bitrate") or CAN_BITRATE)
-            # Devices on a CAN bus have a channel, too; those on EtherCAT only an interface.
-            ethercat |= bool(interface) and channel is None
-        wrong = set(serials) - {port.device for port in ports}
-        if wrong:
-            names = ", ".join(port.device for port in ports) or "none"
-            raise ConfigError(
-                f"--serial {min(wrong)}: no device with a serial port; there are: {names}"
-            )
-        remote = prepared.config.remote
-        exposed(remote)  # the service would refuse to start
-        for endpoint in (*remote.listen, *remote.connect):
-            addresses |= _beyond(endpoint.partition("/")[2], listens=True)
+        options = {device.spec.name: _options(device.spec) for device in prepared.devices}
+        exposed(prepared.config.remote)  # the service would refuse to start
         return cls(
             hand=prepared.hand.name,
             folder=prepared.folder,
-            ports=tuple(ports),
-            can=can,
-            ethercat=ethercat,
+            ports=_ports(options, serials),
+            can=_can(options),
+            # Devices on a CAN bus have a channel, too; those on EtherCAT only an interface.
+            ethercat=any(o.get("interface") and o.get("channel") is None for o in options.values()),
             unknown=tuple(d.spec.name for d in prepared.devices if d.spec.driver not in DRIVERS),
             certificates=_certificates(prepared),
-            addresses=("any",) if "any" in addresses else tuple(sorted(addresses)),
+            addresses=_addresses(options, prepared.config.remote),
             cpus=tuple(prepared.config.realtime.cpus),
             log=prepared.config.log.folder,
             log_size=prepared.config.log.max_total_size,
         )
+
+
+def _ports(options: Options, serials: Mapping[str, str]) -> tuple[Port, ...]:
+    ports = {}
+    for device, given in options.items():
+        path = given.get("port")
+        # Other ports are URLs, such as socket://host:port.
+        if isinstance(path, str) and path.startswith("/"):
+            serial = serials.get(device, "")
+            if serial:
+                checked_word(serial, f"the serial number of '{device}'")
+            ports[device] = Port(device, checked_path(path, f"the port of '{device}'"), serial)
+    wrong = serials.keys() - ports
+    if wrong:
+        names = ", ".join(ports) or "none"
+        raise ConfigError(
+            f"--serial {min(wrong)}: no device with a serial port; there are: {names}"
+        )
+    return tuple(ports.values())
+
+
+def _can(options: Options) -> dict[str, int]:
+    return {
+        checked_word(str(given["channel"]), f"the CAN channel of '{device}'"): int(
+            given.get("bitrate") or CAN_BITRATE
+        )
+        for device, given in options.items()
+        if given.get("channel") and given.get("interface") == "socketcan"
+    }
+
+
+def _addresses(options: Options, remote: RemoteSettings) -> tuple[str, ...]:
+    addresses: set[str] = set()
+    for given in options.values():
+        host, port = given.get("host") or given.get("address"), given.get("port")
+        if isinstance(port, str) and not port.startswith("/"):
+            host = port
+        if isinstance(host, str):
+            addresses |= _beyond(host)
+    for endpoint in (*remote.listen, *remote.connect):
+        addresses |= _beyond(endpoint.partition("/")[2], listens=True)
+    return ("any",) if "any" in addresses else tuple(sorted(addresses))
 
 
 def _certificates(prepared: PreparedHand) -> Path | None:
@@ -215,11 +230,11 @@ def _beyond(address: str, *, listens: bool = False) -> set[str]:
     if host == "localhost":
         return set()
     try:
-        found = ipaddress.ip_address(host)
+        number = ipaddress.ip_address(host)
     except ValueError:
         # systemd permits networks only by number, and the number of a name may change.
         return {"any"}
-    if found.is_loopback:
+    if number.is_loopback:
         return set()
     # The addresses of clients are unknown.
-    return {"any" if listens else str(found)}
+    return {"any" if listens else str(number)}

@@ -90,6 +90,7 @@ def export_hand(folder: Path, target: Path, kinds: Collection[Kind] = tuple(Kind
         notes += remarks
     if Kind.SRDF in kinds:
         files[target / f"{hand.name}.srdf"] = format_srdf(hand, hand.disabled_collisions)
+    # Only now, so that a format that is refused leaves no part of an export.
     write_all(files, folders=[target])
     return Exported(tuple(files), tuple(notes))
 
@@ -128,12 +129,12 @@ def _parsed(text: str) -> ElementTree.Element:
 
 def _drop_repeated(joint: ElementTree.Element) -> None:
     """Keep only the first of repeated elements, as rtee reads them; MuJoCo refuses repetitions."""
-    there: set[str] = set()
+    seen: set[str] = set()
     for child in list(joint):
-        if isinstance(child.tag, str) and child.tag in there:
+        if isinstance(child.tag, str) and child.tag in seen:
             joint.remove(child)
         elif isinstance(child.tag, str):  # the tag of a comment is a function
-            there.add(child.tag)
+            seen.add(child.tag)
 
 
 def _straighten(hand: Hand, joint: str, mimic: ElementTree.Element) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -26,11 +26,12 @@ from rtee.exchange.mjcf_motion import (
     constraints_of,
     joint_name,
     joint_range,
+    motor_factors,
+    motor_joints,
     names_of,
     null_space,
     resting_length,
     rounded,
-    tendon_factors,
 )
 from rtee.sample import FloatArray
 
@@ -70,29 +71,30 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
         ModelError: The couplings leave a number of degrees of freedom other than that of the
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
-    found = constraints_of(model, path)
-    _hold(found)
-    motion = Motion(fixed=dict(found.fixed), notes=list(found.notes))
-    held = [m for m in found.motors if m.joint in found.fixed]
+    constraints = constraints_of(model, path)
+    # First of all, since what is held drops motors, and followers of it need no solution.
+    _hold(constraints)
+    motion = Motion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
+    held = [motor for motor in constraints.motors if motor.joint in constraints.fixed]
     motion.notes += [
-        f"actuator '{m.name}' moves a joint that is held, so it is left out" for m in held
+        f"actuator '{motor.name}' moves a joint that is held, so it is left out" for motor in held
     ]
-    found.motors = [motor for motor in found.motors if motor not in held]
-    without_motors = not found.motors
-    _peel(model, found, motion)
-    found.lines += [
+    constraints.motors = [motor for motor in constraints.motors if motor not in held]
+    without_motors = not constraints.motors
+    _peel(model, constraints, motion)
+    constraints.lines += [
         Line({c.joint: 1.0, c.of: -c.coefficients[1]}, c.coefficients[0], equality=c.equality)
-        for c in found.curves
+        for c in constraints.curves
         if c.straight
     ]
-    found.curves = [curve for curve in found.curves if not curve.straight]
+    constraints.curves = [curve for curve in constraints.curves if not curve.straight]
     if without_motors:
-        found.motors = _supposed_motors(model, found, motion)
-        if found.motors:
+        constraints.motors = _supposed_motors(model, constraints, motion)
+        if constraints.motors:
             motion.notes.append(
                 "the model has no actuators, so every joint that is free to move counts as one"
             )
-    for group in _groups(model, found, motion):
+    for group in _groups(model, constraints, motion):
         if not group.motors:
             # Joints coupled only to each other stay in the position of the model.
             motion.passive += group.joints
@@ -105,34 +107,35 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
     return motion
 
 
-def _hold(found: Constraints) -> None:
+def _hold(constraints: Constraints) -> None:
     """Hold the joints that follow only held ones, and the masters of held linear followers."""
     left: list[Curve] = []
-    while len(left) != len(found.curves):
-        left, found.curves = found.curves, []
+    while len(left) != len(constraints.curves):
+        left, constraints.curves = constraints.curves, []
         for curve in left:
-            joint, of = found.fixed.get(curve.joint), found.fixed.get(curve.of)
+            joint, of = constraints.fixed.get(curve.joint), constraints.fixed.get(curve.of)
             c0, c1, *_ = curve.coefficients
             if of is not None:
-                where = float(np.polynomial.polynomial.polyval(of, curve.coefficients))
-                found.fixed.setdefault(curve.joint, where)
+                position = float(np.polynomial.polynomial.polyval(of, curve.coefficients))
+                constraints.fixed.setdefault(curve.joint, position)
             elif joint is not None and curve.straight and abs(c1) > TINY:
-                found.fixed[curve.of] = (joint - c0) / c1
+                constraints.fixed[curve.of] = (joint - c0) / c1
             else:
-                found.curves.append(curve)
+                constraints.curves.append(curve)
 
 
-def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:
+def _peel(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> None:
     """Remove the joints that only follow another one, from the ends of chains on."""
     # A tendon with a spring may pull such a joint, too, but the rigid coupling decides.
     while True:
-        used = [curve.joint for curve in found.curves] + [curve.of for curve in found.curves]
-        used += [joint for line in (*found.lines, *_sums(found.springs)) for joint in line.factors]
-        used += [joint for loop in found.loops for joint in loop.joints]
-        for motor in found.motors:
-            tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
-            used += [motor.joint] if motor.joint is not None else list(tendon or {})
-        leaves = [c for c in found.curves if used.count(c.joint) == 1 and c.of != c.joint]
+        used = [joint for curve in constraints.curves for joint in (curve.joint, curve.of)]
+        for line in (*constraints.lines, *_sums(constraints.springs)):
+            used += line.factors
+        for loop in constraints.loops:
+            used += loop.joints
+        for motor in constraints.motors:
+            used += motor_joints(model, motor)
+        leaves = [c for c in constraints.curves if used.count(c.joint) == 1 and c.of != c.joint]
         if not leaves:
             return
         for curve in leaves:
@@ -143,7 +146,7 @@ def _peel(model: mujoco.MjModel, found: Constraints, motion: Motion) -> None:
                 motion.follows[curve.joint] = Follow(
                     curve.of, expression=horner(curve.coefficients)
                 )
-        found.curves = [curve for curve in found.curves if curve not in leaves]
+        constraints.curves = [curve for curve in constraints.curves if curve not in leaves]
 
 
 def _sums(springs: Sequence[Line]) -> list[Line]:
@@ -151,11 +154,12 @@ def _sums(springs: Sequence[Line]) -> list[Line]:
     return [spring for spring in springs if len(spring.factors) > 1]
 
 
-def _supposed_motors(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[Motor]:
+def _supposed_motors(
+    model: mujoco.MjModel, constraints: Constraints, motion: Motion
+) -> list[Motor]:
     """Return a motor for each joint that is free to move, where the model has none."""
-    taken: set[int] = {*motion.fixed, *motion.follows}
     motors = []
-    for group in _groups(model, found, motion):
+    for group in _groups(model, constraints, motion):
         free = len(group.joints)
         if group.loops or group.curves:
             # One that moves the linkage; solving it shows whether one is enough.
@@ -168,54 +172,48 @@ def _supposed_motors(model: mujoco.MjModel, found: Constraints, motion: Motion) 
             rank = int(np.linalg.matrix_rank(_matrix(lines, group.joints)))
             if len(chosen) < free and (group.loops or group.curves or rank == len(lines)):
                 chosen.append(joint)
-        motors += [Motor("", joint, None) for joint in chosen if joint not in taken]
+        motors += [Motor("", joint, None) for joint in chosen]
     return motors
 
 
-def _groups(model: mujoco.MjModel, found: Constraints, motion: Motion) -> list[_Group]:
+def _groups(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> list[_Group]:
     """Return the remaining joints in independent groups."""
     left = [j for j in range(model.njnt) if j not in motion.fixed and j not in motion.follows]
+    # Coupled joints share one set, which is found by its identity in the end.
     group = {joint: {joint} for joint in left}
 
-    def join(joints: Sequence[int]) -> None:
+    def join(joints: Iterable[int]) -> None:
         members: set[int] = set()
         for joint in joints:
             members |= group.get(joint, set())
         for joint in members:
             group[joint] = members
 
-    ways: dict[int, list[int]] = {}
-    for i, motor in enumerate(found.motors):
-        tendon = None if motor.tendon is None else tendon_factors(model, motor.tendon)
-        ways[i] = [motor.joint] if motor.joint is not None else list(tendon or {})
-        if motor.tendon is not None and tendon is None:
-            # With quotes, since the name of one motor may be a prefix of another's.
-            ways[i] = [
-                j for loop in found.loops if f"'{motor.name}'" in loop.what for j in loop.joints
-            ]
-        join(ways[i])
-    for line in (*found.lines, *_sums(found.springs)):
-        join(list(line.factors))
-    for curve in found.curves:
+    moved = [motor_joints(model, motor) for motor in constraints.motors]
+    for joints in moved:
+        join(joints)
+    for line in (*constraints.lines, *_sums(constraints.springs)):
+        join(line.factors)
+    for curve in constraints.curves:
         join([curve.joint, curve.of])
-    for loop in found.loops:
-        join(sorted(loop.joints))
+    for loop in constraints.loops:
+        join(loop.joints)
     lines, springs = (
         [_without_held(line, motion.fixed) for line in each]
-        for each in (found.lines, found.springs)
+        for each in (constraints.lines, constraints.springs)
     )
-    made = [
+    groups = [
         _Group(
             sorted(members),
-            [motor for i, motor in enumerate(found.motors) if members & set(ways[i])],
+            [m for m, joints in zip(constraints.motors, moved, strict=True) if members & joints],
             [line for line in lines if members & set(line.factors)],
             [spring for spring in springs if members & set(spring.factors)],
-            [curve for curve in found.curves if members & {curve.joint, curve.of}],
-            [loop for loop in found.loops if members & loop.joints],
+            [curve for curve in constraints.curves if members & {curve.joint, curve.of}],
+            [loop for loop in constraints.loops if members & loop.joints],
         )
         for members in {id(members): members for members in group.values()}.values()
     ]
-    return sorted(made, key=lambda each: each.joints)
+    return sorted(groups, key=lambda each: each.joints)
 
 
 def _without_held(line: Line, fixed: dict[int, float]) -> Line:
@@ -236,40 +234,20 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
     Springs decide the degrees of freedom that the couplings leave open, as at rest without load.
     Without springs, the joints of a motor's tendon share its travel in proportion to their factors.
     """
-    pulls = [_pull(model, motor) for motor in group.motors]
-    rigid = _matrix(group.lines, group.joints)
-    given = np.vstack([rigid, _matrix(pulls, group.joints)])
-    held, motors = len(group.lines), len(pulls)
-    rank = len(group.joints) - null_space(given).shape[1]
-    if rank < np.linalg.matrix_rank(rigid, tol=TINY) + motors:
-        names = ", ".join(f"'{motor.name}'" for motor in group.motors)
-        raise ModelError(
-            f"actuators {names} move joints {names_of(model, group.joints)}, which couplings leave "
-            "fewer "
-            "degrees of freedom than that",
-            path=str(path),
-        )
-    # The joints are a + B · u with the motors' positions u; columns of `right`: constants, then u.
-    right = np.zeros((len(given), 1 + motors))
-    right[:held, 0] = [line.value for line in group.lines]
-    right[held:, 1:] = np.eye(motors)
-    # In the minimum-norm solution, the joints of a tendon share its travel by their factors.
-    q = np.linalg.pinv(given) @ right
-    free = null_space(given)
-    free_by_springs = _springs_decide(group, q, free)
+    q, free = _positions(model, group, path)
     shared = {
-        j
-        for j, row in zip(group.joints, free_by_springs, strict=True)
+        joint
+        for joint, row in zip(group.joints, free, strict=True)
         if np.abs(row).max(initial=0) > TINY
     }
-    on_tendons = {joint for pull in pulls if len(pull.factors) > 1 for joint in pull.factors}
+    pulled = [motor_joints(model, motor) for motor in group.motors]
+    on_tendons = {joint for joints in pulled if len(joints) > 1 for joint in joints}
     if shared & on_tendons:
         motion.notes.append(
             f"joints {names_of(model, shared & on_tendons)} share a tendon in proportion to its "
-            "factors, since "
-            "nothing else says how"
+            "factors, since nothing else says how"
         )
-    loose = sorted(shared - on_tendons - {m.joint for m in group.motors if m.joint is not None})
+    loose = sorted(shared - on_tendons - {motor.joint for motor in group.motors})
     motion.passive += loose
     joints = {*group.joints} - {*loose}
     rows = {joint: row for joint, row in zip(group.joints, q, strict=True) if joint in joints}
@@ -284,12 +262,32 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
         _take(model, group, q, joints, motion, path)
 
 
-def _pull(model: mujoco.MjModel, motor: Motor) -> Line:
-    """Return the linear combination of joint positions that a motor moves."""
-    if motor.joint is not None:
-        return Line({motor.joint: 1.0}, 0.0)
-    assert motor.tendon is not None  # noqa: S101 - a motor moves one of both
-    return Line(tendon_factors(model, motor.tendon) or {}, 0.0)
+def _positions(model: mujoco.MjModel, group: _Group, path: object) -> tuple[FloatArray, FloatArray]:
+    """Return the positions of a group's joints for those of its motors.
+
+    Returns:
+        The positions ``(n, 1 + motors)``: a constant, then slopes by the motors' positions; and a
+        basis ``(n, k)`` of the directions in which nothing decides them.
+    """
+    pulls = [Line(motor_factors(model, motor) or {}, 0.0) for motor in group.motors]
+    rigid = _matrix(group.lines, group.joints)
+    given = np.vstack([rigid, _matrix(pulls, group.joints)])
+    lines, motors = len(group.lines), len(pulls)
+    rank = len(group.joints) - null_space(given).shape[1]
+    if rank < np.linalg.matrix_rank(rigid, tol=TINY) + motors:
+        names = ", ".join(f"'{motor.name}'" for motor in group.motors)
+        raise ModelError(
+            f"actuators {names} move joints {names_of(model, group.joints)}, which couplings leave "
+            "fewer degrees of freedom than that",
+            path=str(path),
+        )
+    # The joints are a + B · u with the motors' positions u; columns of `right`: constants, then u.
+    right = np.zeros((len(given), 1 + motors))
+    right[:lines, 0] = [line.value for line in group.lines]
+    right[lines:, 1:] = np.eye(motors)
+    # In the minimum-norm solution, the joints of a tendon share its travel by their factors.
+    q = np.linalg.pinv(given) @ right
+    return q, _springs_decide(group, q, null_space(given))
 
 
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
@@ -305,6 +303,7 @@ def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArra
     """
     if not (group.springs and free.shape[1]):
         return free
+    # With the root of the stiffness, least squares minimise the energy of the springs.
     root = np.sqrt([[spring.weight] for spring in group.springs])
     pull = root * _matrix(group.springs, group.joints)
     rest = np.zeros((len(group.springs), q.shape[1]))
@@ -346,8 +345,7 @@ def _take(
             names = " and ".join(f"'{group.motors[k - 1].name}'" for k in moved_by)
             raise ModelError(
                 f"joint '{joint_name(model, joint)}' follows {names} at once; rtee's joints follow "
-                "one "
-                "actuator each",
+                "one actuator each",
                 path=str(path),
             )
         k = moved_by[0]
@@ -371,7 +369,7 @@ def _actuator(
         if named and named[0] != motor.joint and bare(model, motor.joint):
             return named[0]
         return motor.joint
-    pulled = [joint for joint in tendon_factors(model, motor.tendon or 0) or {} if joint in alone]
+    pulled = [joint for joint in motor_factors(model, motor) or {} if joint in alone]
     return next(iter([*named, *pulled, *alone]), None)
 
 
@@ -382,11 +380,8 @@ def _only(row: FloatArray, k: int) -> bool:
 def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slope: float) -> Driven:
     """Return the limits of a joint that moves as ``offset + slope · u`` with a motor."""
     lower, upper = joint_range(model, joint)
-    if motor.joint is not None:
-        drawn, own = float(model.qpos0[motor.joint]), joint_range(model, motor.joint)
-    else:
-        drawn = resting_length(model, tendon_factors(model, motor.tendon or 0) or {})
-        own = (-math.inf, math.inf)
+    drawn = resting_length(model, motor_factors(model, motor) or {})
+    own = (-math.inf, math.inf) if motor.joint is None else joint_range(model, motor.joint)
     for low, high in ((motor.lower - drawn, motor.upper - drawn), own):
         ends = sorted((offset + slope * low, offset + slope * high))
         lower, upper = max(lower, ends[0]), min(upper, ends[1])
@@ -399,14 +394,13 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
     if len(group.motors) != 1:
         raise ModelError(
             f"{what}: {len(group.motors)} actuators move joints {names_of(model, group.joints)} "
-            "together; "
-            "rtee's joints follow one actuator each",
+            "together; rtee's joints follow one actuator each",
             path=str(path),
         )
     motor = group.motors[0]
-    pulled = tendon_factors(model, motor.tendon) if motor.tendon is not None else None
-    spatial = motor.tendon is not None and pulled is None
-    joint = motor.joint if motor.joint is not None else min(pulled or group.joints)
+    factors = motor_factors(model, motor)
+    # The first joint stands for a tendon, whose length no joint has alone.
+    joint = min(factors or group.joints)
     lower, upper = joint_range(model, joint)
     if motor.joint is not None:
         drawn = float(model.qpos0[joint])
@@ -427,26 +421,29 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
         motion.driven[joint] = Driven(lower, upper, effort)
     else:
         lower, upper = solved.places[0], solved.places[-1]
-        if motor.tendon is not None and not spatial:
-            lower, upper = _within_targets(model, motor, joint, others, solved)
+        if motor.tendon is not None and factors is not None:
+            lower, upper = _within_targets(model, motor, factors, joint, others, solved)
         motion.driven[joint] = Driven(float(lower), float(upper), effort)
         motion.follows |= solved.follows
         motion.notes += solved.notes
-    if spatial:
+    if factors is None:
         motion.notes.append(
             f"the spatial tendon of '{motor.name}' moves joint '{joint_name(model, joint)}', which "
-            "is the actuator; "
-            "its lever is not taken over"
+            "is the actuator; its lever is not taken over"
         )
 
 
 def _within_targets(
-    model: mujoco.MjModel, motor: Motor, joint: int, others: Sequence[int], solved: Solved
+    model: mujoco.MjModel,
+    motor: Motor,
+    factors: Mapping[int, float],
+    joint: int,
+    others: Sequence[int],
+    solved: Solved,
 ) -> tuple[float, float]:
     """Return the range of a joint in which its motor's tendon stays within the motor's targets."""
-    factors = tendon_factors(model, motor.tendon or 0) or {}
     length = resting_length(model, factors) + factors.get(joint, 0.0) * solved.places
-    length = length + solved.ways @ np.array([factors.get(other, 0.0) for other in others])
+    length = length + solved.positions @ np.array([factors.get(other, 0.0) for other in others])
     inside = (length >= motor.lower - _SLACK) & (length <= motor.upper + _SLACK)
     if not inside.any():
         return math.inf, -math.inf

@@ -16,10 +16,10 @@ from rtee.exchange.mjcf_motion import (
     Motor,
     bare,
     joint_range,
+    motor_factors,
     names_of,
     resting_length,
     rounded,
-    tendon_factors,
 )
 from rtee.sample import FloatArray
 
@@ -45,37 +45,37 @@ def differential_motion(
     own = {motor.joint for motor in motors}
     # The joint of a motor that carries no link is part of the motor.
     idle = {joint for joint in rows if joint in own and bare(model, joint)}
-    left = [joint for joint in rows if joint not in idle]
+    carrying = [joint for joint in rows if joint not in idle]
     if not mixing:
         return None
-    for chosen in itertools.combinations(left, len(motors)):
+    for chosen in itertools.combinations(carrying, len(motors)):
         slopes = np.array([rows[joint][1:] for joint in chosen])
         if abs(np.linalg.det(slopes)) < TINY:
             continue
         motors_by_joints = np.linalg.inv(slopes)
-        by_joints = {j: rows[j][1:] @ motors_by_joints for j in left}
+        by_joints = {j: rows[j][1:] @ motors_by_joints for j in carrying}
         if any(np.sum(np.abs(row) > TINY) > 1 for row in by_joints.values()):
             continue
-        made = Motion(dropped=idle)
+        motion = Motion(dropped=idle)
         for i, joint in enumerate(chosen):
-            made.driven[joint] = _driven_by_several(
+            motion.driven[joint] = _driven_by_several(
                 model, joint, motors, rows[joint], motors_by_joints[:, i]
             )
-        for joint in sorted({*left} - {*chosen}):
+        for joint in sorted({*carrying} - {*chosen}):
             row = by_joints[joint]
             i = int(np.argmax(np.abs(row)))
             if abs(row[i]) <= TINY:
-                made.fixed[joint] = float(rows[joint][0])
+                motion.fixed[joint] = float(rows[joint][0])
                 continue
             offset = float(rows[joint][0] - row[i] * rows[chosen[i]][0])
-            made.follows[joint] = Follow(chosen[i], rounded(float(row[i])), rounded(offset))
+            motion.follows[joint] = Follow(chosen[i], rounded(float(row[i])), rounded(offset))
         names = " and ".join(f"'{motor.name}'" for motor in motors)
-        made.notes.append(
+        motion.notes.append(
             f"actuators {names} move joints {names_of(model, chosen)} together (a differential), "
             "so that these joints count as the actuators: the driver mixes them, and where one is "
             "at its limit the other may have less than its range"
         )
-        return made
+        return motion
     return None
 
 
@@ -102,11 +102,7 @@ def _driven_by_several(
     for motor, slope in zip(motors, row[1:], strict=True):
         if abs(slope) <= TINY:
             continue
-        drawn = (
-            float(model.qpos0[motor.joint])
-            if motor.joint is not None
-            else resting_length(model, tendon_factors(model, motor.tendon or 0) or {})
-        )
+        drawn = resting_length(model, motor_factors(model, motor) or {})
         ends = sorted((slope * (motor.lower - drawn), slope * (motor.upper - drawn)))
         low, high = low + ends[0], high + ends[1]
     moving = [

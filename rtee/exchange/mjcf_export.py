@@ -47,12 +47,14 @@ _EXACT: Final = {
     "site": ("pos", "quat", "size"),
 }
 """Attributes written with all digits; MuJoCo writes six digits, which are 1 µm in 1 m."""
+
 _DEFAULTS: Final = {
     "pos": (0.0, 0.0, 0.0),
     "quat": (1.0, 0.0, 0.0, 0.0),
     "axis": (0.0, 0.0, 1.0),
     "polycoef": (0.0, 1.0, 0.0, 0.0, 0.0),
 }
+"""Values that MuJoCo does not write, by attribute."""
 
 
 def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
@@ -67,6 +69,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
     _add_visuals(spec, hand)
     _limit_targets(spec, hand)
     _add_touch(spec, hand)
+    # The steps above find the bodies by rtee's names.
     names = _own_names(spec, hand)
     # The keyframe, which is written, too, needs the compiled model.
     model = spec.compile()
@@ -221,13 +224,13 @@ def _in_full(text: str, spec: mujoco.MjSpec, model: mujoco.MjModel) -> str:
 
 def _set(element: ElementTree.Element, attribute: str, values: Iterable[float]) -> None:
     """Write all digits of an attribute that MuJoCo has written, or has rounded to its default."""
-    found = [float(value) for value in values]
-    there = element.get(attribute)
-    if there is None:
+    numbers = [float(value) for value in values]
+    written = element.get(attribute)
+    if written is None:
         default: Sequence[float] | None = _DEFAULTS.get(attribute)
-        if default is None or tuple(found) == default or not all(map(math.isfinite, found)):
+        if default is None or tuple(numbers) == default or not all(map(math.isfinite, numbers)):
             return
     else:
         # As many numbers as MuJoCo writes: a sphere has one size, a cylinder two.
-        found = found[: len(there.split())]
-    element.set(attribute, " ".join(repr(value) for value in found))
+        numbers = numbers[: len(written.split())]
+    element.set(attribute, " ".join(map(repr, numbers)))

@@ -128,7 +128,7 @@ def _check_numbers(element: Element) -> None:
             try:
                 value = float(word)
             except ValueError:
-                break
+                break  # a word, so that the attribute is no list of numbers
             if not abs(value) < _GREATEST:
                 raise element.error(
                     f'{attribute}="{text[:80]}" has a number that is not finite or beyond '
@@ -176,8 +176,8 @@ def listening(notes: list[str]) -> Iterator[None]:
 
 def _mujoco_error(error: Exception, path: Path, *, lines: bool) -> ModelError:
     text = str(error).strip()
-    found = _PLACE.search(text)
-    line = int(found[1] or found[2]) if found else 0
+    place = _PLACE.search(text)
+    line = int(place[1] or place[2]) if place else 0
     text = _PLACE.sub("", text)
     text = re.sub(r"^(XML )?Error:\s*", "", " ".join(text.split()))
     return ModelError(
@@ -208,7 +208,8 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
     if root.tag != "mujoco":
         what = "a URDF; give it by --urdf" if root.tag == "robot" else f"<{root.tag[:40]}>"
         raise root.error(f"is {what}, not MJCF, whose root element is <mujoco>")
-    found, size = {_real(file): root}, 0
+    # By real path, since files may include each other.
+    parts, size = {_real(file): root}, 0
     pending = [root]
     while pending:
         for element in _all(pending.pop()):
@@ -217,21 +218,21 @@ def _parts(file: Path, allowed: Sequence[Path]) -> list[Element]:
             name = element.required("file")
             # MuJoCo searches beside the main file; the folder of the including file is cheap.
             places = dict.fromkeys((file.parent / name, element.path.parent / name))
-            there = [place for place in places if _inside(place, allowed, element, name).is_file()]
-            if not there:
+            files = [place for place in places if _inside(place, allowed, element, name).is_file()]
+            if not files:
                 raise element.error(f"the included file '{name[:200]}' does not exist")
-            for place in there:
-                if _real(place) in found:
+            for place in files:
+                if _real(place) in parts:
                     continue
                 size += place.stat().st_size
-                if size > MAX_SIZE or len(found) > MOST_FILES:
+                if size > MAX_SIZE or len(parts) > MOST_FILES:
                     raise element.error(
                         f"includes more than {MOST_FILES} files or {MAX_SIZE // 1_000_000} MB"
                     )
                 part = read_xml(place, "MJCF")[0]
-                found[_real(place)] = part
+                parts[_real(place)] = part
                 pending.append(part)
-    return list(found.values())
+    return list(parts.values())
 
 
 def _inside(place: Path, allowed: Sequence[Path], element: Element, name: str) -> Path:
@@ -258,18 +259,18 @@ def _check_meshes(
             own = "texturedir" if element.tag == "texture" else "meshdir"
             folders = [c[key] for c in compilers for key in (own, "assetdir") if key in c]
             places = [file.parent / folder / name for folder in ("", *folders)]
-            there = [p for p in places if _inside(p, allowed, element, name).is_file()]
+            files = [p for p in places if _inside(p, allowed, element, name).is_file()]
             if element.tag != "mesh":  # textures and the like are never opened
                 continue
-            if not there:
+            if not files:
                 missing[name] = f"mesh '{name[:200]}' does not exist"
-            elif there[-1].suffix.lower() not in _MESHES:
+            elif files[-1].suffix.lower() not in _MESHES:
                 missing[name] = f"mesh '{name[:200]}' is of none of MuJoCo's formats: stl, obj, msh"
             else:
-                data = read_bytes(there[-1], "mesh", ModelError)
-                wrong = why_no_mesh(data, there[-1].suffix.lower())
-                if wrong:
-                    missing[name] = f"mesh '{name[:200]}' cannot be read: {wrong}"
+                data = read_bytes(files[-1], "mesh", ModelError)
+                fault = why_no_mesh(data, files[-1].suffix.lower())
+                if fault:
+                    missing[name] = f"mesh '{name[:200]}' cannot be read: {fault}"
     return missing
 
 

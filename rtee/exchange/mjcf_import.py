@@ -33,6 +33,9 @@ EXCLUDED: Final = "excluded in the MJCF"
 _SEEN = 2
 """Highest group of shapes that MuJoCo's viewers show by default."""
 
+_ANY: Final = 1e3
+"""Limits of a follower without limits of its own [rad | m]; those of its actuator decide."""
+
 _GIMBAL = 1e-12
 """Cosine of the pitch below which roll and yaw have the same axis."""
 
@@ -218,27 +221,55 @@ class _Writer:
     def _joint(
         self, joint: int, parent: str, child: str, place: FloatArray, turn: FloatArray
     ) -> None:
-        model, motion, name = self._model, self._motion, self._joint_names[joint]
-        axis, slide = model.jnt_axis[joint], model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-        held = motion.fixed.get(joint)
-        if held is not None:
-            if slide:
-                place = place + _matrix(turn) @ (axis * held)
-            else:
-                by, total = np.zeros(4), np.zeros(4)
-                mujoco.mju_axisAngle2Quat(by, axis, held)
-                mujoco.mju_mulQuat(total, turn, by)
-                turn = total
+        motion, name = self._motion, self._joint_names[joint]
+        if joint in motion.fixed:
             self.notes.append(f"joint '{name}' is held, so it is fixed")
-            self._fixed(name, parent, child, place, turn)
+            self._fixed(name, parent, child, *self._moved(joint, place, turn))
             return
         driven = motion.driven.get(joint)
-        lower, upper = joint_range(model, joint) if driven is None else (driven.lower, driven.upper)
+        lower, upper = self._limits(joint)
+        limited = math.isfinite(lower) and math.isfinite(upper)
+        kind = "prismatic" if self._slides(joint) else "revolute" if limited else "continuous"
+        effort = driven.effort if driven is not None else 0.0
+        limit = f' lower="{_number(lower)}" upper="{_number(upper)}"' if limited else ""
+        self._lines += [
+            f'  <joint name={quoteattr(name)} type="{kind}">',
+            f"    <parent link={quoteattr(parent)}/>",
+            f"    <child link={quoteattr(child)}/>",
+            f"    {_origin(place, turn)}",
+            f'    <axis xyz="{_numbers(self._model.jnt_axis[joint])}"/>',
+            # MuJoCo has no velocity limits; 0 means that none is given.
+            f'    <limit{limit} effort="{_number(effort)}" velocity="0"/>',
+            *self._mimic(motion.follows.get(joint)),
+            "  </joint>",
+        ]
+
+    def _slides(self, joint: int) -> bool:
+        return bool(self._model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+    def _moved(
+        self, joint: int, place: FloatArray, turn: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the pose behind a held joint for that before it."""
+        axis, position = self._model.jnt_axis[joint], self._motion.fixed[joint]
+        if self._slides(joint):
+            return place + _matrix(turn) @ (axis * position), turn
+        by, total = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(by, axis, position)
+        mujoco.mju_mulQuat(total, turn, by)
+        return place, total
+
+    def _limits(self, joint: int) -> tuple[float, float]:
+        """Return the limits of a joint [rad | m]; infinite for none."""
+        driven, name = self._motion.driven.get(joint), self._joint_names[joint]
+        lower, upper = (
+            joint_range(self._model, joint) if driven is None else (driven.lower, driven.upper)
+        )
         limited = math.isfinite(lower) and math.isfinite(upper)
         # A URDF needs limits of a follower, although those of its actuator decide.
-        if not limited and joint in motion.follows:
-            lower, upper, limited = -_ANY, _ANY, True
-        if slide and not limited:
+        if not limited and joint in self._motion.follows:
+            return -_ANY, _ANY
+        if self._slides(joint) and not limited:
             raise ModelError(
                 f"slide joint '{name}' has no range; give it one, or its actuator a ctrlrange",
                 path=self._source.path,
@@ -249,20 +280,7 @@ class _Writer:
                 "common",
                 path=self._source.path,
             )
-        kind = "prismatic" if slide else "revolute" if limited else "continuous"
-        effort = driven.effort if driven is not None else 0.0
-        limit = f' lower="{_number(lower)}" upper="{_number(upper)}"' if limited else ""
-        self._lines += [
-            f'  <joint name={quoteattr(name)} type="{kind}">',
-            f"    <parent link={quoteattr(parent)}/>",
-            f"    <child link={quoteattr(child)}/>",
-            f"    {_origin(place, turn)}",
-            f'    <axis xyz="{_numbers(axis)}"/>',
-            # MuJoCo has no velocity limits; 0 means that none is given.
-            f'    <limit{limit} effort="{_number(effort)}" velocity="0"/>',
-            *self._mimic(motion.follows.get(joint)),
-            "  </joint>",
-        ]
+        return lower, upper
 
     def _mimic(self, follow: Follow | None) -> list[str]:
         if follow is None:
@@ -385,28 +403,22 @@ class _Writer:
 
     def excluded(self) -> tuple[tuple[str, str, str], ...]:
         """Return the pairs of links that the model excludes."""
-        model = self._model
-        found = []
-        for signature in model.exclude_signature.tolist():
-            # MuJoCo packs both bodies into one number.
-            pair = [self._names[signature >> 16], self._names[signature & 0xFFFF]]
-            found.append((pair[0], pair[1], EXCLUDED))
-        return tuple(found)
-
-
-_ANY: Final = 1e3
-"""Limits of a follower without limits of its own [rad | m]; those of its actuator decide."""
+        # MuJoCo packs both bodies into one number.
+        return tuple(
+            (self._names[signature >> 16], self._names[signature & 0xFFFF], EXCLUDED)
+            for signature in self._model.exclude_signature.tolist()
+        )
 
 
 def _unique(names: Sequence[str]) -> list[str]:
     """Return names with numbers appended to equal ones, as generated names may be equal."""
-    found: list[str] = []
+    unique: list[str] = []
     for name in names:
-        other, number = name, 2
-        while other in found:
-            other, number = f"{name}_{number}", number + 1
-        found.append(other)
-    return found
+        candidate, number = name, 2
+        while candidate in unique:
+            candidate, number = f"{name}_{number}", number + 1
+        unique.append(candidate)
+    return unique
 
 
 def _cylinder(size: FloatArray) -> str:

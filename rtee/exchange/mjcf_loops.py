@@ -60,13 +60,13 @@ class Solved:
 
     Attributes:
         places: Positions of the moving joint at which it was closed ``(n,)``, ascending [rad | m].
-        ways: Positions of the others there ``(n, k)`` [rad | m].
+        positions: Positions of the others there ``(n, k)`` [rad | m].
         follows: Couplings of the other joints to it.
         notes: Sentences about peculiarities.
     """
 
     places: FloatArray
-    ways: FloatArray
+    positions: FloatArray
     follows: dict[int, Follow]
     notes: tuple[str, ...]
 
@@ -205,14 +205,14 @@ class Linkage:
 
     def _meet_stops(self, q: FloatArray) -> bool:
         """Stop the joints beyond their limits at these; return whether there were any."""
-        found = {
+        met = {
             i: limit
             for i, (lower, upper) in enumerate(self._ranges)
             for limit, beyond in ((lower, lower - q[i]), (upper, q[i] - upper))
             if beyond > _CLOSED and i not in self._stopped
         }
-        self._stopped |= found
-        return bool(found)
+        self._stopped |= met
+        return bool(met)
 
     def _leave_stop(self, x: float, q: FloatArray) -> bool:
         """Release a joint that springs pull away from its stop; return whether there was one."""
@@ -271,26 +271,8 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
             "each an actuator",
             path=str(path),
         )
-    places, ways = [start], [first]
     step = (limits[1] - limits[0]) / _STEPS
-    jump = _JUMP * step
-    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-        # The shorter the levers of hinges, the more radians per metre they follow a slide.
-        jump *= max(1.0, float(np.abs(linkage.slopes(start, first)).max()))
-    for end in limits:
-        at, q, before = start, first, first
-        while abs(end - at) > TINY:
-            ahead = math.copysign(min(step, abs(end - at)), end - at)
-            # Start from an extrapolation of the last step, so that the linkage does not fold over.
-            found = linkage.close(at + ahead, 2.0 * q - before)
-            # After a jump, Newton's method has found another solution.
-            if found is None or float(np.abs(found - q).max()) > jump:
-                break
-            at, q, before = at + ahead, found, q
-            places.append(at)
-            ways.append(q)
-    order = np.argsort(places)
-    x, y = np.array(places)[order], np.array(ways)[order]
+    x, y = _closed_between(linkage, limits, step, start, first)
     lower, upper = float(x[0]), float(x[-1])
     notes = [
         f"{what} is solved: joints {names_of(model, others)} follow '{joint_name(model, joint)}'"
@@ -307,6 +289,42 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
         for i, other in enumerate(others)
     }
     return Solved(x, y, follows, tuple(notes))
+
+
+def _closed_between(
+    linkage: Linkage, limits: tuple[float, float], step: float, start: float, first: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Move a linkage from a closed posture towards both limits for as long as it stays closed.
+
+    Args:
+        linkage: The linkage.
+        limits: Range of the moving joint [rad | m].
+        step: Distance between its positions [rad | m].
+        start: Its position in the closed posture.
+        first: Positions of the others there ``(k,)``.
+
+    Returns:
+        Positions of the moving joint ``(n,)``, ascending, and those of the others ``(n, k)``.
+    """
+    places, positions = [start], [first]
+    jump = _JUMP * step
+    if linkage.model.jnt_type[linkage.joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        # The shorter the levers of hinges, the more radians per metre they follow a slide.
+        jump *= max(1.0, float(np.abs(linkage.slopes(start, first)).max()))
+    for end in limits:
+        at, q, before = start, first, first
+        while abs(end - at) > TINY:
+            ahead = math.copysign(min(step, abs(end - at)), end - at)
+            # Start from an extrapolation of the last step, so that the linkage does not fold over.
+            closed = linkage.close(at + ahead, 2.0 * q - before)
+            # After a jump, Newton's method has found another solution.
+            if closed is None or float(np.abs(closed - q).max()) > jump:
+                break
+            at, q, before = at + ahead, closed, q
+            places.append(at)
+            positions.append(q)
+    order = np.argsort(places)
+    return np.array(places)[order], np.array(positions)[order]
 
 
 def _fitted(

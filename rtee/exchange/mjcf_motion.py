@@ -19,7 +19,6 @@ from rtee.sample import FloatArray
 TINY = 1e-9
 """Size below which slopes and remainders count as rounding [rad, m and their quotients]."""
 
-
 _NARROW = 0.1
 """Share of a tendon's travel that its limits leave, below which they couple its joints: hands whose
 two tendons cross at the last joint leave 0.08, and limits that only end a motion leave 1."""
@@ -188,17 +187,32 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
 def tendon_factors(model: mujoco.MjModel, tendon: int) -> dict[int, float] | None:
     """Return a fixed tendon's factors by joint; ``None`` if the tendon is spatial."""
     first, number = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
-    found: dict[int, float] = {}
+    factors: dict[int, float] = {}
     for i in range(first, first + number):
         if model.wrap_type[i] != mujoco.mjtWrap.mjWRAP_JOINT:
             return None
         joint = int(model.wrap_objid[i])
-        found[joint] = found.get(joint, 0.0) + float(model.wrap_prm[i])
-    return found
+        factors[joint] = factors.get(joint, 0.0) + float(model.wrap_prm[i])
+    return factors
+
+
+def motor_factors(model: mujoco.MjModel, motor: Motor) -> dict[int, float] | None:
+    """Return the factors by joint of a motor's position; ``None`` if its tendon is spatial."""
+    if motor.joint is not None:
+        return {motor.joint: 1.0}
+    assert motor.tendon is not None  # noqa: S101 - a motor moves one of both
+    return tendon_factors(model, motor.tendon)
+
+
+def motor_joints(model: mujoco.MjModel, motor: Motor) -> frozenset[int]:
+    """Return the joints that a motor moves or whose tendon it pulls."""
+    if motor.tendon is not None:
+        return tendon_joints(model, motor.tendon)
+    return frozenset(motor_factors(model, motor) or ())
 
 
 def resting_length(model: mujoco.MjModel, factors: Mapping[int, float]) -> float:
-    """Return a fixed tendon's length in the model's posture [rad | m]."""
+    """Return a motor's position or a fixed tendon's length in the model's posture [rad | m]."""
     return sum(factor * float(model.qpos0[joint]) for joint, factor in factors.items())
 
 
@@ -208,55 +222,50 @@ def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
     Raises:
         ModelError: An actuator moves something other than a joint or tendon.
     """
-    found = Constraints(_motors(model, path))
+    constraints = Constraints(_motors(model, path))
     for i in range(model.neq):
         if model.eq_active0[i]:
-            _add_equality(model, i, found)
+            _add_equality(model, i, constraints)
     for tendon in range(model.ntendon):
         factors, stiffness = tendon_factors(model, tendon), float(model.tendon_stiffness[tendon])
         if factors is not None and stiffness > 0.0:
             lower, upper = model.tendon_lengthspring[tendon]
             # Such a spring may have a dead band, which its middle represents.
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
-            found.springs.append(Line(factors, value, stiffness))
-        _add_limited_tendon(model, tendon, found)
-    for motor in found.motors:
-        if motor.tendon is not None and tendon_factors(model, motor.tendon) is None:
-            joints = tendon_joints(model, motor.tendon)
-            found.loops.append(Loop(f"spatial tendon of '{motor.name}'", joints))
+            constraints.springs.append(Line(factors, value, stiffness))
+        _add_limited_tendon(model, tendon, constraints)
+    for motor in constraints.motors:
+        if motor_factors(model, motor) is None:
+            joints = motor_joints(model, motor)
+            constraints.loops.append(Loop(f"spatial tendon of '{motor.name}'", joints))
     for joint in range(model.njnt):
         stiffness = float(model.jnt_stiffness[joint])
         if stiffness > 0.0:
             away = float(model.qpos_spring[joint] - model.qpos0[joint])
-            found.springs.append(Line({joint: 1.0}, away, stiffness))
-    return found
+            constraints.springs.append(Line({joint: 1.0}, away, stiffness))
+    return constraints
 
 
-def _add_limited_tendon(model: mujoco.MjModel, tendon: int, found: Constraints) -> None:
+def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: Constraints) -> None:
     """Add a coupling of the joints of a fixed tendon whose limits hardly let it move.
 
     The coupling is a stiff spring, by which a joint without a motor follows, but which motors and
     equalities override.
     """
     factors = tendon_factors(model, tendon)
-    moved = {motor.joint for motor in found.motors} | {
-        joint
-        for motor in found.motors
-        if motor.tendon is not None
-        for joint in tendon_joints(model, motor.tendon)
-    }
+    moved = {joint for motor in constraints.motors for joint in motor_joints(model, motor)}
     if not model.tendon_limited[tendon] or factors is None or not factors.keys() - moved:
         return
     spans = {joint: np.subtract(*joint_range(model, joint)[::-1]) for joint in factors}
-    way = sum(abs(factor) * float(spans[joint]) for joint, factor in factors.items())
+    travel = sum(abs(factor) * float(spans[joint]) for joint, factor in factors.items())
     lower, upper = (float(end) for end in model.tendon_range[tendon])
-    if len(factors) < 2 or not math.isfinite(way) or upper - lower > _NARROW * way:
+    if len(factors) < 2 or not math.isfinite(travel) or upper - lower > _NARROW * travel:
         return
     largest = max(map(abs, factors.values()))
     value = (0.5 * (lower + upper) - resting_length(model, factors)) / largest
     line = {joint: factor / largest for joint, factor in factors.items()}
-    found.springs.append(Line(line, value, _RIGID))
-    found.notes.append(
+    constraints.springs.append(Line(line, value, _RIGID))
+    constraints.notes.append(
         f"tendon '{model.tendon(tendon).name}' may move by {upper - lower:g} alone, so that joints "
         f"{names_of(model, factors)} are taken as coupled"
     )
@@ -284,12 +293,16 @@ def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
         motor = Motor(
             name, joint, tendon, *_targets(model, i, gear), _effort(model, i, joint, gear)
         )
-        there = motors.get((joint, tendon))
-        # A joint may have a position and a velocity actuator, of which one has the limits.
-        motors[joint, tendon] = motor if there is None else replace(
-            there, lower=max(there.lower, motor.lower), upper=min(there.upper, motor.upper),
-            effort=max(there.effort, motor.effort),
-        )  # fmt: skip
+        earlier = motors.get((joint, tendon))
+        if earlier is not None:
+            # A joint may have a position and a velocity actuator, of which one has the limits.
+            motor = replace(
+                earlier,
+                lower=max(earlier.lower, motor.lower),
+                upper=min(earlier.upper, motor.upper),
+                effort=max(earlier.effort, motor.effort),
+            )
+        motors[joint, tendon] = motor
     return list(motors.values())
 
 
@@ -321,33 +334,33 @@ def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> fl
     return min(limits, default=0.0)
 
 
-def _add_equality(model: mujoco.MjModel, i: int, found: Constraints) -> None:
+def _add_equality(model: mujoco.MjModel, i: int, constraints: Constraints) -> None:
     kinds, data = mujoco.mjtEq, model.eq_data[i]
-    one, two = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+    first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
     polynomial = tuple(float(c) for c in data[:5])
     kind = kinds(int(model.eq_type[i]))
     match kind:
-        case kinds.mjEQ_JOINT if two < 0:
-            found.fixed[one] = polynomial[0]
+        case kinds.mjEQ_JOINT if second < 0:
+            constraints.fixed[first] = polynomial[0]
         case kinds.mjEQ_JOINT:
-            found.curves.append(Curve(one, two, polynomial, i))
+            constraints.curves.append(Curve(first, second, polynomial, i))
         case kinds.mjEQ_TENDON:
-            factors = tendon_factors(model, one)
-            others = tendon_factors(model, two) if two >= 0 else {}
-            if factors is None or others is None or (two >= 0 and any(polynomial[2:])):
-                joints = tendon_joints(model, one) | (
-                    tendon_joints(model, two) if two >= 0 else set()
-                )
-                found.loops.append(Loop(f"tendon '{model.tendon(one).name}'", frozenset(joints), i))
+            factors = tendon_factors(model, first)
+            others = tendon_factors(model, second) if second >= 0 else {}
+            if factors is None or others is None or (second >= 0 and any(polynomial[2:])):
+                joints = tendon_joints(model, first)
+                if second >= 0:
+                    joints |= tendon_joints(model, second)
+                constraints.loops.append(Loop(f"tendon '{model.tendon(first).name}'", joints, i))
                 return
             total = dict(factors)
             for joint, factor in others.items():
                 total[joint] = total.get(joint, 0.0) - polynomial[1] * factor
-            found.lines.append(Line(total, polynomial[0], equality=i))
+            constraints.lines.append(Line(total, polynomial[0], equality=i))
         case kinds.mjEQ_CONNECT | kinds.mjEQ_WELD:
             word = "connect" if kind == kinds.mjEQ_CONNECT else "weld"
             name = str(model.eq(i).name) or f"number {i + 1}"
-            found.loops.append(Loop(f"<{word}> {name}", _between(model, i), i))
+            constraints.loops.append(Loop(f"<{word}> {name}", _between(model, i), i))
 
 
 def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
@@ -355,19 +368,18 @@ def _between(model: mujoco.MjModel, i: int) -> frozenset[int]:
     ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
     if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
         ends = [int(model.site_bodyid[end]) for end in ends]
-    one, two = (_joints_to(model, body) for body in ends)
-    # Joints above both bodies move them together and do not change the loop.
-    return frozenset(one ^ two)
+    # Without the joints above both bodies, which move them together and do not change the loop.
+    return frozenset(_joints_to(model, ends[0]) ^ _joints_to(model, ends[1]))
 
 
 def _joints_to(model: mujoco.MjModel, body: int) -> set[int]:
     """Return the joints between the world and a body."""
-    found: set[int] = set()
+    joints: set[int] = set()
     while body > 0:
         first = int(model.body_jntadr[body])
-        found |= set(range(first, first + int(model.body_jntnum[body])))
+        joints |= set(range(first, first + int(model.body_jntnum[body])))
         body = int(model.body_parentid[body])
-    return found
+    return joints
 
 
 def tendon_joints(model: mujoco.MjModel, tendon: int) -> frozenset[int]:
@@ -375,18 +387,18 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> frozenset[int]:
     factors = tendon_factors(model, tendon)
     if factors is not None:
         return frozenset(factors)
-    ways: list[set[int]] = []
+    carriers: list[set[int]] = []
     first = int(model.tendon_adr[tendon])
     for i in range(first, first + int(model.tendon_num[tendon])):
         thing, kind = int(model.wrap_objid[i]), mujoco.mjtWrap(int(model.wrap_type[i]))
         if kind == mujoco.mjtWrap.mjWRAP_SITE:
-            ways.append(_joints_to(model, int(model.site_bodyid[thing])))
+            carriers.append(_joints_to(model, int(model.site_bodyid[thing])))
         elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
-            ways.append(_joints_to(model, int(model.geom_bodyid[thing])))
-    # A joint that carries all of the tendon does not change its length.
-    if not ways:
+            carriers.append(_joints_to(model, int(model.geom_bodyid[thing])))
+    if not carriers:
         return frozenset()
-    return frozenset(ways[0].union(*ways) - ways[0].intersection(*ways))
+    # A joint that carries all of the tendon does not change its length.
+    return frozenset(carriers[0].union(*carriers) - carriers[0].intersection(*carriers))
 
 
 def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:

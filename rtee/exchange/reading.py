@@ -76,7 +76,7 @@ def xacro_as_urdf(
         MissingExtra: The extra ``xacro`` is not installed.
         ModelError: The file cannot be expanded.
     """
-    with _made(path) as folder:
+    with _temporary_folder(path) as folder:
         urdf = folder / f"{path.name.partition('.')[0] or 'hand'}.urdf"
         expand(path, urdf, arguments, package_dirs)
         # Mesh paths are relative to the xacro file, but the URDF is in another folder.
@@ -98,13 +98,13 @@ def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableM
     """
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf
-    with _made(path) as folder:
-        found = import_mjcf(path, folder, folders)
-        yield ReadableModel(found.urdf, found.passive, found.excluded, found.notes)
+    with _temporary_folder(path) as folder:
+        imported = import_mjcf(path, folder, folders)
+        yield ReadableModel(imported.urdf, imported.passive, imported.excluded, imported.notes)
 
 
 @contextmanager
-def _made(path: Path) -> Iterator[Path]:
+def _temporary_folder(path: Path) -> Iterator[Path]:
     """Make a folder for a conversion; errors about its files name the original file instead."""
     with TemporaryDirectory(prefix="rtee-") as name:
         folder = Path(name)

@@ -42,15 +42,15 @@ def arguments_of(words: Sequence[str]) -> dict[str, str]:
     Raises:
         ConfigError: A word has another form, or a name is given twice.
     """
-    found: dict[str, str] = {}
+    arguments: dict[str, str] = {}
     for word in words:
-        name, sign, value = word.partition(":=")
-        if not (sign and name.strip()):
+        name, sign, value = (part.strip() for part in word.partition(":="))
+        if not (sign and name):
             raise ConfigError(f"'{word}' should be NAME:=VALUE, an argument of a xacro file")
-        if name.strip() in found:
-            raise ConfigError(f"the xacro argument '{name.strip()}' is given twice")
-        found[name.strip()] = value.strip()
-    return found
+        if name in arguments:
+            raise ConfigError(f"the xacro argument '{name}' is given twice")
+        arguments[name] = value
+    return arguments
 
 
 def expand(
@@ -111,8 +111,8 @@ def expand(
 
 def _refusal(answer: Path, path: Path) -> ModelError:
     try:
-        found = json.loads(read_bytes(answer, "reason"))
-        message, place, line = str(found["message"]), Path(found["path"]), found["line"]
+        refusal = json.loads(read_bytes(answer, "reason"))
+        message, place, line = str(refusal["message"]), Path(refusal["path"]), refusal["line"]
     except (ConfigError, ValueError, KeyError, TypeError):
         message, place, line = "it gave no reason", path, None
     text = " ".join(message.split())
@@ -127,7 +127,7 @@ def _limit() -> None:
         (resource.RLIMIT_AS, _MEMORY),
         (resource.RLIMIT_CPU, int(_TIME)),
         (resource.RLIMIT_FSIZE, MAX_SIZE),
-        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CORE, 0),  # the signal of the time limit would write the memory to a file
     ):
         hard = resource.getrlimit(kind)[1]
         # Raising a hard limit needs rights that this process should not have.
@@ -139,13 +139,13 @@ def _offer_packages(folder: Path, package_dirs: Sequence[Path]) -> None:
     """Provide the module of ROS 2, missing on PyPI, that xacro asks for the folders of packages."""
 
     def share(name: str) -> str:
-        found = find_package(name, folder, package_dirs)
-        if found is None:
+        package = find_package(name, folder, package_dirs)
+        if package is None:
             raise LookupError(
                 f"package '{name}' is not found; give its folder, or the one that it is in, by "
                 "--package-dir"
             )
-        return str(found)
+        return str(package)
 
     packages = types.ModuleType("ament_index_python.packages")
     packages.get_package_share_directory = share  # type: ignore[attr-defined]
@@ -182,8 +182,8 @@ def _main() -> int:
     except Exception as error:
         stack = getattr(xacro, "filestack", None) or [str(path)]
         line = getattr(error, "lineno", None)
-        found = {"message": _reason(error), "path": str(stack[-1] or path), "line": line}
-        Path(task["target"]).with_suffix(_ANSWER).write_text(json.dumps(found))
+        refusal = {"message": _reason(error), "path": str(stack[-1] or path), "line": line}
+        Path(task["target"]).with_suffix(_ANSWER).write_text(json.dumps(refusal))
         return _FAILED
     return 0
 

@@ -149,8 +149,8 @@ class ClearSearch:
             if self._out_of_budget:
                 break
             attempts = self._budget.attempts
-            found = self._explore(starts, min(attempts, _FOLLOWED) if behind else attempts)
-            for y in found[:_FOLLOWED]:
+            clear = self._explore(starts, min(attempts, _FOLLOWED) if behind else attempts)
+            for y in clear[:_FOLLOWED]:
                 blocked = self._blocked(y)
                 if blocked is None:
                     free.append(y)
@@ -162,7 +162,7 @@ class ClearSearch:
                 if nearer is not None:
                     free.append(nearer)
             # If the best pose has a clear path, further rounds could only find worse ones.
-            if not found or any(y is found[0] for y in free):
+            if not clear or any(y is clear[0] for y in free):
                 break
         return [*sorted(free, key=self._function.value), *behind]
 
@@ -189,11 +189,11 @@ class ClearSearch:
         value = self._function.value
         pool = list(starts[: self._budget.pool])
         tried: list[FloatArray] = []
-        found: list[FloatArray] = []
+        clear: list[FloatArray] = []
         best, enough = np.inf, _GOOD * min(map(value, pool), default=0.0)
         for number in range(attempts + self._budget.extra_attempts):
             # Extra attempts are only for searches without a clear pose so far.
-            if (found and number >= attempts) or self._out_of_budget:
+            if (clear and number >= attempts) or self._out_of_budget:
                 break
             while self._uncalibrated:
                 # Delayed until here, since the last pose found calibrates only further attempts.
@@ -210,12 +210,12 @@ class ClearSearch:
             tried.append(new[0].y)
             pose = self._push_out(new[0].y)
             if pose is not None and self._touches(pose):
-                found.append(pose)
+                clear.append(pose)
                 best = min(best, value(pose))
                 self._uncalibrated.append(pose)
-        found.sort(key=value)
-        better = [self._improved(y) for y in found[:_IMPROVED]]
-        return sorted([*better, *found[_IMPROVED:]], key=value)
+        clear.sort(key=value)
+        better = [self._improved(y) for y in clear[:_IMPROVED]]
+        return sorted([*better, *clear[_IMPROVED:]], key=value)
 
     def _improved(self, y: FloatArray) -> FloatArray:
         """Return a better clear pose near a clear one in which the tips touch."""
@@ -334,17 +334,17 @@ class ClearSearch:
         parts are close or overlap.
         """
         self._scene.place(self._function.stored(y))
-        found = []
+        gaps = []
         for pair in pairs:
             margin = self._checker.margin(pair)
             gap = self._scene.distance(pair) - margin
             if gap < CLOSER:
                 gap, rise = self._scene.exact_slope(pair, self._space)
-                found.append((gap - margin, rise))
+                gaps.append((gap - margin, rise))
             elif gap < NEAR:
-                found.append((gap, self._scene.derivative(pair, self._space)))
+                gaps.append((gap, self._scene.derivative(pair, self._space)))
         # Adding 0 turns -0.0 into 0.0.
-        return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in found]
+        return [(MEDIUM.rounded_value(g), MEDIUM.rounded_slope(rise) + 0.0) for g, rise in gaps]
 
     def _above(self, gaps: Sequence[tuple[float, FloatArray]], at: FloatArray) -> Objective:
         """Return the goal with a penalty where a linear gap falls below 0."""
@@ -377,14 +377,14 @@ class ClearSearch:
         return descend(function, y, evaluations=evaluations, bounds=bounds, resolution=MEDIUM)
 
 
-def touching_postures(function: GoalFunction, found: Iterable[FloatArray]) -> Iterator[FloatArray]:
+def touching_postures(function: GoalFunction, poses: Iterable[FloatArray]) -> Iterator[FloatArray]:
     """Yield the postures, rounded as stored, in which the tips touch as the goal requires.
 
     Args:
         function: The goal, over the space of the search.
-        found: Coordinates ``(k,)`` in it.
+        poses: Coordinates ``(k,)`` in it.
     """
-    return (u for u in map(function.stored, found) if function.touching(u))
+    return (u for u in map(function.stored, poses) if function.touching(u))
 
 
 def clear_postures(
@@ -404,13 +404,13 @@ def clear_postures(
         budget: How much to try.
     """
     if function.space.size > 1:
-        found = ClearSearch(function, motion, checker, budget).run(starts)
-        return list(touching_postures(function, found))
+        poses = ClearSearch(function, motion, checker, budget).run(starts)
+        return list(touching_postures(function, poses))
     low, high = _free_interval(function, motion, checker)
     if high <= low:
         return []
-    found = [minimum.y for minimum in minima_on_line(function, low, high)]
-    return list(touching_postures(function, found))
+    poses = [minimum.y for minimum in minima_on_line(function, low, high)]
+    return list(touching_postures(function, poses))
 
 
 def _free_interval(

@@ -251,16 +251,16 @@ class CollisionChecker:
 
     def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
         """Return the first collision of these links on a path, or ``None``."""
-        found: Blocked | None = None
+        first: Blocked | None = None
         for pair, ends in sorted(self._near_runs(path, pairs), key=lambda run: run[1][0]):
-            if found is not None:
-                if ends[0] >= found.at:
+            if first is not None:
+                if ends[0] >= first.at:
                     break
-                ends = [*(t for t in ends if t < found.at), found.at]
+                ends = [*(t for t in ends if t < first.at), first.at]
             at = self._first_in(pair, path, ends)
-            if at is not None and (found is None or at < found.at):
-                found = Blocked(pair, at)
-        return found
+            if at is not None and (first is None or at < first.at):
+                first = Blocked(pair, at)
+        return first
 
     def _near_runs(
         self, path: StraightPath, pairs: Sequence[LinkPair]

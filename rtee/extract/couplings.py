@@ -75,14 +75,14 @@ class _Table:
         # Central differences of fourth order, in units of the step.
         self._slopes = (wide[:-4] - 8.0 * wide[1:-3] + 8.0 * wide[3:-1] - wide[4:]) / 12.0
 
-        self._last, self._found = math.nan, (self._values[0], self._slopes[0])
+        self._last, self._result = math.nan, (self._values[0], self._slopes[0])
 
     def at(self, x: float) -> tuple[FloatArray, FloatArray]:
         """Return the joints' positions and their derivatives; the last result is cached."""
         # Callers request position and slope one after the other, at the same place.
         if x != self._last:
-            self._last, self._found = x, self._interpolate(x)
-        return self._found
+            self._last, self._result = x, self._interpolate(x)
+        return self._result
 
     def _interpolate(self, x: float) -> tuple[FloatArray, FloatArray]:
         place = (x - self._low) / self._step

@@ -104,31 +104,42 @@ def descend(
             direction *= _FIRST_STEP / longest
         elif longest > _LONGEST_STEP:
             direction *= _LONGEST_STEP / longest
-        found, used = _search_line(function, (y, value, free), direction, bounds, resolution)
+        point, used = _search_line(function, (y, value, free), direction, bounds, resolution)
         count += used
-        if found is None or value - found[1] <= resolution.value:  # stalled
-            if found is not None:
-                y, value, slope = found
+        if point is None or value - point[1] <= resolution.value:  # stalled
+            if point is not None:
+                y, value, slope = point
             # Stalled with the identity, so that this is a minimum, or as good as one.
             if restarted or fresh:
                 break
             inverse, fresh, restarted = np.eye(len(y)), True, True
             continue
-        step, change = found[0] - y, found[2] - slope
-        y, value, slope = found
+        step, change = point[0] - y, point[2] - slope
+        y, value, slope = point
         along = dot(step, change)
         if along > _CURVED:
             # Before the first update, scale the identity to the measured curvature (Nocedal and
             # Wright, Numerical Optimization, 2006, equation 6.20).
             if fresh:
                 inverse = np.eye(len(y)) * (along / dot(change, change))
-            # The BFGS update of the inverse, as a symmetric sum of two outer products.
-            bent = matvec(inverse, change) / along
-            half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
-            update = step[:, None] * half
-            inverse = inverse + (update + update.T)
-            fresh = False
+            inverse, fresh = _updated(inverse, step, change, along), False
     return Minimum(y, value, count)
+
+
+def _updated(inverse: FloatArray, step: FloatArray, change: FloatArray, along: float) -> FloatArray:
+    """Return the BFGS update of the inverse Hessian after a step, which changed the slope.
+
+    Args:
+        inverse: The inverse Hessian ``(k, k)``.
+        step: The step ``(k,)``.
+        change: The change of the slope ``(k,)``.
+        along: The product of both.
+    """
+    # As a symmetric sum of two outer products.
+    bent = matvec(inverse, change) / along
+    half = (0.5 * (dot(change, bent) + 1.0) / along) * step - bent
+    update = step[:, None] * half
+    return inverse + (update + update.T)
 
 
 def _measured(

@@ -109,7 +109,7 @@ class Inspector:
             scene.place(path.at(1.0 if contact_at is None else contact_at))
             meeting = scene.witness(tips)
         opposed = opposition(scene, tips, meeting, u - scene.hand.rest)
-        found = replace(
+        evidence = replace(
             around,
             depth=_round(max(0.0, -witness.distance)) if touching else 0.0,
             distance=0.0 if touching else _round(max(0.0, witness.distance)),
@@ -119,7 +119,7 @@ class Inspector:
             contact_at=None if contact_at is None else _round(contact_at),
             opposition=opposed,
         )
-        return Candidate(u, found, margin)
+        return Candidate(u, evidence, margin)
 
     def multi_pinch(
         self,
@@ -164,6 +164,7 @@ class Inspector:
 
 def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:
     """Return the least intensity at which contacts have linked all tips."""
+    # Contacts are added in the order in which they come on the path, until all tips are linked.
     known = sorted((at, edge) for edge, at in firsts if at is not None)
     for i, (at, _) in enumerate(known):
         if linked(size, [edge for _, edge in known[: i + 1]]):

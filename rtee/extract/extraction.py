@@ -61,8 +61,11 @@ def extract(
     begun = time.perf_counter()
     primitives = kinematic_primitives(hand)
     inspector = Inspector.of(hand)
-    found = _pinches(inspector, jobs or processors(), rank, progress or (lambda done, total: None))
-    primitives += [_primitive(hand, pinch) for pinch in found]
+    pinches = _pinches(
+        inspector, jobs or processors(), rank, progress or (lambda done, total: None)
+    )
+    primitives += [_primitive(hand, pinch) for pinch in pinches]
+    # Workers return pinches in the order of tasks; files and reports list them by kind.
     order = list(PrimitiveKind)
     primitives.sort(key=lambda p: (order.index(p.kind), p.tips))
     return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector))
@@ -79,8 +82,8 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
         return None if search is None else search.probe()
 
     pairs: list[tuple[Finger, ...]] = list(combinations(tipped, 2))
-    found = parallel_map(probed, pairs, jobs, progress)
-    probes = {pair: probe for pair, probe in zip(pairs, found, strict=True) if probe}
+    results = parallel_map(probed, pairs, jobs, progress)
+    probes = {pair: probe for pair, probe in zip(pairs, results, strict=True) if probe}
     # After all pinches of two fingers, from which searches for several tips start.
     tight = {
         frozenset(finger.name for finger in pair): probe.explored
@@ -106,15 +109,15 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     return [pinch for pinch in pinches if pinch is not None]
 
 
-def _primitive(hand: Hand, found: FoundPinch) -> Primitive:
-    involved = {name for finger in found.fingers for name in hand.finger(finger).actuators}
+def _primitive(hand: Hand, pinch: FoundPinch) -> Primitive:
+    involved = {name for finger in pinch.fingers for name in hand.finger(finger).actuators}
     return Primitive(
-        found.kind,
-        found.fingers,
-        tuple(as_posture(hand, candidate.u, involved) for candidate in found.candidates),
-        tuple(candidate.evidence for candidate in found.candidates),
-        tips=len(found.fingers),
-        fingers=found.fingers,
+        pinch.kind,
+        pinch.fingers,
+        tuple(as_posture(hand, candidate.u, involved) for candidate in pinch.candidates),
+        tuple(candidate.evidence for candidate in pinch.candidates),
+        tips=len(pinch.fingers),
+        fingers=pinch.fingers,
     )
 
 

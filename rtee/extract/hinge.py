@@ -128,6 +128,7 @@ def clip_jaws(
     end = min(max(jaw.reach() for jaw in tip) for tip in (first, second))
     low, high = 0.0, end
     for _ in range(_HALVINGS):
+        # By bisection: the farther from the axis, the less of the tips is left to overlap.
         middle = (low + high) / 2.0
         if _overlap(first, second, middle):
             low = middle
@@ -148,6 +149,7 @@ def _overlap(first: Sequence[Jaw], second: Sequence[Jaw], limit: float) -> bool:
         outlines = [(jaw.pose, jaw.outline(limit)) for jaw in tip]
         hulls.append([(pose, hull_of(points)) for pose, points in outlines if len(points)])
     request = coal.CollisionRequest()
+    # The hulls of the remaining parts, which are convex, so that one cheap query decides.
     return any(
         coal.collide(a, _transform(at_a), b, _transform(at_b), request, coal.CollisionResult())
         for at_a, a in hulls[0]

@@ -15,25 +15,25 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
     Continuous actuators, which have no bound to move to, and fingers without a fingertip are left
     out. FingFlex uses an actuator that bends a finger, not one that swings it sideways.
     """
-    found: list[Primitive] = []
+    primitives: list[Primitive] = []
     bounded = {finger.name: _bounded(hand, finger) for finger in hand.fingers if finger.tip}
     for name, own in bounded.items():
         if own:
-            found.append(_flex(hand, PrimitiveKind.TRIG, name, own))
+            primitives.append(_flex(hand, PrimitiveKind.TRIG, name, own))
     several = {name: own for name, own in bounded.items() if len(own) >= 2}
     for name, own in several.items():
-        found.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
+        primitives.append(_flex(hand, PrimitiveKind.TIP_FLEX, name, own[-1:]))
     for name, own in several.items():
         sideways = abduction(hand, hand.finger(name))
         # If the innermost actuator swings the finger sideways, the next one bends it.
         first = next((a for a in own if a not in sideways), own[0])
-        found.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
-    found += [
+        primitives.append(_flex(hand, PrimitiveKind.FING_FLEX, name, (first,)))
+    primitives += [
         _single_joint(hand, i)
         for i, actuator in enumerate(hand.actuators)
         if len(actuator.fingers) >= 2 and _has_bounds(hand, i)
     ]
-    return found
+    return primitives
 
 
 def _bounded(hand: Hand, finger: Finger) -> tuple[str, ...]:

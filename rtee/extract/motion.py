@@ -73,6 +73,7 @@ class Motion:
     def path_to(self, goal: FloatArray) -> StraightPath:
         """Return the straight path from rest to a posture."""
         hand = self._scene.hand
+        # Along a straight path, linear couplings move their joints evenly.
         if hand.transmission.linear:
             travel = np.abs(matvec(hand.transmission.matrix, goal - hand.rest))
         else:
@@ -137,16 +138,16 @@ class Motion:
         Returns:
             The greatest displacements ``(s - 1,)`` [m].
         """
-        one, other = self._scene.shapes[moving], self._scene.shapes[fixed]
+        shape, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
-        rotations = matmul(matmul(outward.T, motion[0]), one.placement.rotation)
-        positions = _sum(motion[0] * one.placement.translation, axis=2) + motion[1]
+        rotations = matmul(matmul(outward.T, motion[0]), shape.placement.rotation)
+        positions = _sum(motion[0] * shape.placement.translation, axis=2) + motion[1]
         positions = matmul(positions - other.placement.translation, outward)
         # The bounding box of the other shape's box, in the frame of the shape.
         low, high = other.box
         centres = _sum(rotations * ((low + high) / 2.0 - positions)[:, :, None], axis=1)
         halves = _sum(np.abs(rotations) * ((high - low) / 2.0 + _NEAR)[:, None], axis=1)
-        lower, upper = one.box
+        lower, upper = shape.box
         lower, upper = np.maximum(lower, centres - halves), np.minimum(upper, centres + halves)
         near = (lower < upper).all(axis=1)
         # Usually, the two shapes never come near each other.

@@ -51,15 +51,16 @@ class MultiSearch:
     def run(self) -> FoundPinch | None:
         """Return the multi-pinch, if there is one."""
         scene, edges = self.inspector.scene, self._edges()
+        # Only tips that pinch in pairs can be linked by contacts.
         if not linked(len(self.fingers), [edge.ends for edge in edges]):
             return None
         moving = frozenset().union(*(edge.tips.actuators for edge in edges))
         space = make_space(self._hand, sorted(moving), real_limits(self._hand))
         goal = MultiPinchGoal(scene, len(self.fingers), edges, self._bystanders(moving))
-        found = self._minima(goal, space, edges)
+        result = self._minima(goal, space, edges)
         function = GoalFunction(scene, goal, space)
         # The deepest first; most of the others are never looked at.
-        touching = next(touching_postures(function, (m.y for m in found.polished)), None)
+        touching = next(touching_postures(function, (m.y for m in result.polished)), None)
         if touching is None:
             return None
         checker = self.inspector.checker(self.fingers, [edge.tips for edge in edges])
@@ -70,7 +71,7 @@ class MultiSearch:
 
         candidates = [candidate(touching)]
         if not candidates[0].usable:
-            starts, motion = [m.y for m in found.explored], self.inspector.motion
+            starts, motion = [m.y for m in result.explored], self.inspector.motion
             clear = clear_postures(function, motion, checker, starts, _BUDGET)
             candidates += [candidate(u) for u in clear[:1]]
         kind = PrimitiveKind.MULTI_PINCH_TIGHT
@@ -86,21 +87,21 @@ class MultiSearch:
         effort = SEVERAL if space.size <= FEW else MANY
         # Few tips are ever in the way; the next round penalises only those that touched.
         while True:
-            found = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
+            result = minima(GoalFunction(scene, goal, space), warm, effort, blocks)
             learned = False
-            for minimum in (*found.explored, *found.polished):
+            for minimum in (*result.explored, *result.polished):
                 # Bystanders may overlap during a descent, but not at its end.
                 scene.place(space.posture(minimum.y))
                 learned |= goal.learn_bystanders()
             if not learned:
-                return found
+                return result
 
     def _edges(self) -> list[TipEdge]:
-        scene, found = self.inspector.scene, []
+        scene, edges = self.inspector.scene, []
         for (i, a), (j, b) in combinations(enumerate(self.fingers), 2):
             if frozenset((a.name, b.name)) in self.pinches:
-                found.append(TipEdge((i, j), scene.tips[str(a.tip), str(b.tip)]))
-        return found
+                edges.append(TipEdge((i, j), scene.tips[str(a.tip), str(b.tip)]))
+        return edges
 
     def _bystanders(self, moving: frozenset[int]) -> list[LinkPair]:
         """Return the moving pairs of tips of which at least one is not part of the pinch."""

@@ -107,14 +107,14 @@ def make_openings(
     """
     chosen = list(actions)
     geometry = HandGeometry(hand)
-    found = []
+    openings = []
     for number, action in enumerate(chosen, 1):
         table = opening_of(geometry, action)
         if table is not None:
-            found.append(table)
+            openings.append(table)
         if progress is not None:
             progress(number, len(chosen))
-    return found
+    return openings
 
 
 def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
@@ -145,10 +145,10 @@ def _fingers(hand: Hand, action: Action) -> tuple[str, ...]:
     tipped = [finger for finger in hand.fingers if finger.tip]
     moved = set(action.waypoints[-1].involved)
     named = [f.name for f in tipped if f.name in action.fingers]
-    found = named or [f.name for f in tipped if moved.intersection(f.actuators)]
-    if len(found) == 1:
-        found += [f.name for f in tipped if not f.actuators]
-    return tuple(found)
+    fingers = named or [f.name for f in tipped if moved.intersection(f.actuators)]
+    if len(fingers) == 1:
+        fingers += [f.name for f in tipped if not f.actuators]
+    return tuple(fingers)
 
 
 class _Way:
@@ -203,8 +203,8 @@ class _Way:
 
     def gap(self, first: str, second: str) -> _Gap:
         """Return the gap between the tips of two fingers at the present posture."""
-        found = (self._between(*couple) for couple in self._couples[first, second])
-        distance, result = min(found, key=lambda each: each[0])
+        distances = (self._between(*couple) for couple in self._couples[first, second])
+        distance, result = min(distances, key=lambda each: each[0])
         points = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
         if distance > _TOUCH:
             between = points[1] - points[0]
@@ -304,8 +304,8 @@ class _Table:
         """Return the sample at an intensity."""
         if intensity not in self._known:
             self._way.go(intensity)
-            found = self._around() if len(self._sides) > 2 else self._between()
-            self._known[intensity] = found
+            sample = self._around() if len(self._sides) > 2 else self._between()
+            self._known[intensity] = sample
         return self._known[intensity]
 
     def opening(self) -> Opening | None:
@@ -397,6 +397,7 @@ def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
 
 def _falling(width: Sequence[float]) -> list[int]:
     """Return the indices of the strictly falling part with the largest decrease."""
+    # Points within a bump of the last one are skipped: the table must fall strictly.
     best: list[int] = [0]
     run: list[int] = [0]
     for i in range(1, len(width)):
@@ -456,5 +457,5 @@ def _circumcentre(points: FloatArray) -> FloatArray:
             mean: FloatArray = points.mean(axis=0)
             return mean
         weights = np.array([c[0] * d - c[1] * b, a * c[1] - b * c[0]]) / determinant
-    found: FloatArray = points[0] + vecmat(weights, edges)
-    return found
+    centre: FloatArray = points[0] + vecmat(weights, edges)
+    return centre

@@ -64,9 +64,8 @@ def opposition(
     speeds = [norm(v) for v in closing]
     if max(speeds) < _NO_SPEED or norm(closing[0] - closing[1]) < _NO_SPEED:
         return None
-    if (
-        not np.isfinite(speeds).all() or norm(witness.normal) < 0.5
-    ):  # no unit vector, since no normal was found
+    # Where Coal found no points or no normal, the opposition is unknown.
+    if not np.isfinite(speeds).all() or norm(witness.normal) < 0.5:
         return None
     for i in (0, 1):
         if speeds[i] < _STILL * speeds[1 - i]:
@@ -94,7 +93,7 @@ def force_closure(contacts: list[FloatArray], centre: FloatArray, friction: floa
         friction: Coefficient of friction.
     """
     line = contacts[1] - contacts[0]
-    if norm(line) < 1e-12:
+    if norm(line) < 1e-12:  # both tips meet the ball at one point, and cannot hold it
         return False
     # The half angle of the cone of friction.
     half = math.atan(friction)

@@ -116,8 +116,8 @@ class PinchSearch:
         """Return whether the tips can separate; tips that always touch do not pinch."""
         space = self._pinch.space
         apart = GoalFunction(self._scene, SeparationGoal(self._scene, self._tips), space)
-        found = minima(apart).polished[:_TRIED]
-        return any(not apart.touching(space.posture(m.y)) for m in found)
+        ends = minima(apart).polished[:_TRIED]
+        return any(not apart.touching(space.posture(m.y)) for m in ends)
 
     def _could_meet(self) -> bool:
         """Return whether the tips would touch if the limits were wider."""
@@ -128,10 +128,10 @@ class PinchSearch:
         deep = [m.y for m in minima(function).polished if m.value <= 0.0]
         return bool(self._contacts(function, deep))
 
-    def _closest(self, found: Sequence[FloatArray]) -> FloatArray:
+    def _closest(self, starts: Sequence[FloatArray]) -> FloatArray:
         """Return the posture as stored with the least distance of the tips' geometry."""
         gap = self._gap(self._pinch.space)
-        ends = [_descended(gap, y) for y in found[:_TRIED]]
+        ends = [_descended(gap, y) for y in starts[:_TRIED]]
         return gap.stored(min(ends, key=gap.value))
 
     def _contacts(self, pinch: GoalFunction, deep: Sequence[FloatArray]) -> list[FloatArray]:
@@ -140,8 +140,8 @@ class PinchSearch:
         If only the convex parts overlap at the minima, minimises the exact distance from there.
         """
 
-        def touching(found: Sequence[FloatArray]) -> list[FloatArray]:
-            return [y for y in found if pinch.touching(pinch.space.posture(y))]
+        def touching(places: Sequence[FloatArray]) -> list[FloatArray]:
+            return [y for y in places if pinch.touching(pinch.space.posture(y))]
 
         gap = self._gap(pinch.space)
         return touching(deep) or touching([_descended(gap, y) for y in deep[:_TRIED]])

@@ -82,6 +82,7 @@ def ranked(hand: Hand, candidates: Sequence[Candidate], rank: Rank) -> tuple[Can
     """
     lower, upper = real_limits(hand)
     kept: list[Candidate] = []
+    # In this order, so that of equal postures the best one is kept.
     for candidate in sorted(candidates, key=lambda c: _key(c, rank)):
         if not any(_alike(candidate, other, upper - lower) for other in kept):
             kept.append(candidate)

@@ -329,8 +329,8 @@ def _page(
     """Return the page; trials say what became of the actions when they were tried."""
     tried = list(trials)
     rows: dict[str, dict[str, Tried]] = {}
-    for one in tried:
-        rows.setdefault(one.action, {})[one.object] = one
+    for trial in tried:
+        rows.setdefault(trial.action, {})[trial.object] = trial
     return template.render(
         title=hand.description or hand.name,
         hand=hand,

@@ -75,7 +75,7 @@ class Scene:
         self.couplings = Couplings(hand)
         self.shapes: list[Shape] = list(self.geometry.shapes)
         self.pairs: dict[tuple[str, str], LinkPair] = {}
-        self._couples = 0
+        self._couples = 0  # numbers the pairs
         links = list(dict.fromkeys(shape.link for shape in self.shapes))
         for first, second in combinations(links, 2):
             shapes = (self.geometry.of_link(first), self.geometry.of_link(second))
@@ -85,6 +85,7 @@ class Scene:
         self._model = self.kinematics.model
         self._data = self.kinematics.data
         self._slope = self.couplings.slope(hand.rest)
+        # By number of the pair, made when it is first measured.
         self._rough: dict[int, DistanceQueries] = {}
         self._convex: dict[int, DistanceQueries] = {}
         self._exact: dict[int, DistanceQueries] = {}
@@ -116,14 +117,14 @@ class Scene:
     def _tip_pairs(self) -> dict[tuple[str, str], LinkPair]:
         """Return the pairs of fingertips, with joined ones clipped to parts that can pinch."""
         tips = [finger.tip for finger in self.hand.fingers if finger.tip]
-        found: dict[tuple[str, str], LinkPair] = {}
+        pairs: dict[tuple[str, str], LinkPair] = {}
         for first, second in combinations(dict.fromkeys(tips), 2):
             pair = self.pair(first, second)
             if pair is not None and self._joined(pair) and self.touching(pair):
                 pair = self._clipped(pair)
             if pair is not None and pair.actuators:
-                found[first, second] = pair
-        return found
+                pairs[first, second] = pair
+        return pairs
 
     def _joined(self, pair: LinkPair) -> bool:
         first, second = pair.bodies
@@ -221,11 +222,11 @@ class Scene:
         rows, stamp, known = [], self._stamp, self._searched
         for pair, weight in terms:
             queries = known.get(pair.number) or self._queries(pair, known)
-            found = queries.results[queries.least(stamp)[1]]
+            nearest = queries.results[queries.least(stamp)[1]]
             sign = -weight if pair.turned else weight
-            x, y, z = found.normal.tolist()
+            x, y, z = nearest.normal.tolist()
             x, y, z = x * sign, y * sign, z * sign
-            a, b, c = found.getNearestPoint1().tolist()
+            a, b, c = nearest.getNearestPoint1().tolist()
             rows.append((x, y, z, b * z - c * y, c * x - a * z, a * y - b * x))
         torques = matmul(np.array(rows), self._jacobian())
         torques *= self._moved_by(tuple([(pair.number, pair.turned) for pair, _ in terms]), terms)
@@ -253,8 +254,8 @@ class Scene:
         """
         if self.exact_distance(pair) == 0.0:
             return 0.0, np.zeros(space.size)
-        found = self.exact_witness(pair)
-        return found.distance, self._derivative(found.normal, found.first, pair, space)
+        witness = self.exact_witness(pair)
+        return witness.distance, self._derivative(witness.normal, witness.first, pair, space)
 
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
@@ -383,10 +384,10 @@ class Scene:
 
     def exact_witness(self, pair: LinkPair) -> Witness:
         """Return the closest points of the original geometry of two links that do not touch."""
-        found = _witness(pair, self._queries(pair, self._exact), self._stamp)
-        gap = found.second - found.first
+        witness = _witness(pair, self._queries(pair, self._exact), self._stamp)
+        gap = witness.second - witness.first
         length = norm(gap)
-        return found if length == 0.0 else replace(found, normal=gap / length)
+        return witness if length == 0.0 else replace(witness, normal=gap / length)
 
     def point_jacobian(self, link: str, point: FloatArray) -> FloatArray:
         """Return the Jacobian ``(3, n)`` of a point of a link by the actuators, base frame [m]."""
@@ -427,6 +428,7 @@ class Scene:
 
     def _draft(self, shape: int) -> Draft:
         """Return the draft of a shape, which shapes with the same mesh share."""
+        # By identity: shapes of one mesh share its geometry, which lives as long as the scene.
         exact = id(self.shapes[shape].exact)
         if exact not in self._drafts:
             self._drafts[exact] = draft(self.shapes[shape])
@@ -448,8 +450,10 @@ class Scene:
         """Return the queries of two links from one of the three sets, made if it has none."""
         queries = known.get(pair.number)
         if queries is None:
-            made = self._drafted(pair) if known is self._rough else None
-            queries = made or self._undrafted(pair, convex=known is self._convex)
+            if known is self._rough:
+                queries = self._drafted(pair)
+            else:
+                queries = self._undrafted(pair, convex=known is self._convex)
             known[pair.number] = queries
         return queries
 

@@ -110,13 +110,14 @@ def minima(
         blocks: Related coordinates, for combining starts from minima.
     """
     space = function.space
-    if space.size == 0:
+    if space.size == 0:  # all actuators of the tips are fixed: the rest posture is the only one
         y = np.zeros(0)
         here = [Minimum(y, function.value(y), 1)]
         return Minima(here, here)
     if space.size == 1:
         line = minima_on_line(function)
         return Minima(line, line)
+    # Known starts, such as pinches of two fingers, and points spread evenly over the box.
     starts = [*warm, *_screened(function, effort)]
     first = [descend(function, y, evaluations=effort.quick) for y in starts]
     seen: set[bytes] = set()
@@ -202,6 +203,7 @@ def recombined(
                 continue
             y = one.y.copy()
             y[block] = other.y[block]
+            # Many of the minima are those of the round before.
             key = y.round(_ALIKE).tobytes()
             if key not in seen:
                 seen.add(key)
@@ -242,15 +244,15 @@ def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) 
     """
     grid = np.linspace(low, high, _LINE)
     values = [function.value(np.array([t])) for t in grid]
-    found = []
+    results = []
     for i, here in enumerate(values):
         left = values[i - 1] if i else np.inf
         right = values[i + 1] if i + 1 < _LINE else np.inf
         # "<" on one side only, so that equal neighbours count once.
         if here < left and here <= right:
             a, b = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, _LINE - 1)])
-            found.append(_golden(function, (a, b), float(grid[i]), here))
-    return sorted(found, key=lambda m: m.value)
+            results.append(_golden(function, (a, b), float(grid[i]), here))
+    return sorted(results, key=lambda m: m.value)
 
 
 def _golden(

@@ -65,6 +65,7 @@ def real_limits(hand: Hand) -> tuple[FloatArray, FloatArray]:
     """Return the bounds of all actuators: their limits, or a full turn for continuous ones."""
     lower, upper = hand.lower.copy(), hand.upper.copy()
     for i, actuator in enumerate(hand.actuators):
+        # Half a turn to both sides of rest reaches every angle.
         if not math.isfinite(lower[i]):
             lower[i] = actuator.rest - math.pi
         if not math.isfinite(upper[i]):

@@ -55,6 +55,7 @@ class PackedTicks:
             return False
         head = _HEAD.pack(record.tick, record.stamp, record.wall_ns)
         row = head + b"".join([array.tobytes() for array in _arrays(record)])
+        # Rows must have one size; the arrays of a tick that does not fit the hand may have others.
         if len(row) != self._size:
             return False
         self._memory[place * self._size : (place + 1) * self._size] = row
@@ -65,6 +66,7 @@ class PackedTicks:
     def take(self) -> TickRecord:
         """Return the tick that was added first of those that were not yet taken."""
         place, self._taken = self._taken, self._taken + 1
+        # A copy, so that arrays of this tick do not keep the whole mapping.
         row = self._memory[place * self._size : (place + 1) * self._size]
         tick, stamp, wall_ns = _HEAD.unpack_from(row)
         arrays: dict[str, Any] = {}

@@ -145,11 +145,12 @@ def _check(recording: Recording, replayable: Replayable) -> Check:
         while runs and runs[0] <= stamp:
             runs.popleft()
             controller = Controller(hand, replayable.settings)
-        for what in due(int(states.tick[row]), stamp):
-            if isinstance(what, Plan):
-                controller.accept(what, stamp)
+        # In the order of the live loop: what steers the hand comes before the tick's step.
+        for steering in due(int(states.tick[row]), stamp):
+            if isinstance(steering, Plan):
+                controller.accept(steering, stamp)
             else:
-                controller.apply(what.command, what.stamp)
+                controller.apply(steering.command, steering.stamp)
         controller.step(stamp, measured)
         computed["position"][row] = controller.reference_position
         computed["velocity"][row] = controller.reference_velocity
@@ -202,13 +203,14 @@ def _tip_forces(recording: Recording) -> Callable[[float], list[float]]:
     rows = [-1] * len(channels)
 
     def at(t: float) -> list[float]:
-        found = []
+        newest = []
         for k, channel in enumerate(channels):
+            # Channels are recorded when they change; until then, the value before holds.
             while rows[k] + 1 < len(channel.t) and channel.t[rows[k] + 1] <= t:
                 rows[k] += 1
             if rows[k] >= 0:
-                found.append(channel.values[rows[k]])
-        return tip_forces(found)
+                newest.append(channel.values[rows[k]])
+        return tip_forces(newest)
 
     return at
 
@@ -224,13 +226,13 @@ def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Co
 
     def due(tick: int, stamp: float) -> Iterator[Plan | CommandRecord]:
         while waiting and waiting[0].stamp <= stamp:
-            what = waiting[0].value
+            steering = waiting[0].value
             # A command between two ticks has the stamp of the earlier one, but took effect at the
             # later one.
-            if isinstance(what, CommandRecord) and what.tick > tick:
+            if isinstance(steering, CommandRecord) and steering.tick > tick:
                 break
             # Removed only after the yield, since the caller of the generator may stop there.
-            yield what
+            yield steering
             waiting.popleft()
 
     return due

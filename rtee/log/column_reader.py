@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -17,7 +17,6 @@ from rtee.messages.cdr import DTYPES
 from rtee.messages.layout import places
 from rtee.messages.schema import MessageType
 
-_LENGTH = struct.Struct("<Q")
 _AFTER_LENGTH = MESSAGE.size - 9  # bytes of a record's head behind opcode and length
 _SEQUENCE = 11  # offset of the sequence number in a record: opcode, length, channel
 _LOG_TIME = 15  # offset of the log time, behind the sequence number
@@ -29,7 +28,7 @@ Offsets = NDArray[np.int64]
 
 def walk(data: bytes) -> dict[int, list[int]]:
     """Return the offsets of the messages in a chunk by channel, also of channels defined in it."""
-    found: dict[int, list[int]] = {}
+    starts: dict[int, list[int]] = {}
     position = 0
     while position + MESSAGE.size <= len(data):
         opcode, length, channel = struct.unpack_from("<BQH", data, position)
@@ -37,9 +36,9 @@ def walk(data: bytes) -> dict[int, list[int]]:
             break
         # 5: a message (MCAP specification, "Opcodes").
         if opcode == 5 and length >= _AFTER_LENGTH:
-            found.setdefault(channel, []).append(position)
+            starts.setdefault(channel, []).append(position)
         position += 9 + length
-    return found
+    return starts
 
 
 def gather(data: Bytes, starts: Offsets, size: int) -> Bytes:
@@ -56,6 +55,13 @@ def lengths(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
     """Return the lengths of the messages whose records begin at the starts [bytes]."""
     raw = np.ascontiguousarray(gather(data, starts + 1, 8)).view("<u8")[:, 0]
     return raw.astype(np.int64) - _AFTER_LENGTH
+
+
+def contents(data: Bytes, starts: Offsets) -> Iterator[bytes]:
+    """Yield the messages whose records begin at the starts, without the records' heads."""
+    for start, size in zip(starts.tolist(), lengths(data, starts).tolist(), strict=True):
+        begin = start + MESSAGE.size
+        yield data[begin : begin + size].tobytes()
 
 
 def log_times(data: Bytes, starts: Offsets) -> NDArray[np.int64]:
@@ -91,7 +97,7 @@ def starts_of(
     """Return the offsets of the messages by channel; ``None`` if an index is wrong."""
     if not place.indexes:
         return None
-    found: dict[int, Offsets] = {}
+    starts: dict[int, Offsets] = {}
     for number in channels:
         index = place.indexes.get(number)
         if index is None:
@@ -101,11 +107,11 @@ def starts_of(
             entries = np.frombuffer(index.read(stream)[6:], dtype="<u8").reshape(-1, 2)
         except (DamagedRecordError, ValueError):
             return None
-        starts = entries[:, 1].astype(np.int64)
-        if not valid(data, starts, number):
+        offsets = entries[:, 1].astype(np.int64)
+        if not valid(data, offsets, number):
             return None
-        found[number] = starts
-    return found
+        starts[number] = offsets
+    return starts
 
 
 def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
@@ -144,11 +150,10 @@ class Rows:
         """Add the messages of a type whose records begin at the starts in a chunk's data."""
         if not starts.size:
             return
-        sizes = lengths(data, starts)
-        if not self._first.size and not self._fix(kind, data, starts, sizes):
+        if not self._first.size and not self._fix(kind, data, starts):
             self.skipped += len(starts)
             return
-        fitting = sizes == self._first.size
+        fitting = lengths(data, starts) == self._first.size
         if not fitting.all():
             self.skipped += int(len(starts) - fitting.sum())
             starts = starts[fitting]
@@ -165,13 +170,9 @@ class Rows:
             rows, starts = rows[same], starts[same]
         self._store(rows, log_times(data, starts))
 
-    def _fix(
-        self, kind: MessageType, data: Bytes, starts: Offsets, sizes: NDArray[np.int64]
-    ) -> bool:
-        """Take the layout from the first valid message."""
-        for start, size in zip(starts.tolist(), sizes.tolist(), strict=True):
-            begin = start + MESSAGE.size
-            message = data[begin : begin + size].tobytes()
+    def _fix(self, kind: MessageType, data: Bytes, starts: Offsets) -> bool:
+        """Take the layout from the first valid message; return whether there is one."""
+        for message in contents(data, starts):
             try:
                 fields = kind.decode(message)
                 where = places(kind, message)
@@ -183,6 +184,7 @@ class Rows:
         else:
             return False
         position = 0
+        # Whatever lies between the arrays is constant.
         for place in where.values():
             self._constant.append((position, place.start))
             position = place.stop
@@ -202,9 +204,8 @@ class Rows:
             self._grow(end)
         self._times[begin:end] = times
         for name, column in self._columns.items():
-            if column.shape[1]:
-                part = np.ascontiguousarray(rows[:, self._where[name]])
-                column[begin:end] = part.view(column.dtype)
+            part = np.ascontiguousarray(rows[:, self._where[name]])
+            column[begin:end] = part.view(column.dtype)
         self._count = end
 
     def _grow(self, least: int) -> None:
@@ -231,5 +232,5 @@ class Rows:
 
     def scalars(self, name: str) -> NDArray[Any]:
         """Return a scalar field of all messages ``(k,)``; 0 for messages without it."""
-        found = self._columns.get(name)
-        return np.zeros(self._count) if found is None else found[: self._count, 0]
+        column = self._columns.get(name)
+        return np.zeros(self._count) if column is None else column[: self._count, 0]

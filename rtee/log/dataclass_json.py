@@ -44,29 +44,30 @@ def from_json(text: str | bytes, kind: type[T]) -> T:
         LogError: if the text does not fit the dataclass.
     """
     try:
-        made = _made(json.loads(text), kind)
+        value = _value_of(json.loads(text), kind)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise LogError(f"{kind.__name__} cannot be read from JSON: {error}") from error
-    return typing.cast("T", made)
+    return typing.cast("T", value)
 
 
-def _made(value: Any, kind: Any) -> Any:
+def _value_of(value: Any, kind: Any) -> Any:
+    """Return plain data as a value of a type, which is given as in an annotation."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         if value is None:
             return None
-        return _made(value, next(each for each in arguments if each is not type(None)))
+        return _value_of(value, next(each for each in arguments if each is not type(None)))
     if origin is Mapping:
-        return {key: _made(item, arguments[1]) for key, item in value.items()}
+        return {key: _value_of(item, arguments[1]) for key, item in value.items()}
     if origin is tuple:
-        return tuple(_made(item, arguments[0]) for item in value)
+        return tuple(_value_of(item, arguments[0]) for item in value)
     if dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         known = {field.name for field in dataclasses.fields(kind)}
         # Older recordings use former names, and may have fields that no longer exist.
         present = {key if key in known else FORMER_NAMES.get(key, key): value[key] for key in value}
         return typing.cast("Any", kind)(
-            **{key: _made(item, hints[key]) for key, item in present.items() if key in known}
+            **{key: _value_of(item, hints[key]) for key, item in present.items() if key in known}
         )
     if isinstance(kind, type) and issubclass(kind, Enum):
         known = {member.value for member in kind}

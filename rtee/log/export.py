@@ -69,17 +69,17 @@ def export(
     Raises:
         LogError: if there is nothing to export, or a file cannot be written.
     """
-    found = tables(recording, only)
-    if not found:
+    topic_tables = tables(recording, only)
+    if not topic_tables:
         raise LogError("holds nothing that could be exported", path=recording.paths[0])
     if kind is Format.NPZ:
-        _write_npz(output, found)
+        _write_npz(output, topic_tables)
         return [output]
     if kind is Format.PARQUET:
         # Imported before the first file is written, so that a missing extra leaves no files.
         _parquet()
     written = []
-    for name, table in found.items():
+    for name, table in topic_tables.items():
         path = output / f"{name}.{kind}"
         with replacing(path) as temporary:
             (_write_csv if kind is Format.CSV else _write_parquet)(temporary, table)
@@ -88,6 +88,7 @@ def export(
 
 
 def _write_csv(path: Path, table: Table) -> None:
+    # Line ends are up to the writer of CSV, as its documentation asks.
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(table)
@@ -110,10 +111,10 @@ def _write_parquet(path: Path, table: Table) -> None:
     pyarrow.parquet.write_table(pyarrow.table(columns), path, compression="zstd")
 
 
-def _write_npz(path: Path, found: Mapping[str, Table]) -> None:
+def _write_npz(path: Path, topic_tables: Mapping[str, Table]) -> None:
     arrays: dict[str, Any] = {
         f"{topic}/{name}": column
-        for topic, table in found.items()
+        for topic, table in topic_tables.items()
         for name, column in table.items()
     }
     with replacing(path) as temporary, temporary.open("wb") as stream:

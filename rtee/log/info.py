@@ -12,7 +12,6 @@ import numpy as np
 
 from rtee.errors import MessageError
 from rtee.log import column_reader
-from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import Survey, survey
 from rtee.log.reader import read
 from rtee.log.record_scanner import DamagedRecordError, messages_of
@@ -165,13 +164,10 @@ def _statistics(file: Survey) -> LoopStatistics | None:
                 continue
             try:
                 data, _ = messages_of(place.record.read(stream))
-                found = column_reader.walk(data).get(number)
-                if found:
-                    start = found[-1]
-                    array = np.frombuffer(data, dtype=np.uint8)
-                    size = int(column_reader.lengths(array, np.array([start], dtype=np.int64))[0])
-                    begin = start + MESSAGE.size
-                    return LOOP_STATISTICS.decode(data[begin : begin + size])
+                if starts := column_reader.walk(data).get(number):
+                    last = np.array(starts[-1:], dtype=np.int64)
+                    messages = column_reader.contents(np.frombuffer(data, dtype=np.uint8), last)
+                    return LOOP_STATISTICS.decode(next(messages))
             except (DamagedRecordError, MessageError):
                 continue
     return None

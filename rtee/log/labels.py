@@ -99,7 +99,7 @@ def labels_of(
             lane = next((k for k, until in enumerate(free) if until <= at), len(free))
             if lane == _LANES:
                 continue
-            free[lane:] = [at + width, *free[lane + 1 :]]
+            free[lane : lane + 1] = [at + width]  # also one lane more than there are
             yield Label(at, base + lane, shown, colour)
         # The next kind begins above the lanes of this one.
         base += len(free)

@@ -98,9 +98,10 @@ class Contents:
     @cached_property
     def _descriptions(self) -> Mapping[str, bytes]:
         """The robot's descriptions by topic: with embedded meshes, and with paths to meshes."""
-        text, found = self.hand.urdf.text, self.meshes.meshes
-        inside = {address: url for address, mesh in found.items() if (url := mesh.data_url)}
-        paths = {address: mesh.path.as_uri() for address, mesh in found.items()}
+        text, meshes = self.hand.urdf.text, self.meshes.meshes
+        # Viewers on other computers need the meshes inside; RViz needs files.
+        inside = {address: url for address, mesh in meshes.items() if (url := mesh.data_url)}
+        paths = {address: mesh.path.as_uri() for address, mesh in meshes.items()}
         return {
             ROBOT_DESCRIPTION: encode_string(with_mesh_addresses(text, inside)),
             URDF: encode_string(with_mesh_addresses(text, paths)),
@@ -136,6 +137,7 @@ class Contents:
             more: Further metadata of this file.
         """
         names = sorted(set(TYPES.values()))
+        # Identifiers begin with 1, since 0 means "no schema" in MCAP.
         schemas = [
             Schema(
                 id=number, name=name, encoding="ros2msg", data=message_type(name).schema.encode()

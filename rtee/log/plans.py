@@ -15,6 +15,9 @@ from rtee.types import Goal
 
 _PLAN = message_type("rtee_msgs/msg/Plan")
 
+_SIDES = -1
+"""Separator, in a list of indices of fingers, between the first side and the others."""
+
 
 def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int) -> bytes:
     """Return a ``rtee_msgs/Plan``.
@@ -86,10 +89,6 @@ def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> 
         elements=tuple(fields["elements"]),
         grip=_grip_of(fields["grip"][0], actuators) if fields["grip"] else None,
     )
-
-
-_SIDES = -1
-"""Separator, in a list of indices of fingers, between the first side and the others."""
 
 
 def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:

@@ -46,11 +46,11 @@ def fingers(recording: Recording) -> dict[str, tuple[str, ...]]:
     attached = recording.attachments.get(REPLAY)
     if attached is None:
         return {}
-    found: dict[str, list[str]] = {}
+    by_finger: dict[str, list[str]] = {}
     for actuator in from_json(attached, Replayable).actuators:
         for finger in actuator.fingers:
-            found.setdefault(finger, []).append(actuator.name)
-    return {finger: tuple(names) for finger, names in found.items()}
+            by_finger.setdefault(finger, []).append(actuator.name)
+    return {finger: tuple(names) for finger, names in by_finger.items()}
 
 
 def write_hand(recording: Recording, folder: Path) -> Path:
@@ -91,23 +91,23 @@ def write_hand(recording: Recording, folder: Path) -> Path:
 
 def _meshes(recording: Recording, home: Path) -> dict[str, tuple[Path, bytes]]:
     """Return the attached meshes by address in the URDF: the path to write and the content."""
-    found: dict[str, tuple[Path, bytes]] = {}
+    meshes: dict[str, tuple[Path, bytes]] = {}
     for address, name in recording.meshes.items():
         data = recording.attachments.get(name)
         folder, _, file = name.partition("/")
         if data is not None and folder == FOLDER:
-            found[address] = home / FOLDER / check_name(file, "mesh"), data
-    return found
+            meshes[address] = home / FOLDER / check_name(file, "mesh"), data
+    return meshes
 
 
 def _actions(attachments: Mapping[str, bytes], home: Path) -> dict[Path, bytes]:
     """Return the attached actions by path; skip names that lead out of their folder."""
-    found: dict[Path, bytes] = {}
+    files: dict[Path, bytes] = {}
     for file, data in attachments.items():
         parts = PurePosixPath(file).parts
         # A recording may come from anywhere, so that its names must not leave the hand's folder.
         if len(parts) != 3 or parts[0] != "actions" or not parts[2].endswith(".yaml"):
             continue
         kind = check_name(parts[1], "folder of actions")
-        found[home / "actions" / kind / check_name(parts[2], "file of actions")] = data
-    return found
+        files[home / "actions" / kind / check_name(parts[2], "file of actions")] = data
+    return files

@@ -49,7 +49,16 @@ def write_html(figure: Figure, path: Path) -> None:
         drawing.update_yaxes(title_text=f"{html.escape(row.title)}<br>{unit}", row=number, col=1)
         drawing.update_yaxes(title_text=right, row=number, col=2)
     _spans(drawing, figure, count)
-    head = _HEAD + _LANE_HEIGHT * (figure.lanes)
+    _lay_out(drawing, figure)
+    # Embedding Plotly adds some megabytes, but the page opens without a network.
+    text = drawing.to_html(include_plotlyjs=True, full_html=True, config={"scrollZoom": True})
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _lay_out(drawing: Any, figure: Figure) -> None:
+    count = len(figure.rows)
+    head = _HEAD + _LANE_HEIGHT * figure.lanes
     drawing.update_xaxes(range=[figure.start, figure.end], title_text=None, gridcolor="#e5e5e5")
     drawing.update_xaxes(title_text="time [s]", row=count)
     drawing.update_yaxes(gridcolor="#e5e5e5", title_font_size=11)
@@ -67,10 +76,6 @@ def write_html(figure: Figure, path: Path) -> None:
         hovermode="x",
         legend={"groupclick": "togglegroup", "tracegroupgap": 2},
     )
-    # Embedding Plotly adds some megabytes, but the page opens without a network.
-    text = drawing.to_html(include_plotlyjs=True, full_html=True, config={"scrollZoom": True})
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _trace(go: Any, line: Line, *, named: bool) -> Any:

@@ -12,7 +12,6 @@ import numpy as np
 
 from rtee.errors import LogError, MessageError
 from rtee.log import column_reader
-from rtee.log.chunks import MESSAGE
 from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
@@ -89,13 +88,14 @@ def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -
         if not path:
             raise LogError("no file is given")
         return [Path(each) for each in path]
-    one = Path(path)
-    if one.is_dir():
-        found = [file for file in recordings(one) if file.part is not None]
-        if not found:
-            raise LogError("there is no recording in this folder", path=one)
-        return parts_of(found[-1].path)
-    return parts_of(one) if series else [one]
+    path = Path(path)
+    if path.is_dir():
+        # Not the flight recorder's files, which hold only the last minute before a fault.
+        parts = [file for file in recordings(path) if file.part is not None]
+        if not parts:
+            raise LogError("there is no recording in this folder", path=path)
+        return parts_of(parts[-1].path)
+    return parts_of(path) if series else [path]
 
 
 class _Channel(NamedTuple):
@@ -118,27 +118,24 @@ class _Collector:
                     f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
                 )
         self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
-        self._rows: dict[str, column_reader.Rows] = {}
-        for name in _TABLES:
-            # The indexes give the number of messages, and so the final size of the arrays.
-            most = sum(self._count(each, name) for each in surveys) if name in wanted else 0
-            self._rows[name] = column_reader.Rows(most)
+        self._names = {topics.log_topic(self._hand, name): name for name in topics.TYPES}
+        self._files = [(each, self._channels(each)) for each in surveys]
+        # The indexes give the number of messages, and so the final size of the arrays.
+        counts = dict.fromkeys(_TABLES, 0)
+        for file, channels in self._files:
+            for number, channel in channels.items():
+                if channel.name in counts:
+                    counts[channel.name] += file.count(number)
+        self._rows = {name: column_reader.Rows(count) for name, count in counts.items()}
         self._messages: dict[str, list[Message]] = {name: [] for name in topics.TYPES}
         self._damage = [f"{each.path.name}: {note}" for each in surveys for note in each.damage]
         self._damaged = 0
 
-    def _name_of(self, topic: str) -> str | None:
-        """Return the name of a topic that belongs to the hand."""
-        for name in topics.TYPES:
-            if topic == topics.log_topic(self._hand, name):
-                return name
-        return None
-
     def _channels(self, file: Survey) -> dict[int, _Channel]:
         """Return the wanted channels of a file that have the types of rtee."""
-        found = {}
+        channels = {}
         for number, channel in file.channels.items():
-            name = self._name_of(channel.topic)
+            name = self._names.get(channel.topic)
             schema = file.schemas.get(channel.schema_id)
             if name in self._wanted and schema is not None and schema.name == topics.TYPES[name]:
                 try:
@@ -146,16 +143,11 @@ class _Collector:
                 except MessageError as error:
                     self._notes.append(f"{file.path.name}: {channel.topic} is left out: {error}")
                 else:
-                    found[number] = _Channel(name, kind)
-        return found
-
-    def _count(self, file: Survey, name: str) -> int:
-        numbers = [number for number, its in self._channels(file).items() if its.name == name]
-        return sum(file.count(number) for number in numbers)
+                    channels[number] = _Channel(name, kind)
+        return channels
 
     def read(self) -> Recording:
-        for file in self._surveys:
-            channels = self._channels(file)
+        for file, channels in self._files:
             if not channels and not file.values:
                 raise LogError("holds no recording of a hand", path=file.path)
             try:
@@ -189,6 +181,7 @@ class _Collector:
         for number, offsets in starts.items():
             name, kind = channels[number]
             times = column_reader.log_times(array, offsets)
+            # A damaged time would put a message anywhere in the recording.
             sound = (times >= place.start) & (times <= place.end)
             if not sound.all():
                 self._damaged += int(len(sound) - sound.sum())
@@ -207,12 +200,11 @@ class _Collector:
     ) -> None:
         ours = message_type(kind.name)
         times = column_reader.log_times(array, starts).tolist()
-        sizes = column_reader.lengths(array, starts).tolist()
         order = column_reader.sequences(array, starts).tolist()
-        for start, size, time, number in zip(starts.tolist(), sizes, times, order, strict=True):
-            begin = start + MESSAGE.size
+        messages = column_reader.contents(array, starts)
+        for message, time, number in zip(messages, times, order, strict=True):
             try:
-                fields = kind.decode(array[begin : begin + size].tobytes())
+                fields = kind.decode(message)
             except MessageError:
                 self._damaged += 1
                 continue
@@ -241,13 +233,8 @@ class _Collector:
         def entries(name: str, make: Callable[[Fields], T]) -> list[Entry[T]]:
             return self._entries(name, make, start)
 
-        things = entries(topics.OBJECT, convert.OBJECT.of)
-        attachments = {
-            name: bytes(attachment.data)
-            # The attachments of the first file take precedence, being those of the start.
-            for each in reversed(self._surveys)
-            for name, attachment in each.attachments.items()
-        }
+        objects = entries(topics.OBJECT, convert.OBJECT.of)
+        attachments = self._attachments()
         recording = Recording(
             paths=tuple(each.path for each in self._surveys),
             hand=self._hand,
@@ -270,7 +257,7 @@ class _Collector:
             loop_statistics=entries(topics.LOOP_STATISTICS, convert.LOOP_STATISTICS.of),
             channels=_channels_of(self._messages[topics.CHANNELS], start),
             touch=self._touch(start),
-            object_description=things[-1].value if things else None,
+            object_description=objects[-1].value if objects else None,
             urdf=self._urdf(attachments),
             meshes=self._surveys[0].metadata.get(MESHES, {}),
         )
@@ -283,6 +270,14 @@ class _Collector:
         object.__setattr__(recording, "notes", tuple(self._notes))
         object.__setattr__(recording, "damage", tuple(self._damage))
         return recording
+
+    def _attachments(self) -> dict[str, bytes]:
+        return {
+            name: bytes(attachment.data)
+            # The attachments of the first file take precedence, being those of the start.
+            for survey in reversed(self._surveys)
+            for name, attachment in survey.attachments.items()
+        }
 
     def _note_damage(self, text: str) -> None:
         self._notes.append(text)
@@ -327,15 +322,15 @@ class _Collector:
                 known |= sensors_of(fields)
             except MessageError:
                 self._damaged += 1
-        found: dict[str, list[tuple[int, TouchState]]] = {}
+        by_device: dict[str, list[tuple[int, TouchState]]] = {}
         for time, _, fields in sorted(self._messages[topics.TOUCH], key=lambda each: each[:2]):
             try:
                 state = touch_of(fields, known)
             except MessageError:
                 self._damaged += 1
             else:
-                found.setdefault(state.device, []).append((time, state))
-        series, others = touch_series(found, start)
+                by_device.setdefault(state.device, []).append((time, state))
+        series, others = touch_series(by_device, start)
         if others:
             self._notes.append(f"{others} messages of other touch sensors are left out")
         return series
@@ -393,10 +388,10 @@ def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:
     values: dict[str, list[FloatArray]] = {}
     for time, _, fields in messages:
         try:
-            found = channels_of(fields["name"], fields["length"], fields["value"])
+            changed = channels_of(fields["name"], fields["length"], fields["value"])
         except MessageError:
             continue
-        for name, value in found.items():
+        for name, value in changed.items():
             times.setdefault(name, []).append((time - start) / SECOND)
             values.setdefault(name, []).append(value)
     return {name: Channel(name, np.array(times[name]), tuple(values[name])) for name in times}

@@ -181,7 +181,7 @@ class Recorder:
         self._stamp = record.stamp
         waiting = self._queue.qsize()
         if waiting >= self._limit:
-            self._dropped += 1
+            self._dropped += 1  # never waited for: the loop's thread calls this
         elif waiting <= self._few:
             self._backlog = None  # the writer may have its last ticks; then nobody has
             self._queue.put(record)
@@ -199,7 +199,7 @@ class Recorder:
         return backlog
 
     def _now(self) -> float:
-        """Return the time of the last tick [s]."""
+        """Return the time of the last tick [s], or the present time before the first one."""
         return time.monotonic() if self._stamp is None else self._stamp
 
     def _put(self, item: Item, stamp: float) -> None:

@@ -153,16 +153,16 @@ class TouchSeries:
 
 
 def touch_series(
-    found: Mapping[str, Sequence[tuple[int, TouchState]]], start: int
+    by_device: Mapping[str, Sequence[tuple[int, TouchState]]], start: int
 ) -> tuple[dict[str, TouchSeries], int]:
     """Return states of touch sensors as series by device, and the number of states left out.
 
     Args:
-        found: The states by device, each with its time since 1970 [ns], in order.
+        by_device: The states by device, each with its time since 1970 [ns], in order.
         start: The recording's start [ns].
     """
     series, others = {}, 0
-    for device, states in found.items():
+    for device, states in by_device.items():
         last = states[-1][1]
         names = [(sensor.name, sensor.taxels) for sensor in last.sensors]
         # Keep the states of the last sensors, if the device was replaced by another one.
@@ -308,8 +308,8 @@ class Recording:
             ended = results.get(goal.value.goal_id)
             end = ended.t if ended else after
             outcome = outcome_of(ended.value) if ended else left
-            given = feedback.get(goal.value.goal_id, [])
-            inner = tuple(_inner_spans(given, goal.value.goal_id, end, outcome))
+            progress = feedback.get(goal.value.goal_id, [])
+            inner = tuple(_inner_spans(progress, goal.value.goal_id, end, outcome))
             spans.append(Span(name, goal.t, end, outcome, goal.value.goal_id, inner))
         return spans
 

@@ -67,26 +67,26 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     path = Path(path)
     if being_written(path):
         raise LogError("is being written; stop the recording first", path=path)
-    found = survey(path)
+    content = survey(path)
     target = path if output is None else Path(output)
     temporary: Path | None = None
     try:
         with path.open("rb") as stream:
-            damaged = sum(1 for chunk in found.chunks if not _sound(chunk, stream))
-            if found.finished and not damaged:
+            damaged = sum(1 for chunk in content.chunks if not _sound(chunk, stream))
+            if content.finished and not damaged:
                 if target != path:
                     shutil.copyfile(path, target)
-                return _report(found, target, 0, untouched=True)
-            if found.loose:
+                return _report(content, target, 0, untouched=True)
+            if content.loose:
                 raise LogError(
                     "has messages outside of chunks, as rtee never writes them; they would be lost",
                     path=path,
                 )
             folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".recover."))
             temporary = folder / target.name
-            file = McapFile(temporary, _preamble(found), sync=False)
+            file = McapFile(temporary, _preamble(content), sync=False)
             try:
-                for chunk in _chunks(found, stream):
+                for chunk in _chunks(content, stream):
                     file.write(chunk)
             finally:
                 file.close()
@@ -97,30 +97,34 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 shutil.rmtree(temporary.parent)
-    done = _report(survey(target), target, damaged, untouched=False, lost=found.size - found.good)
-    return replace(done, damage=found.damage)
+    done = _report(
+        survey(target), target, damaged, untouched=False, lost=content.size - content.good
+    )
+    return replace(done, damage=content.damage)
 
 
-def _report(found: Survey, path: Path, damaged: int, *, untouched: bool, lost: int = 0) -> Recovery:
+def _report(
+    content: Survey, path: Path, damaged: int, *, untouched: bool, lost: int = 0
+) -> Recovery:
     return Recovery(
         path=path,
         untouched=untouched,
-        chunks=len(found.chunks),
-        messages=sum(chunk.count(number) for chunk in found.chunks for number in chunk.indexes),
+        chunks=len(content.chunks),
+        messages=sum(chunk.count(number) for chunk in content.chunks for number in chunk.indexes),
         damaged=damaged,
         lost_bytes=lost,
-        seconds=(found.end - found.start) / SECOND,
-        damage=found.damage,
+        seconds=(content.end - content.start) / SECOND,
+        damage=content.damage,
     )
 
 
-def _preamble(found: Survey) -> Preamble:
+def _preamble(content: Survey) -> Preamble:
     return Preamble(
-        library=found.library,
-        metadata=found.metadata,
-        attachments=tuple(found.attachments.values()),
-        schemas=tuple(found.schemas.values()),
-        channels=tuple(found.channels.values()),
+        library=content.library,
+        metadata=content.metadata,
+        attachments=tuple(content.attachments.values()),
+        schemas=tuple(content.schemas.values()),
+        channels=tuple(content.channels.values()),
     )
 
 

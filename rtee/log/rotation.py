@@ -6,13 +6,14 @@ import re
 import stat
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from rtee.log.mcapfile import MAGIC, being_written
-from rtee.log.record_scanner import Record, parsed, scan
+from rtee.log.record_scanner import parsed, scan
 from rtee.messages.codec import SECOND
 
 METADATA = "rtee"
@@ -63,8 +64,8 @@ class RecordingFile:
 
 def parse_name(path: Path) -> RecordingFile | None:
     """Return the recording at a path, ``None`` if its name is no recording's or it is gone."""
-    found = _NAME.fullmatch(path.name)
-    if found is None:
+    match = _NAME.fullmatch(path.name)
+    if match is None:
         return None
     try:
         status = path.stat()
@@ -72,8 +73,8 @@ def parse_name(path: Path) -> RecordingFile | None:
         return None
     if not stat.S_ISREG(status.st_mode):  # opening a named pipe would wait for ever
         return None
-    part = None if found["part"] == FLIGHT else int(found["part"])
-    return RecordingFile(path, found["hand"], found["session"], part, status.st_size)
+    part = None if match["part"] == FLIGHT else int(match["part"])
+    return RecordingFile(path, match["hand"], match["session"], part, status.st_size)
 
 
 def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
@@ -82,9 +83,9 @@ def recordings(folder: Path, hand: str | None = None) -> list[RecordingFile]:
         paths = list(folder.glob("*.mcap"))
     except OSError:
         return []
-    found = [file for path in paths if (file := parse_name(path)) is not None]
+    files = [file for path in paths if (file := parse_name(path)) is not None]
     return sorted(
-        (file for file in found if hand in (None, file.hand)),
+        (file for file in files if hand in (None, file.hand)),
         key=lambda file: (file.session, file.part if file.part is not None else -1, file.path.name),
     )
 
@@ -107,15 +108,10 @@ def is_ours(path: Path, hand: str) -> bool:
         with path.open("rb") as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 return False
-            records: list[Record] = []
-            for record in scan(stream):
-                records.append(record)
-                if len(records) == _FEW_RECORDS:
-                    break
-            for record in records:
+            for record in islice(scan(stream), _FEW_RECORDS):
                 if record.opcode == Opcode.METADATA:
-                    found = parsed(Metadata, record.read(stream))
-                    if found.name == METADATA and found.metadata.get("hand") == hand:
+                    metadata = parsed(Metadata, record.read(stream))
+                    if metadata.name == METADATA and metadata.metadata.get("hand") == hand:
                         return True
     except (OSError, ValueError):
         return False

@@ -80,6 +80,7 @@ class DiskSink:
         """
         if self.wanted:
             return
+        # Before the file is made, which may fail: each later chunk then tries again.
         self.wanted = True
         self._session = session_name(wall_ns)
         self._part = 0

@@ -122,7 +122,8 @@ def _touch(recording: Recording) -> Table:
     table["stale"] = np.array([row[4] for row in rows], dtype=bool)
     table["total"] = np.array([each.totals[k, i] for *_, i, k, each in rows], dtype=np.float64)
     taxels = (each.state(k).of(name).tolist() for _, _, name, _, _, _, k, each in rows)
-    table["taxels"] = np.array([" ".join(f"{v:g}" for v in one) for one in taxels], dtype=np.str_)
+    texts_of_taxels = [" ".join(f"{value:g}" for value in values) for values in taxels]
+    table["taxels"] = np.array(texts_of_taxels, dtype=np.str_)
     return table
 
 
@@ -158,5 +159,5 @@ def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
     for name in only:
         if name not in _MAKERS:
             raise LogError(f"unknown topic '{name}'; {suggestion(name, _MAKERS)}")
-    made = {name: make(recording) for name, make in _MAKERS.items() if not only or name in only}
-    return {name: table for name, table in made.items() if len(table["t"])}
+    chosen = {name: make(recording) for name, make in _MAKERS.items() if not only or name in only}
+    return {name: table for name, table in chosen.items() if len(table["t"])}

@@ -72,7 +72,8 @@ class TickEncoder:
             Template(JOINT_STATE, joint_state_fields(actuators), changing),
         )
         self.layout: list[tuple[int, int]] = []
-        self._parts = [b""]  # constant and changing pieces alternate, as in a template
+        # Constant and changing pieces alternate, as in a template; the changing ones are odd.
+        self._parts = [b""]
         self._size = 0
         for channel, message in zip(channels, messages, strict=True):
             self.layout.append((channel, self._size))

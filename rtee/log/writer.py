@@ -130,8 +130,8 @@ class LogWriter:
         self._touch_encoder = TouchEncoder()
         self._plan: Plan | None = None
         self._grip_due = -float("inf")
-        self._lost_told = 0
-        self._dropped_told = 0
+        self._lost_reported = 0
+        self._dropped_reported = 0
         self._flight_due: float | None = None
         self._flight_cause = ""
         self._flight_done = -float("inf")
@@ -301,10 +301,10 @@ class LogWriter:
         """Pack the collected messages and pass the chunk on."""
         self._due = None
         dropped = self.dropped()
-        if dropped != self._dropped_told:
-            text = f"{dropped - self._dropped_told} records dropped: the writer fell behind"
-            self._dropped_told = dropped
-            self._tell("log_dropped", text)
+        if dropped != self._dropped_reported:
+            text = f"{dropped - self._dropped_reported} records dropped: the writer fell behind"
+            self._dropped_reported = dropped
+            self._report("log_dropped", text)
         ticks = self._builder.blocks
         chunk = self._builder.pack()
         if chunk is None:
@@ -316,16 +316,16 @@ class LogWriter:
         path = self.sink.path
         self.sink.write(chunk, ticks)
         if self.sink.problem and not before:
-            self._tell("log_failed", f"recording is lost: {self.sink.problem}")
+            self._report("log_failed", f"recording is lost: {self.sink.problem}")
         elif before and not self.sink.problem:
-            lost = self.sink.lost_ticks - self._lost_told
-            self._lost_told = self.sink.lost_ticks
-            self._tell("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
+            lost = self.sink.lost_ticks - self._lost_reported
+            self._lost_reported = self.sink.lost_ticks
+            self._report("log_resumed", f"recording goes on after {lost} ticks were lost: {before}")
         if self.sink.path != path:
             self._compared = False
             self._extras = {}  # every file has all channels
 
-    def _tell(self, kind: str, text: str) -> None:
+    def _report(self, kind: str, text: str) -> None:
         now = self._stamp if self._simulated else self._monotonic()
         event = Event(kind, ITSELF, text, now, "warning")
         # Also into the recording itself, where it explains the gap to a reader.
@@ -345,10 +345,10 @@ class LogWriter:
             return
         path = self.sink.write_flight(chunks, self._wall(), self._flight_cause)
         if path is None:
-            self._tell("log_failed", f"the flight recorder cannot write: {self.sink.problem}")
+            self._report("log_failed", f"the flight recorder cannot write: {self.sink.problem}")
             return
         self.flight_files.append(path)
-        self._tell("flight_recorded", f"{self.flight.seconds:.1f} s written to {path}")
+        self._report("flight_recorded", f"{self.flight.seconds:.1f} s written to {path}")
 
     def close(self) -> None:
         """Write the remaining messages and a pending flight file, and close the file."""

@@ -73,7 +73,7 @@ def mapping(names: str, values: str) -> As:
     """Return the conversion of a mapping to a sequence of names and one of values."""
     what = values.removesuffix("_value")
     return As(
-        {names: list, values: lambda found: list(found.values())},
+        {names: list, values: lambda mapped: list(mapped.values())},
         lambda keys, numbers: paired(what, keys, numbers),
     )
 
@@ -134,19 +134,22 @@ class Codec(Generic[T]):
         self.kind = message_type(kind)
         self._cls = cls
         self._same = [
-            each.name
-            for each in dataclasses.fields(cls)  # type: ignore[arg-type]
-            if each.name not in held
+            attribute.name
+            for attribute in dataclasses.fields(cls)  # type: ignore[arg-type]
+            if attribute.name not in held
         ]
-        self._held = {name: (list(how.pack), how.unpack) for name, how in held.items()}
+        self._unpackers = {
+            attribute: (list(conversion.pack), conversion.unpack)
+            for attribute, conversion in held.items()
+        }
         get: dict[str, Callable[[T], Any]] = {name: attrgetter(name) for name in self._same}
-        for name, how in held.items():
+        for attribute, conversion in held.items():
             # By a function, since a lambda in this loop would see only the last attribute.
-            get |= {one: _packing(name, pack) for one, pack in how.pack.items()}
+            get |= {name: _packing(attribute, pack) for name, pack in conversion.pack.items()}
         # All types begin with a header, which `_BEGIN` writes and `decode` skips.
         rest = self.kind.fields[1:]
-        self._writers = [(one.name, writer_of(one), get.get(one.name)) for one in rest]
-        self._readers = [(one.name, _reader_of(one)) for one in rest]
+        self._writers = [(field.name, writer_of(field), get.get(field.name)) for field in rest]
+        self._readers = [(field.name, _reader_of(field)) for field in rest]
 
     def fields(self, value: T, *, time: float = 0.0, wall: int = 0) -> dict[str, Any]:
         """Return the fields of a message, to nest it in another one; arguments as `encode`."""
@@ -192,8 +195,8 @@ class Codec(Generic[T]):
 
     def _value(self, fields: Mapping[str, Any]) -> T:
         values = {name: fields[name] for name in self._same}
-        for name, (held, unpack) in self._held.items():
-            values[name] = unpack(*[fields[one] for one in held])
+        for attribute, (names, unpack) in self._unpackers.items():
+            values[attribute] = unpack(*[fields[name] for name in names])
         return self._cls(**values)
 
 
@@ -201,11 +204,11 @@ def _packing(attribute: str, pack: Callable[[Any], Any]) -> Callable[[Any], Any]
     return lambda value: pack(getattr(value, attribute))
 
 
-def _reader_of(one: Field) -> Callable[[Reader], Any]:
-    if one.sequence and one.kind in SCALARS:
+def _reader_of(field: Field) -> Callable[[Reader], Any]:
+    if field.sequence and field.kind in SCALARS:
         # As a list, since attributes are tuples and mappings of numbers instead of arrays.
-        return lambda reader: reader.numbers(one.kind)
-    return reader_of(one)
+        return lambda reader: reader.numbers(field.kind)
+    return reader_of(field)
 
 
 def _plain(value: Any) -> Any:

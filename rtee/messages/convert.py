@@ -51,12 +51,8 @@ def _number(name: str) -> As:
     )
 
 
-def _on_contact(word: str) -> OnContact:
-    try:
-        return OnContact(word)
-    except ValueError:
-        raise MessageError(f"on_contact '{word[:50]}' is none of stop, hold, squeeze") from None
-
+# The word comes from the network and may have any length.
+_ON_CONTACT = word("on_contact", OnContact, "on_contact '{:.50}' is none of stop, hold, squeeze")
 
 GOAL = Codec(
     "rtee_msgs/msg/Goal",
@@ -71,9 +67,9 @@ GOAL = Codec(
     on_contact=As(
         {
             "contact_finger": list,
-            "on_contact": lambda found: [word.value for word in found.values()],
+            "on_contact": lambda by_finger: list(by_finger.values()),
         },
-        lambda fingers, words: paired("on_contact", fingers, [_on_contact(w) for w in words]),
+        lambda fingers, words: paired("on_contact", fingers, list(map(_ON_CONTACT.unpack, words))),
     ),
     max_force=_number("max_force"),
     stage=word("stage", Stage, "stage '{}' is none of both, pre_grasp, grasp"),
@@ -141,7 +137,6 @@ OBJECT = Codec("rtee_msgs/msg/Object", ObjectDescription, parts=As({"parts": _pa
 
 Plain = tuple[str, str, Mapping[str, float]]
 """Kind of a command, text and numbers by name."""
-
 
 _EFFORT = "effort "
 """Prefix of the names of effort limits among the numbers of a stream."""
@@ -235,17 +230,17 @@ COMMAND = Codec(
 )
 
 
-def _sample(**held: Any) -> StreamSample:
+def _sample(**fields: Any) -> StreamSample:
     """Return the sample with these fields of a ``rtee_msgs/StreamSample``."""
-    actuators = held["actuator"]
+    actuators = fields["actuator"]
     return StreamSample(
-        held["stream"],
-        held["stamp"],
-        held["arrival"],
-        paired("value", held["target"], held["value"]),
-        paired("velocity", held["velocity_name"], held["velocity"]),
-        paired("position", actuators, held["position"]),
-        paired("rate", actuators, held["rate"]),
+        fields["stream"],
+        fields["stamp"],
+        fields["arrival"],
+        paired("value", fields["target"], fields["value"]),
+        paired("velocity", fields["velocity_name"], fields["velocity"]),
+        paired("position", actuators, fields["position"]),
+        paired("rate", actuators, fields["rate"]),
     )
 
 

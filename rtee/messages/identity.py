@@ -26,8 +26,8 @@ class Claim:
     """The sender and number in a request's attachment; unproven until `signed_by` returns true.
 
     Attributes:
-        number: Number of the request, optionally with a dot and a label of the client; the answer
-            to a request that was put has the same number.
+        number: Number of the request, optionally with a dot and a label of the client; a published
+            answer has the number of its request.
         client: Name of the client.
         signature: The signature.
     """

@@ -19,11 +19,14 @@ from rtee.messages.schema import MessageType, message_type
 from rtee.sample import FloatArray
 
 _STAMP = struct.Struct("<iI")
+"""Seconds and nanoseconds of a ``builtin_interfaces/Time``."""
+
 STAMP = "header.stamp"
 """The time in a message's header; see `Template`."""
 
 JOINT_STATE = message_type("sensor_msgs/msg/JointState")
 JOINT_ARRAYS = ("position", "velocity", "effort")
+
 _NUMBERS = 7
 """Number of values of a transform: a position and a quaternion."""
 
@@ -39,7 +42,7 @@ def places(kind: MessageType, data: bytes) -> dict[str, slice]:
     Raises:
         MessageError: if the bytes are not such a message.
     """
-    found: dict[str, slice] = {}
+    slices: dict[str, slice] = {}
     reader = Reader(data)
 
     def find(kind: MessageType, prefix: str) -> None:
@@ -51,17 +54,18 @@ def places(kind: MessageType, data: bytes) -> dict[str, slice]:
             elif field.inner is not None:
                 find(field.inner, f"{path}.")
             elif field.kind == "string":
+                # Read only to get past it.
                 _ = reader.strings() if field.sequence else reader.string()
             else:
                 numbers = reader.array if field.sequence else reader.scalar
                 size = np.size(numbers(field.kind)) * SCALARS[field.kind].size
                 # From the end of the field, since padding may precede the numbers.
                 end = len(data) - reader.remaining
-                found[path] = slice(end - size, end)
+                slices[path] = slice(end - size, end)
 
     find(kind, "")
     reader.finish()
-    return found
+    return slices
 
 
 class Template:
@@ -89,13 +93,13 @@ class Template:
         self, kind: MessageType, fields: Mapping[str, Any], changing: Iterable[str]
     ) -> None:
         data = kind.encode(fields)
-        where = places(kind, data)
+        slices = places(kind, data)
         self.parts: list[bytes] = []
         position = 0
         for name in changing:
             # A dot after both keeps `force` from matching `force_error`.
-            found = [at for path, at in where.items() if f"{path}.".startswith(f"{name}.")]
-            begin, end = found[0].start, found[-1].stop
+            pieces = [at for path, at in slices.items() if f"{path}.".startswith(f"{name}.")]
+            begin, end = pieces[0].start, pieces[-1].stop
             if begin < position:
                 raise ValueError(f"'{name}' is not in the order of the definition of {kind.name}")
             self.parts += (data[position:begin], data[begin:end])

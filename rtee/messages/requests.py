@@ -4,8 +4,8 @@ A client sends a Zenoh query on ``rtee/<hand>/<group>/<name>``, with an attachme
 identity, see `rtee.messages.identity`. The answer is a message of the reply's type, or, as a Zenoh
 error, a ``rtee_msgs/Reply`` with the reason for the refusal.
 
-Requests that steer the hand may also be put on ``rtee/<hand>/put/<way>/<name>/<client>``. The
-answer is put on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or
+Requests that steer the hand may also be published on ``rtee/<hand>/put/<way>/<name>/<client>``. The
+answer is published on ``rtee/<hand>/answers/<client>``, with the attachment ``+<number>``, or
 ``-<number>`` and a ``rtee_msgs/Reply`` with the reason for the refusal.
 """
 
@@ -49,15 +49,14 @@ STATES = "states"
 """Part of the keys of streams of states."""
 
 ANSWERS = "answers"
-"""Part of the keys on which the hand puts the answers to requests that were put."""
-
+"""Part of the keys on which the hand publishes the answers to published requests."""
 
 INBOX = "put"
-"""Part of the keys on which clients put requests instead of sending queries."""
+"""Part of the keys on which clients publish requests instead of sending queries."""
 
 
 def inbox_key(hand: str, way: str, name: str, client: str) -> str:
-    """Return the key on which a client of a way, see `HELLO`, puts a request."""
+    """Return the key on which a client publishes a request; for the way, see `HELLO`."""
     return f"{PREFIX}/{hand}/{INBOX}/{way}/{name}/{client}"
 
 
@@ -70,9 +69,10 @@ def topic_for(way: str, topic: str) -> str:
 
 
 PUT = ("do", "jog", "sample")
-"""Requests that clients put, since they are urgent and a query takes Zenoh 0.1 ms longer."""
+"""Requests that clients publish, since they are urgent and a query takes Zenoh 0.1 ms longer."""
 
 
+# Numbers, since a role is compared with the lowest one that a request needs.
 class Role(IntEnum):
     """Permissions of a client; each role includes those before it."""
 
@@ -129,13 +129,7 @@ _M = Role.MAINTAINER
 
 _ALL = (
     _request(STOP, "stop", "ClientRequest", "StopReply", "Stop all devices now; needs no lease."),
-    _request(
-        HELLO,
-        "hello",
-        "ClientRequest",
-        "Reply",
-        "Introduce a client: its secret and role.",
-    ),
+    _request(HELLO, "hello", "ClientRequest", "Reply", "Introduce a client: its secret and role."),
     _request(CONTROL, "do", "Goal", "Reply", "Execute an action; feedback and a result follow."),
     _request(CONTROL, "cancel", "GoalReference", "Reply", "Cancel a goal; the hand holds."),
     _request(CONTROL, "hold", "ClientRequest", "Reply", "Hold the measured posture."),

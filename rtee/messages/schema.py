@@ -43,12 +43,12 @@ def sections(text: str, first: str = "") -> dict[str, str]:
         first: Name of the message that the text begins with, if it begins with one.
     """
     head, *rest = text.split(_RULE)
-    found = {first: head} if first else {}
+    definitions = {first: head} if first else {}
     for part in rest:
         name, _, definition = part.partition("\n")
         # Definitions omit the folder `msg` of full names.
-        found[_full(name.removeprefix("MSG:").strip())] = definition
-    return found
+        definitions[_full(name.removeprefix("MSG:").strip())] = definition
+    return definitions
 
 
 DEFINITIONS: Final = sections(Path(__file__).with_name("definitions.msg").read_text("utf-8"))
@@ -128,8 +128,8 @@ class MessageType:
 
     def __post_init__(self) -> None:
         """Select the functions that write and read the fields."""
-        writers = tuple((one.name, writer_of(one)) for one in self.fields)
-        readers = tuple((one.name, reader_of(one)) for one in self.fields)
+        writers = tuple((field.name, writer_of(field)) for field in self.fields)
+        readers = tuple((field.name, reader_of(field)) for field in self.fields)
         # The only way to set an attribute of a frozen dataclass.
         object.__setattr__(self, "_writers", writers)
         object.__setattr__(self, "_readers", readers)
@@ -164,15 +164,17 @@ class MessageType:
     def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of a message of another version, with defaults for missing fields."""
         return {
-            one.name: one.completed(values[one.name]) if one.name in values else one.default
-            for one in self.fields
+            field.name: field.completed(values[field.name])
+            if field.name in values
+            else field.default
+            for field in self.fields
         }
 
     def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
         """Append a message to a writer; see `encode`."""
         # With the right number of values, an unknown field implies a missing one, found below.
         if len(values) != len(self.fields):
-            wrong = set(values).symmetric_difference(one.name for one in self.fields)
+            wrong = set(values).symmetric_difference(field.name for field in self.fields)
             raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
         name = ""
         try:
@@ -191,12 +193,11 @@ class MessageType:
     @property
     def parts(self) -> tuple[MessageType, ...]:
         """The types of nested messages, each once, in order."""
-        found: dict[str, MessageType] = {}
-        for one in self.fields:
-            if one.inner is not None:
-                for part in (one.inner, *one.inner.parts):
-                    found.setdefault(part.name, part)
-        return tuple(found.values())
+        types: dict[str, MessageType] = {}
+        for inner in (each.inner for each in self.fields):
+            for part in () if inner is None else (inner, *inner.parts):
+                types.setdefault(part.name, part)
+        return tuple(types.values())
 
     @property
     def schema(self) -> str:
@@ -314,7 +315,7 @@ def recorded_type(name: str, schema: str) -> MessageType:
     texts = sections(schema, known.name)
     count = depth = 0
 
-    def made(full: str) -> MessageType:
+    def type_of(full: str) -> MessageType:
         nonlocal count, depth
         if full not in texts:
             return message_type(full)
@@ -322,23 +323,27 @@ def recorded_type(name: str, schema: str) -> MessageType:
         depth += 1
         if depth > _DEEPEST:
             raise MessageError(f"{name}: the recorded definition is nested too deeply")
-        found = parse(full, definition, made)
+        kind = parse(full, definition, type_of)
         depth -= 1
         # Put back, since other fields may be of this type, too.
         texts[full] = definition
         # Counted at every use, since types used twice at each level double the work per level.
-        count += len(found.fields)
+        count += len(kind.fields)
         if count > _MOST_FIELDS:
             raise MessageError(f"{name}: the recorded definition has too many fields")
-        notations = {one.name: one.notation for one in found.fields}
-        # Readers rely on the known types: a field may be missing or new, but not of another type.
-        ours = message_type(full).fields if full in DEFINITIONS else ()
-        changed = [
-            one.name for one in ours if notations.get(one.name, one.notation) != one.notation
-        ]
-        # A name that occurs twice would lose one of its values.
-        if changed or len(notations) != len(found.fields):
+        if not _readable(kind):
             raise MessageError(f"{name}: the recorded definition makes no sense")
-        return found
+        return kind
 
-    return made(known.name)
+    return type_of(known.name)
+
+
+def _readable(recorded: MessageType) -> bool:
+    """Return whether values of a recorded type can stand for those of the known one."""
+    notations = {field.name: field.notation for field in recorded.fields}
+    known = message_type(recorded.name).fields if recorded.name in DEFINITIONS else ()
+    # A field may be missing or new, but not of another type, and a name that occurs twice would
+    # lose one of its values.
+    return len(notations) == len(recorded.fields) and all(
+        notations.get(field.name, field.notation) == field.notation for field in known
+    )

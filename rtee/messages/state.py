@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from rtee.errors import MessageError
+from rtee.messages.cdr import SCALARS
 from rtee.messages.codec import Data, channel_fields, channels_of, header, wall_ns
 from rtee.messages.layout import STAMP, Template, stamp_bytes
 from rtee.messages.schema import message_type
@@ -27,8 +27,7 @@ UNKNOWN_GRIP = (math.nan, math.nan, math.nan, "")
 """Opening, force, its error and the source of the estimate, where none is known."""
 
 _GRIP_FIELDS = ("opening", "force", "force_error")
-_TICK = struct.Struct("<Q")
-_TIME = struct.Struct("<d")
+_TICK, _TIME = SCALARS["uint64"], SCALARS["float64"]
 _actuator_arrays = attrgetter(*ACTUATOR_COLUMNS)
 _arrays = attrgetter(*COLUMNS)
 
@@ -110,17 +109,17 @@ class StateEncoder:
         """Return the template for channels of these names and lengths, and a source of force."""
         key = source, tuple((name, len(values)) for name, values in channels.items())
         # One for each set of channels and each source, whose names are in the constant pieces.
-        found = self._templates.get(key)
-        if found is None:
-            held = ("channel", "channel_length", "channel_value")
-            fields = self._fields | dict(zip(held, channel_fields(channels), strict=True))
+        template = self._templates.get(key)
+        if template is None:
+            names = ("channel", "channel_length", "channel_value")
+            fields = self._fields | dict(zip(names, channel_fields(channels), strict=True))
             fields["force_source"] = source
             changing = (
                 *(STAMP, "tick", "time", *COLUMNS, "joint_position", "channel_value"),
                 *_GRIP_FIELDS,
             )
-            found = self._templates[key] = Template(STATE, fields, changing)
-        return found
+            template = self._templates[key] = Template(STATE, fields, changing)
+        return template
 
     def encode(
         self,
@@ -143,9 +142,9 @@ class StateEncoder:
         arrays = [array.tobytes() for array in (*_arrays(record), joint_position)]
         channels = b"".join([values.tobytes() for values in record.channels.values()])
         *numbers, source = grip
-        three = [_TIME.pack(value) for value in numbers]
+        packed_grip = [SCALARS["float64"].pack(number) for number in numbers]
         template = self._template(record.channels, source)
-        return template.filled((*times, *arrays, channels, *three))
+        return template.filled((*times, *arrays, channels, *packed_grip))
 
 
 def decode_state(data: Data) -> State:

@@ -77,15 +77,14 @@ PUBLISHED = frozenset(
 PREFIX = "rtee"
 """First part of every key on the network."""
 
-
+# Viewers expect these names without the hand.
 _FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
 
 
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    The robot's description and the transforms have the names that viewers expect, without the hand:
-    ``/robot_description``, ``/tf`` and ``/tf_static``.
+    Only ``/robot_description``, ``/tf`` and ``/tf_static`` lack the hand.
     """
     return f"/{name}" if name in _FIXED else f"/{hand}/{name}"
 

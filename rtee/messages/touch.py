@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from rtee.errors import MessageError
-from rtee.messages.codec import SECOND, Data, header
+from rtee.messages.cdr import SCALARS
+from rtee.messages.codec import SECOND, header
 from rtee.messages.layout import STAMP, Template, stamp_bytes
 from rtee.messages.schema import message_type
 from rtee.sample import FloatArray, TickRecord
@@ -19,7 +19,7 @@ from rtee.touch import TouchSensor, TouchState
 TOUCH = message_type("rtee_msgs/msg/Touch")
 TOUCH_SENSORS = message_type("rtee_msgs/msg/TouchSensors")
 
-_TIME = struct.Struct("<d")
+_TIME = SCALARS["float64"]
 _CHANGING: Final = (STAMP, "time", "stale", "total", "value")
 
 MOST_TAXELS: Final = 100_000
@@ -100,11 +100,6 @@ def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchSt
     return TouchState(fields["device"], sensors, values, float(fields["time"]), fields["stale"])
 
 
-def decode_touch(data: Data, known: Mapping[str, Sensors]) -> TouchState:
-    """Return the state in a ``rtee_msgs/Touch``; see `touch_of`."""
-    return touch_of(TOUCH.decode(data), known)
-
-
 def sensors_fields(states: Iterable[TouchState], wall_ns: int = 0) -> dict[str, Any]:
     """Return the fields of a ``rtee_msgs/TouchSensors`` with the sensors of some devices."""
     sensors = [
@@ -132,7 +127,7 @@ def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
     Raises:
         MessageError: if places do not fit the taxels.
     """
-    found: dict[str, list[TouchSensor]] = {}
+    by_device: dict[str, list[TouchSensor]] = {}
     for each in fields["sensors"]:
         grid = tuple(int(n) for n in each["grid"])
         if not 1 <= each["taxels"] <= MOST_TAXELS:
@@ -150,8 +145,8 @@ def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
             _rows(each["position"], each["taxels"]),
             _rows(each["normal"], each["taxels"]),
         )
-        found.setdefault(each["device"], []).append(sensor)
-    return {device: tuple(sensors) for device, sensors in found.items()}
+        by_device.setdefault(each["device"], []).append(sensor)
+    return {device: tuple(sensors) for device, sensors in by_device.items()}
 
 
 def measured_at(record: TickRecord, state: TouchState) -> int:

@@ -109,11 +109,13 @@ def _topics(hand: str, way: str) -> Iterable[dict[str, Any]]:
 
 def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     """Return the rules for the requests that clients of an access path may send, and hello."""
-    allowed = [one for one in REQUESTS.values() if one.group != HELLO and one.role <= role]
+    allowed = [
+        request for request in REQUESTS.values() if request.group != HELLO and request.role <= role
+    ]
     # The access path is part of the key: nobody can say hello with another's certificate.
-    keys = [f"{HELLO}/{way}", *(f"{one.group}/{one.name}" for one in allowed)]
+    keys = [f"{HELLO}/{way}", *(f"{request.group}/{request.name}" for request in allowed)]
     yield _rule(_name(role, way), "ingress", ["query"], hand, keys)
-    put = [f"{INBOX}/{way}/{one.name}/*" for one in allowed if one.group == CONTROL]
+    put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]
     if put:
         yield _rule(f"put {way}", "ingress", ["put"], hand, put)
 

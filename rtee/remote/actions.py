@@ -201,7 +201,7 @@ def _evidence_of(fields: Fields) -> Evidence:
     )
 
 
-def made_of(library: ActionLibrary, fields: Fields) -> Action:
+def build_action(library: ActionLibrary, fields: Fields) -> Action:
     """Make the composed, timed or generic action that a client describes.
 
     Args:

@@ -148,12 +148,14 @@ def revoke(folder: Path, name: str) -> list[Person]:
         ConfigError: if there is no such name.
     """
     known = _known(folder)
-    matching = [one for one in known.people if name in (one.name, person(one.name))]
+    matching = [client for client in known.people if name in (client.name, person(client.name))]
     if not matching:
         raise ConfigError(f"there is no client '{name[:50]}'", path=folder / PEOPLE)
-    people = tuple(replace(one, revoked=True) if one in matching else one for one in known.people)
+    people = tuple(
+        replace(client, revoked=True) if client in matching else client for client in known.people
+    )
     _write(replace(known, people=people))
-    return [one for one in matching if not one.revoked]
+    return [client for client in matching if not client.revoked]
 
 
 def _known(folder: Path) -> Credentials:
@@ -282,12 +284,12 @@ def _write(known: Credentials) -> None:
     """Write the list of people, the spare names and the expiry of the hand's certificate."""
     entries = [
         {
-            "name": one.name,
-            "role": one.role.name.lower(),
-            "until": one.until,
-            "revoked": one.revoked,
+            "name": client.name,
+            "role": client.role.name.lower(),
+            "until": client.until,
+            "revoked": client.revoked,
         }
-        for one in known.people
+        for client in known.people
     ]
     spare = {name: role.name.lower() for name, role in known.spare.items()}
     text = json.dumps({"until": known.until, "people": entries, "spare": spare}, indent=2)

@@ -50,7 +50,9 @@ class CommandHandlers:
         self._stopping: list[IncomingRequest] = []
         self._stopped: Fields = {}
         self._stopped_at, self._stopped_after = -math.inf, 0
-        self._moves = 0  # counts requests that may move the hand, before and after each
+        # Counts requests that may move the hand, before and after each: a stop that overlaps with
+        # one never seems to have come after it.
+        self._moves = 0
         self._handlers: dict[str, Callable[[IncomingRequest], str | None]] = {
             "cancel": self._cancel,
             "hold": self._hold,

@@ -37,6 +37,9 @@ HAND, HAND_KEY = "hand.crt", "hand.key"
 _LONGEST = 65536
 """Most bytes that are read of a client's file [bytes]: a valid one has two thousand."""
 
+_PARTS = ("key", "certificate", "authority")
+"""The PEM blocks of a client's file, in this order."""
+
 _BLOCK = re.compile(r"-----BEGIN ([A-Z ]+)-----\n.*?-----END \1-----\n", re.DOTALL)
 _NAME = re.compile(r"^rtee client: ([A-Za-z0-9_\-]+\.[0-9a-f]+)$", re.MULTILINE)
 
@@ -143,7 +146,7 @@ class Credentials:
     @property
     def admitted(self) -> Mapping[str, Person]:
         """The admitted people, by the common names in their certificates."""
-        return {common_name(one.name): one for one in self.people if not one.revoked}
+        return {common_name(entry.name): entry for entry in self.people if not entry.revoked}
 
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings for listening with these certificates.
@@ -235,6 +238,7 @@ def identity() -> Identity:
         with path.open(encoding="ascii") as file:
             text = file.read(_LONGEST)
         check_private(path)
+    # A file in another format than PEM, such as DER, is not ASCII.
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(
             f"cannot be read: {reason(error)}; TLS needs the file that 'rtee secure add-client' has"
@@ -246,10 +250,6 @@ def identity() -> Identity:
     if name is None or len(blocks) != len(_PARTS):
         raise ConfigError("is not a file that 'rtee secure add-client' has made", path=path)
     return Identity(name[1], dict(zip(_PARTS, blocks, strict=True)))
-
-
-_PARTS = ("key", "certificate", "authority")
-"""The PEM blocks of a client's file, in this order."""
 
 
 def identity_text(name: str, key: str, certificate: str, authority: str) -> str:

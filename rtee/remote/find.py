@@ -93,6 +93,7 @@ async def _here(hand: str | None) -> Found:
         raise NoHand(
             f"the hand '{name}' does not answer; it runs in process {hands[name].pid}"
         ) from None
+    # A server announces one endpoint here, its Unix socket.
     return Found(session, name, way_to(hands[name].endpoints[0]))
 
 

@@ -136,7 +136,7 @@ class Identities:
         with self._lock:
             if name in self._there or token in self._by_token:
                 raise RequestRejected(f"there is a client '{name}' already")
-            if sum(one.way == way for one in self._there.values()) >= _MOST_CLIENTS:
+            if sum(client.way == way for client in self._there.values()) >= _MOST_CLIENTS:
                 raise RequestRejected(f"there are {_MOST_CLIENTS} clients of this kind already")
             client = Client(name, admitted.role, way, token)
             if token in self._tokens:

@@ -27,8 +27,8 @@ allowance grows again, and the burst that follows delays some ticks; so this tim
 client does not stop."""
 
 _LONGEST_CLOSED = 16.0
-"""Longest such time [s]: delays of ticks are rare then, and a client that was mended is heard again
-soon."""
+"""Longest such time [s]: a client that goes on flooding gets one burst through in it, and one that
+has stopped is heard again after it at the latest."""
 
 _LOOK_EVERY = 0.5
 """Interval of the checks whether to open an inbox again [s]: half of the shortest time closed."""

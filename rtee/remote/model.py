@@ -38,6 +38,7 @@ def from_info(info: HandInfo) -> Hand:
     Raises:
         ModelError: if the description cannot be used, for example because its meshes are missing.
     """
+    # By way of a file, since models are only read from files.
     with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
         path = Path(folder) / "hand.urdf"
         path.write_text(info.urdf, encoding="utf-8")

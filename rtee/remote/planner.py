@@ -157,6 +157,7 @@ def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
         "fingers": [_finger_fields(hand, finger, u) for finger in hand.fingers],
         "posture_name": hand.actuator_names,
         "posture": u,
+        # Messages have flat arrays only; `info_of` gives them their shapes again.
         "transmission": hand.transmission.jacobian(u).ravel(),
         "offset": hand.transmission.joints(u),
         "missing": list(_missing(hand)),

@@ -103,7 +103,7 @@ class Protection:
         if self._credentials is not None:
             self.settings |= self._credentials.settings()
             self._look_up(self._credentials)
-            admitted = {name: one.role for name, one in self._admitted.items()}
+            admitted = {name: rights.role for name, rights in self._admitted.items()}
             # Zenoh reads its rules once, so they must include the names of later certificates.
             self._known = {**self._credentials.spare, **admitted}
         self.settings["access_control"] = access_control(hand, self._known, plain=self._plain)
@@ -173,5 +173,5 @@ class Protection:
                     admitted[name].name,
                 )
         self._admitted = {
-            name: Admitted(one.role, f"{person(one.name)}-") for name, one in admitted.items()
+            name: Admitted(entry.role, f"{person(entry.name)}-") for name, entry in admitted.items()
         }

@@ -25,7 +25,7 @@ from rtee.loop.plan import OPEN
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.touch import reply_fields
 from rtee.object_description import NO_OBJECT
-from rtee.remote.actions import action_fields, group_fields, made_of
+from rtee.remote.actions import action_fields, build_action, group_fields
 from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
@@ -277,7 +277,7 @@ class QueryHandlers:
             self._changed("rtee", "the files of actions were read again")
 
     def _add(self, fields: Fields) -> Fields:
-        action = made_of(self._library, fields["action"])
+        action = build_action(self._library, fields["action"])
         _check_free(action.name)
         known = {normalise(each.name) for each in self._library if not isinstance(each, Primitive)}
         if len(known) >= _MOST_ACTIONS and normalise(action.name) not in known:

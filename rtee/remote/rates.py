@@ -71,6 +71,7 @@ class Rates:
     def allow(self, name: str) -> bool:
         """Count a request and return whether it may be handled."""
         left, now = self._requests_left(name), self._now()
+        # A refused request uses up nothing: clients that go on are not locked out for longer.
         if left < 1.0:
             return False
         self._left[name] = left - 1.0, now
@@ -78,6 +79,7 @@ class Rates:
 
     def charge(self, size: int) -> None:
         """Count the bytes of an answer."""
+        # May become negative, since an answer's length is known only after it was permitted.
         self._left[_BYTES] = self._bytes_left() - size, self._now()
 
     def has_bytes(self) -> bool:

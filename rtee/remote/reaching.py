@@ -155,13 +155,14 @@ class ReachClient:
             Stage.BOTH: (reached.pre_grasp, reached.posture),
         }[part]
         name = f"grasp_at_{os.urandom(4).hex()}"
-        for number, posture in enumerate(postures):
+        for posture in postures:
             action = Generic(name, Posture(posture, tuple(posture)), "A grasp of a planner.")
-            await self._actions.add_action(action, replace=number > 0)
+            await self._actions.add_action(action)
             try:
                 result = await self._goals.do(name)
             finally:
                 await self._actions.remove_action(name)
+            # Closing from where the hand could not open for it would push the object.
             if not (result.reached or result.stalled):
                 break
         return result

@@ -93,7 +93,7 @@ class NumpyScene:
             directions: Unit vectors ``(k, 3)``.
         """
         n = len(directions)
-        found = ClosestHits(
+        hits = ClosestHits(
             np.full(n, -1, dtype=np.int64),
             np.zeros(n, dtype=np.float32),
             np.zeros(n, dtype=np.float32),
@@ -106,21 +106,21 @@ class NumpyScene:
             # Of several triangles hit by a ray, the nearest is written last and stays.
             order = np.argsort(-depth, kind="stable")
             which = ray[order] + start
-            found.face[which] = self._faces[triangle[order]]
-            found.u[which], found.v[which] = u[order], v[order]
-            found.depth[which] = depth[order]
-        return found
+            hits.face[which] = self._faces[triangle[order]]
+            hits.u[which], hits.v[which] = u[order], v[order]
+            hits.depth[which] = depth[order]
+        return hits
 
     def occluded(
         self, origins: FloatArray, directions: FloatArray, reach: float
     ) -> NDArray[np.bool_]:
         """Return whether each ray hits a triangle within a distance [m]."""
-        found = np.zeros(len(directions), dtype=bool)
+        hidden = np.zeros(len(directions), dtype=bool)
         for start in range(0, len(directions), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
             begin, toward = _rows(origins[part]), _rows(directions[part])
-            found[self._hits(begin, toward, np.float32(reach))[0] + start] = True
-        return found
+            hidden[self._hits(begin, toward, np.float32(reach))[0] + start] = True
+        return hidden
 
     def _leaves(
         self, origins: Floats, directions: Floats, reach: np.float32
@@ -141,6 +141,7 @@ class NumpyScene:
                 np.minimum(leave, middle + size, out=leave)
             through = np.flatnonzero(leave >= enter)
             ray, node = ray.take(through), node.take(through)
+            # Above the leaves, the ray goes on into both boxes below.
             if centre.shape[1] < 1 << self._depth:
                 ray, node = np.repeat(ray, 2), np.repeat(node * 2, 2)
                 node[1::2] += 1
@@ -166,7 +167,8 @@ class NumpyScene:
         some = np.flatnonzero((depth > 0) & (depth <= reach))
         ray, triangle, depth = ray.take(some), triangle.take(some), depth.take(some)
         at = [
-            one.take(some) + depth * way.take(some) for one, way in zip(begin, toward, strict=True)
+            start.take(some) + depth * way.take(some)
+            for start, way in zip(begin, toward, strict=True)
         ]
         u, v = self._along(0, triangle, at), self._along(1, triangle, at)
         hit = np.flatnonzero((u >= -_GAP) & (v >= -_GAP) & (u + v <= 1 + _GAP))

@@ -88,6 +88,7 @@ def fit_camera(
     half_x = half_y * size[0] / size[1]
     x, y, z = points @ right, points @ above, points @ forward
     # A point (x, y, z) is inside when |x - cx| <= half_x · (z - cz), and so for y.
+    # The narrower of both directions decides how far away the camera must be.
     cx, depth_x = _between(x, z, half_x)
     cy, depth_y = _between(y, z, half_y)
     cz = min(depth_x, depth_y)

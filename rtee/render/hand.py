@@ -190,6 +190,7 @@ class HandRenderer:
     def _caster(self, u: FloatArray) -> RayCaster:
         """Return the ray caster of the hand at a posture; the last one is cached."""
         key = u.tobytes()
+        # Read once, since another thread may replace it in between.
         last = self._last
         if last is None or last[0] != key:
             last = self._last = (key, RayCaster(self._posed(u)))
@@ -235,6 +236,7 @@ class HandRenderer:
             first = np.cross(normal, self._back)
         first /= np.linalg.norm(first)
         second = np.cross(normal, first)
+        # Every 15°: neighbouring directions see nearly the same.
         turns = np.arange(24) * (2 * math.pi / 24)
         sides = np.cos(turns)[:, None] * first + np.sin(turns)[:, None] * second
         # Prefer directions near the camera of the other pictures and above, but visibility of the

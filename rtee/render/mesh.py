@@ -91,6 +91,7 @@ def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     # Pair every corner with all corners at the same vertex, including itself. All pairs of a corner
     # are consecutive, so that one reduceat sums the normals around it.
     place = _same_vertices(corners.reshape(-1, 3))
+    # Corners at crowded vertices get places of their own, and so the normals of their faces.
     crowded = np.bincount(place)[place] > _CROWDED
     if crowded.any():
         apart = np.where(crowded, len(place) + np.arange(len(place)), place)

@@ -65,14 +65,14 @@ class EmbreeScene:
 
     def closest(self, origins: FloatArray, directions: FloatArray) -> ClosestHits:
         """See `Scene.closest`."""
-        found = self._scene.run(_f32(origins), _f32(directions), output=1)
-        return ClosestHits(found["primID"], found["u"], found["v"], found["tfar"])
+        hits = self._scene.run(_f32(origins), _f32(directions), output=1)
+        return ClosestHits(hits["primID"], hits["u"], hits["v"], hits["tfar"])
 
     def occluded(self, origins: FloatArray, directions: FloatArray, reach: float) -> Mask:
         """See `Scene.occluded`."""
         far = np.full(len(origins), reach, dtype=np.float32)
-        found = self._scene.run(_f32(origins), _f32(directions), far, query="OCCLUDED")
-        hit: Mask = np.asarray(found) >= 0
+        faces = self._scene.run(_f32(origins), _f32(directions), far, query="OCCLUDED")
+        hit: Mask = np.asarray(faces) >= 0
         return hit
 
 
@@ -121,11 +121,11 @@ class RayCaster:
     def cast(self, origin: FloatArray, directions: FloatArray) -> Hits:
         """Return the closest hits of rays from one point."""
         origins = np.broadcast_to(origin, directions.shape)
-        found = self._scene.closest(origins, directions)
-        rays = np.flatnonzero(found.face >= 0)
-        face = found.face[rays]
-        u, v = found.u[rays, None], found.v[rays, None]
-        depth = found.depth[rays].astype(np.float64)
+        closest = self._scene.closest(origins, directions)
+        rays = np.flatnonzero(closest.face >= 0)
+        face = closest.face[rays]
+        u, v = closest.u[rays, None], closest.v[rays, None]
+        depth = closest.depth[rays].astype(np.float64)
         corners = self.mesh.normals[face]
         normals = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         triangle = self.mesh.corners[face]

@@ -137,7 +137,7 @@ class _GBuffer:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the light at points in given pixels: that of the most similar pixel around."""
         best = np.full(len(y), np.inf)
-        found = np.ones((len(y), 2))
+        light = np.ones((len(y), 2))
         left = np.arange(len(y))
         for dy, dx in _NEIGHBOURS:
             beside = self._beside(y[left], x[left], dy, dx)
@@ -146,10 +146,10 @@ class _GBuffer:
             difference += 9.0 * (self.links[beside] != hits.links[left])
             better = difference < best[left]
             best[left[better]] = difference[better]
-            found[left[better]] = self.light[beside][better]
+            light[left[better]] = self.light[beside][better]
             # Most points match their own pixel; only the others search around it.
             left = left[best[left] > _ALIKE]
-        return found[:, 0], found[:, 1]
+        return light[:, 0], light[:, 1]
 
     def _beside(
         self, y: NDArray[np.int64], x: NDArray[np.int64], dy: int, dx: int
@@ -283,18 +283,10 @@ class Renderer:
         fade = np.clip(1.6 - away / (1.4 * shading.radius), 0, 1)
         near = fade > 0
         which, points, fade = which[near], points[near], fade[near]
-        up = np.broadcast_to(shading.up, points.shape)
-        start = points + up * (_LIFT * shading.radius)
-        reach = _SHADOW_REACH * shading.radius
-        dark = np.zeros(len(points))
-        for ray in range(_GROUND_RAYS):
-            index = (x[which] * 7 + y[which] * 3) % 16 + 16 * ray  # neighbours use different rays
-            a, b = fibonacci_lattice(index, 16 * _GROUND_RAYS)
-            toward, around = cone(shading.light, a, b), cosine_hemisphere(up, a, b)
-            dark += _GROUND_SHADOW[0] * self.caster.occluded(start, toward, reach)
-            dark += _GROUND_SHADOW[1] * self.caster.occluded(start, around, shading.radius)
         shade = np.zeros(rows * columns)
-        shade[which] = _GROUND_DARKNESS * fade * dark / _GROUND_RAYS
+        # Neighbouring pixels use different rays.
+        turns = (x[which] * 7 + y[which] * 3) % 16
+        shade[which] = _GROUND_DARKNESS * fade * self._ground_shadow(points, turns)
         shade = _blurred(shade.reshape(rows, columns))
         # A soft shadow needs no more resolution than every fourth pixel.
         coverage = _enlarged(shade, step)[:height, :width] * _border_fade(height, width)
@@ -302,6 +294,25 @@ class Renderer:
         # The shadow is black with that coverage, behind the mesh.
         result[..., 3] += (1 - picture[..., 3]) * coverage
         return result
+
+    def _ground_shadow(self, points: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
+        """Return the shadow at points of the ground ``(n,)``, from 0 to 1.
+
+        Args:
+            points: The points ``(n, 3)`` [m].
+            turns: Which of 16 sets of rays each of them uses ``(n,)``.
+        """
+        shading = self.shading
+        up = np.broadcast_to(shading.up, points.shape)
+        start = points + up * (_LIFT * shading.radius)
+        reach = _SHADOW_REACH * shading.radius
+        dark = np.zeros(len(points))
+        for ray in range(_GROUND_RAYS):
+            a, b = fibonacci_lattice(turns + 16 * ray, 16 * _GROUND_RAYS)
+            toward, around = cone(shading.light, a, b), cosine_hemisphere(up, a, b)
+            dark += _GROUND_SHADOW[0] * self.caster.occluded(start, toward, reach)
+            dark += _GROUND_SHADOW[1] * self.caster.occluded(start, around, shading.radius)
+        return dark / _GROUND_RAYS
 
 
 def _edges(picture: FloatArray) -> Mask:

@@ -34,7 +34,7 @@ def write_strip(
     images = [Image.open(io.BytesIO(data)).convert("RGB") for _, data in pictures]
     width, height = images[0].size
     across = min(columns or len(images), len(images))
-    down = -(-len(images) // across)
+    down = -(-len(images) // across)  # rounded up
     size = (width * across, (height + _CAPTION) * down)
     strip: Any = Image.new("RGB", size, "#ffffff")
     draw = ImageDraw.Draw(strip)

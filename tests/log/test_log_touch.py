@@ -21,7 +21,7 @@ from rtee.log.plot_html import write_html
 from rtee.log.plot_png import write_png
 from rtee.log.tables import tables
 from rtee.loop.settings import LoopSettings
-from rtee.messages.touch import TOUCH, TouchEncoder, decode_touch, sensors_fields, sensors_of
+from rtee.messages.touch import TOUCH, TouchEncoder, sensors_fields, sensors_of, touch_of
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading, TouchSensor, TouchState
 from rtee.types import DeviceSpec
@@ -79,7 +79,7 @@ def test_a_message_holds_every_bit_and_the_layout_where_the_taxels_are() -> None
     for stale in (False, True):
         sent = replace(state([0.1 + 0.2, -0.0, 1e-300, 4.0, 5.0, 6.0, np.nan, 0.0]), stale=stale)
         data = encoder.encode(sent, 1_700_000_000_123_456_789)
-        found = decode_touch(data, known)
+        found = touch_of(TOUCH.decode(data), known)
         assert found.values.tobytes() == sent.values.tobytes()
         assert (found.device, found.stamp, found.stale) == ("board", 12.5, stale)
         assert found.sensors is known["board"]
@@ -87,7 +87,7 @@ def test_a_message_holds_every_bit_and_the_layout_where_the_taxels_are() -> None
     assert known["board"][0].position.tolist() == SENSORS[0].position.tolist()
     assert [s.grid for s in known["board"]] == [(2, 2), None, None]
     # Whoever does not know the layout still has names, units and values.
-    plain = decode_touch(data, {})
+    plain = touch_of(TOUCH.decode(data), {})
     assert [(s.name, s.unit, s.placed) for s in plain.sensors] == [
         ("thumb_pad", "N", False),
         ("skin", "counts", False),
@@ -107,7 +107,7 @@ def test_a_message_holds_every_bit_and_the_layout_where_the_taxels_are() -> None
 def test_a_message_that_makes_no_sense_is_refused(wrong: dict[str, list[object]]) -> None:
     fields = TOUCH.decode(TouchEncoder().encode(state(), 0))
     with pytest.raises(MessageError, match="touch message"):
-        decode_touch(TOUCH.encode(fields | wrong), {})
+        touch_of(TOUCH.decode(TOUCH.encode(fields | wrong)), {})
 
 
 async def test_a_run_with_taxels_is_recorded_and_comes_out_again(

@@ -52,7 +52,8 @@ _SPIKE = 10.0
 `_SPIKE_RANGE`: faster than any hand moves on purpose."""
 
 _SPIKE_RANGE = 0.05
-"""Travel, as a share of the range, that a sample may need in addition: sensors are noisy."""
+"""Travel that a sample may need in addition, as a share of the range: between samples with nearly
+the same stamp, the velocity limit alone would allow none at all."""
 
 
 Motion = tuple[float, float, float]

@@ -13,7 +13,8 @@ import math
 from collections import deque
 
 _SPAN = 0.5
-"""Length of the spans whose least offsets are kept [s]: several samples even of slow streams."""
+"""Length of the spans whose least offsets are kept, instead of those of all samples [s]: the older
+offsets are forgotten in steps of this length."""
 
 _SPANS = 8
 """Spans over which the least offset is taken: 4 s, in which clocks drift by at most 0.4 ms
