@@ -215,16 +215,16 @@ class ActionClient:
             raise MessageError(f"{answer.return_code} is not an answer to a cancellation") from None
 
     def _on_feedback(self, message: Any) -> None:
-        found = self._goals.get(message.goal_id.uuid)
-        if found is not None and found[1] is not None:
-            found[1](message.feedback)
+        known = self._goals.get(message.goal_id.uuid)
+        if known is not None and known[1] is not None:
+            known[1](message.feedback)
 
     def _on_status(self, message: Any) -> None:
         for one in message.status_list:
-            found = self._goals.get(one.goal_info.goal_id.uuid)
-            if found is not None:
+            known = self._goals.get(one.goal_info.goal_id.uuid)
+            if known is not None:
                 with suppress(ValueError):
-                    found[0].state = GoalState(one.status)
+                    known[0].state = GoalState(one.status)
 
     def close(self) -> None:
         """Leave the graph."""

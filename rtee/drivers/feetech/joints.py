@@ -133,9 +133,9 @@ class Joints:
         self._actuators = [actuator.name for actuator in spec.actuators]
         self._pairs: list[tuple[int, int, Differential]] = []
         if options.differential is not None:
-            one = Differential(options.differential)
+            differential = Differential(options.differential)
             self._pairs = [
-                (order[pair.actuators[0]], order[pair.actuators[1]], one)
+                (order[pair.actuators[0]], order[pair.actuators[1]], differential)
                 for pair in options.differential.pairs.values()
             ]
 
