@@ -232,6 +232,7 @@ class CalibratesServos(Driver):
             BusError: if the line fails.
             ConfigError: if the file cannot be written.
         """
+        # Servos with torque would resist the hand that bends the joints.
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
         servos = await self.take_zeros(rest)

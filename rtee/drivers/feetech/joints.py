@@ -169,8 +169,8 @@ class Joints:
         """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
         matrix = np.eye(len(angles))
         for i, j, pair in self._pairs:
-            found = pair.jacobian(float(angles[i]), float(angles[j]))
-            matrix[np.ix_((i, j), (i, j))] = found
+            block = pair.jacobian(float(angles[i]), float(angles[j]))
+            matrix[np.ix_((i, j), (i, j))] = block
         return matrix
 
     def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:

@@ -97,8 +97,8 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
     truth = np.array([coupling.value(float(u)) for u in grid])
     error = float(np.abs(polynomial(grid) - truth).max())
     coefficients = np.zeros(DEGREE + 1)
-    found = polynomial.convert().coef
-    coefficients[: len(found)] = found
+    monomials = polynomial.convert().coef
+    coefficients[: len(monomials)] = monomials
     return tuple(float(c) for c in coefficients), error
 
 
