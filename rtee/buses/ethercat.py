@@ -102,9 +102,9 @@ class PysoemRing(Ring):
         # The number of slaves, or -1 if no frame returned.
         if master.config_init() <= 0:
             raise OSError("no slave answers")
-        found = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
+        slaves = [Slave(s.name, s.man, s.id, s.rev) for s in master.slaves]
         master.config_map()
-        return found
+        return slaves
 
     def request(self, state: State, within: float) -> None:
         """Bring all slaves to a state."""

@@ -105,10 +105,10 @@ async def open_link(
             async with asyncio.timeout(timeout):
                 return await loop.create_connection(protocol, host, port)
         port_object = await _opened(url, line, timeout)
-        made = protocol()
+        connection = protocol()
         if url.startswith("rfc2217://"):
-            return ThreadTransport(loop, made, port_object), made
-        return SerialTransport(loop, made, port_object), made
+            return ThreadTransport(loop, connection, port_object), connection
+        return SerialTransport(loop, connection, port_object), connection
     except TimeoutError as error:
         raise BusBroken(name, f"no connection within {timeout:.1f} s") from error
     except ConfigError:

@@ -148,13 +148,13 @@ class RtuRequests:
     def feed(self, data: bytes) -> list[Request]:
         """Receive bytes and return the requests that they complete."""
         self._buffer += data
-        found = []
+        requests = []
         while (request := self._next()) is not None:
-            found.append(request)
+            requests.append(request)
         if len(self._buffer) > _MOST:
             self.errors += len(self._buffer) - _MOST
             self._buffer = self._buffer[-_MOST:]
-        return found
+        return requests
 
     def reset(self) -> None:
         """Forget the bytes of an incomplete request."""
@@ -212,7 +212,7 @@ class TcpRequests:
         if not self._buffer and len(data) >= 8 and _length(data) == len(data):
             return [Request(data[6], data[7:], data[:4])]
         self._buffer += data
-        found = []
+        requests = []
         while len(self._buffer) >= 8:
             size = _network_size(self._buffer)
             if size == 0:
@@ -222,8 +222,8 @@ class TcpRequests:
             if size < 0 or len(self._buffer) < size:
                 break
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
-            found.append(Request(frame[6], frame[7:], frame[:4]))
-        return found
+            requests.append(Request(frame[6], frame[7:], frame[:4]))
+        return requests
 
     def reset(self) -> None:
         """Forget the bytes of an incomplete request."""

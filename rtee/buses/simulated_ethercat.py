@@ -119,10 +119,10 @@ class SimulatedRing(Ring):
 
     def read(self, position: int, index: int, subindex: int) -> bytes:
         """Read an object."""
-        found = self._played().read_object(position, index, subindex)
-        if found is None:
+        data = self._played().read_object(position, index, subindex)
+        if data is None:
             raise OSError(f"object {index:04X}h:{subindex} cannot be read")
-        return found
+        return data
 
     def write(self, position: int, index: int, subindex: int, data: bytes) -> None:
         """Write an object."""

@@ -81,19 +81,19 @@ class SimulatedZmq(Simulation):
         self._context = zmq.Context()
         bound = []
         for kind, place in zip((zmq.PUB, zmq.SUB, zmq.ROUTER), self.endpoints, strict=True):
-            made = self._context.socket(kind)
-            made.setsockopt(zmq.LINGER, 0)
+            socket = self._context.socket(kind)
+            socket.setsockopt(zmq.LINGER, 0)
             if kind == zmq.SUB:
-                made.setsockopt(zmq.SUBSCRIBE, b"")
+                socket.setsockopt(zmq.SUBSCRIBE, b"")
             try:
-                made.bind(place)
+                socket.bind(place)
             except zmq.ZMQError as error:
-                made.close()
+                socket.close()
                 # All sockets or none, since a server with only some of them is of no use.
                 self._unplug()
                 raise BusBroken(place, f"cannot listen there: {error}") from error
-            self._sockets.append(made)
-            bound.append(made.getsockopt_string(zmq.LAST_ENDPOINT))
+            self._sockets.append(socket)
+            bound.append(socket.getsockopt_string(zmq.LAST_ENDPOINT))
         self.endpoints = Endpoints(*bound)
 
     def _unplug(self) -> None:

@@ -166,12 +166,12 @@ class Player:
                     f"unknown fault of the wire '{name}'; {suggestion(name, WIRE_FAULTS)}"
                 )
             try:
-                found = float(share)
+                probability = float(share)
             except ValueError:
-                found = math.nan
-            if not 0.0 <= found <= 1.0:
+                probability = math.nan
+            if not 0.0 <= probability <= 1.0:
                 raise ConfigError(f"'{part}' should look like {name}=0.05: a share is 0 to 1")
-            setattr(faults, name, found)
+            setattr(faults, name, probability)
         return faults
 
     def _object(self, text: str) -> None:
@@ -185,10 +185,10 @@ class Player:
         # Without traffic, nothing has advanced the device since the last exchange.
         self.emulator.step(time.monotonic())
         status = getattr(self.emulator, "status", None)
-        found = status() if callable(status) else None
+        state = status() if callable(status) else None
         text = ""
-        if dataclasses.is_dataclass(found) and not isinstance(found, type):
-            text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(found).items())
+        if dataclasses.is_dataclass(state) and not isinstance(state, type):
+            text = ", ".join(f"{k} {v}" for k, v in dataclasses.asdict(state).items())
         faults = ", ".join(sorted(self.emulator.faults)) or "none"
         return "\n".join(line for line in (text, self._closed(), f"faults: {faults}") if line)
 

@@ -38,5 +38,5 @@ def emulator_of(
     """
     if not spec.emulated:
         return None
-    made = kind if isinstance(kind, type) else find_emulator(kind or spec.driver)
-    return lambda: make_with_object(made, {**spec.options, **options})
+    emulator = kind if isinstance(kind, type) else find_emulator(kind or spec.driver)
+    return lambda: make_with_object(emulator, {**spec.options, **options})

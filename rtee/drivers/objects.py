@@ -89,17 +89,17 @@ class ObjectInHand:
             ConfigError: if the text has none of these forms, or a value is out of range.
         """
         # YAML's `yes` would otherwise be read as the number 1.
-        found = None if isinstance(value, bool) else _PATTERN.fullmatch(str(value).strip())
+        match = None if isinstance(value, bool) else _PATTERN.fullmatch(str(value).strip())
         try:
-            size, stiffness = (math.nan, 0.0) if found is None else _numbers(found)
+            size, stiffness = (math.nan, 0.0) if match is None else _numbers(match)
         except ValueError:
             size, stiffness = math.nan, 0.0
-        if found is None or not math.isfinite(size) or not _SOFTEST <= stiffness <= _HARDEST:
+        if match is None or not math.isfinite(size) or not _SOFTEST <= stiffness <= _HARDEST:
             raise ConfigError(
                 f"the object '{value}' cannot be read; an object is {WRITTEN}, its stiffness 0.1 "
                 "to 1e6"
             )
-        unit = found[2]
+        unit = match[2]
         if unit is not None:
             return cls(width=size * _METRES[unit], stiffness=stiffness)
         if not 0.0 <= size <= 1.0:
@@ -210,6 +210,6 @@ def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulat
     if given is None:
         return kind.from_options(options)
     thing = ObjectInHand.parse(given)
-    made = kind.from_options({**options, "emulator": properties})
-    grasping(made).place_object(thing)
-    return made
+    emulator = kind.from_options({**options, "emulator": properties})
+    grasping(emulator).place_object(thing)
+    return emulator

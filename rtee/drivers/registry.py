@@ -104,8 +104,8 @@ def find_emulator(name: str) -> type[Emulator]:
         raise ConfigError(
             f"there is no emulator for '{name}'; {suggestion(name, emulator_names())}"
         )
-    found: type[Emulator] = _imported(f"emulator '{name}' ({target})", target, Emulator)
-    return found
+    emulator: type[Emulator] = _imported(f"emulator '{name}' ({target})", target, Emulator)
+    return emulator
 
 
 def _offered(group: str) -> Mapping[str, str]:
@@ -123,9 +123,9 @@ def _target(name: str, built_in: Mapping[str, str], group: str) -> str | None:
 def _imported(what: str, target: str, base: type) -> Any:
     module_name, _, class_name = target.partition(":")
     try:
-        found = getattr(importlib.import_module(module_name), class_name)
+        imported = getattr(importlib.import_module(module_name), class_name)
     except Exception as error:  # importing a module of another package may raise anything
         raise ConfigError(f"{what} cannot be imported: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, base)):
+    if not (isinstance(imported, type) and issubclass(imported, base)):
         raise ConfigError(f"{what} is not a subclass of {base.__name__}")
-    return found
+    return imported

@@ -126,14 +126,14 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         # Where both blocks begin at the same register, function 23 cannot distinguish them.
         mixed = output == source and settings.exchange == "auto"
         # An emulated gripper starts activated, as after an earlier run, unless it is to be homed.
-        found = {"activated": settings.home == "on_demand", **settings.emulator}
+        emulated = {"activated": settings.home == "on_demand", **settings.emulator}
         blocks = await self.connection.open(
             self.buses.modbus(
                 settings.port,
                 owner=self.connection.owner,
                 baudrate=settings.baudrate,
                 gap=self._gap(),
-                emulator=emulator_of(self.spec, self.EMULATOR, emulator=found),
+                emulator=emulator_of(self.spec, self.EMULATOR, emulator=emulated),
             ),
             lambda bus: Blocks(
                 bus,

@@ -9,6 +9,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from enum import IntFlag
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict
 from rtee.drivers.base import Driver
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import Positive
-from rtee.errors import CalibrationError, HandshakeError, NotConnected
+from rtee.errors import CalibrationError, DeviceFault, HandshakeError, NotConnected
 from rtee.sample import FloatArray
 
 
@@ -106,6 +107,26 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(str(n) for n in ordered)
 
 
+def fault_of(
+    device: str, names: Mapping[int, str], errors: Mapping[int, IntFlag], hint: str
+) -> DeviceFault:
+    """Return the fault of servos that report errors.
+
+    Args:
+        device: The device's name.
+        names: Names of the servos, by id.
+        errors: Error bits of each servo that reports any, by id.
+        hint: What to do about them.
+    """
+    problems, code = [], 0
+    for number, error in errors.items():
+        code |= error
+        words = ", ".join(bit.name.lower().replace("_", " ") for bit in error if bit.name)
+        # Without a known bit, the servo has only reported that something is wrong.
+        problems.append(f"{words or 'alert'} in servo {number} ({names[number]})")
+    return DeviceFault(device, code, "; ".join(problems), hint=hint)
+
+
 @dataclass(frozen=True, slots=True)
 class Calibrated:
     """One calibrated servo.
@@ -181,13 +202,13 @@ def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[floa
 
 def _differences(then: Calibrated, now: Calibrated) -> list[str]:
     """Return the changes of a servo since its calibration, in words."""
-    found = []
+    changes = []
     # These change the zero or identify another servo; gains and limits do neither.
     for name in ("id", "model", "drive_mode", "homing_offset"):
         before, after = getattr(then, name), getattr(now, name)
         if before != after:
-            found.append(f"{name.replace('_', ' ')} is {after}, was {before}")
-    return found
+            changes.append(f"{name.replace('_', ' ')} is {after}, was {before}")
+    return changes
 
 
 class CalibratesServos(Driver):
@@ -211,8 +232,9 @@ class CalibratesServos(Driver):
             BusError: if the line fails.
             ConfigError: if the file cannot be written.
         """
+        # Servos with torque would resist the hand that bends the joints.
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
-        found = await self.take_zeros(rest)
-        write_calibration(path, found)
-        return found
+        servos = await self.take_zeros(rest)
+        write_calibration(path, servos)
+        return servos

@@ -40,13 +40,13 @@ def numbers_of(spec: DeviceSpec, option: str, given: Mapping[str, int], what: st
         ConfigError: if a number is missing, or two are the same.
     """
     missing = [a.name for a in spec.actuators if a.name not in given]
-    found = [given[a.name] for a in spec.actuators if a.name in given]
-    if missing or len(set(found)) != len(found):
+    numbers = [given[a.name] for a in spec.actuators if a.name in given]
+    if missing or len(set(numbers)) != len(numbers):
         raise ConfigError(
             f"device '{spec.name}': option '{option}' must give each actuator a {what} of its own; "
             f"{'missing: ' + ', '.join(missing) if missing else 'two have the same'}"
         )
-    return found
+    return numbers
 
 
 def motors_of(
@@ -72,8 +72,8 @@ def motors_of(
         # Without this, a misspelt name would go unnoticed and its actuator would get the guess.
         check_names(spec, option, given)
     named = {a.name: given.get(a.name) or guess(a.name) for a in spec.actuators}
-    found = {name: known.index(motor) for name, motor in named.items() if motor in known}
-    return tuple(numbers_of(spec, option, found, "motor"))
+    indices = {name: known.index(motor) for name, motor in named.items() if motor in known}
+    return tuple(numbers_of(spec, option, indices, "motor"))
 
 
 def only_actuator(spec: DeviceSpec, what: str) -> ActuatorSpec:

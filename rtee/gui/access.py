@@ -94,16 +94,16 @@ def addresses_of(host: str) -> list[str]:
         except ValueError:
             raise ConfigError(f"--host {host} is not an IP address") from None
     try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+        addresses = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
         raise ConfigError(f"--host {host}: there is no address of this name") from None
-    family, _, _, _, place = found[0]
+    family, _, _, _, place = addresses[0]
     try:
         with socket.socket(family, socket.SOCK_STREAM) as trial:
             trial.bind(place)
     except OSError as error:
         raise ConfigError(f"--host {host}: cannot listen there: {reason(error)}") from None
-    return [str(place[0]) for _, _, _, _, place in found]
+    return [str(place[0]) for _, _, _, _, place in addresses]
 
 
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
@@ -181,15 +181,15 @@ class Access:
         Raises:
             ConfigError: if the host has no address here, or would be open without encryption.
         """
-        found = addresses_of(host)
-        numbers = [ipaddress.ip_address(each.partition("%")[0]) for each in found]
+        addresses = addresses_of(host)
+        numbers = [ipaddress.ip_address(each.partition("%")[0]) for each in addresses]
         local = all(number.is_loopback for number in numbers)
         if not local and tls is None and behind is None:
             raise ConfigError(
                 f"--host {host} opens the GUI to a network; encrypt it with --tls-cert and "
                 "--tls-key, or let a proxy do so and give --behind-proxy https://ITS-NAME"
             )
-        self.address = found[0]
+        self.address = addresses[0]
         self.tls = tls
         self._host = host
         self._public = None if behind is None else public_origin(behind)

@@ -143,8 +143,8 @@ class ActionClient:
         goal_id = uuid.uuid4().bytes if goal_id is None else goal_id
         request = self.type.send_goal.request(goal_id=self._uuid(uuid=goal_id), goal=goal)
         # Registered first, since feedback and status may arrive before the answer.
-        made = ClientGoal(self, goal_id, self._time())
-        self._goals[goal_id] = (made, on_feedback)
+        client_goal = ClientGoal(self, goal_id, self._time())
+        self._goals[goal_id] = (client_goal, on_feedback)
         accepted = False
         try:
             answer = await self._send.call(request, timeout)
@@ -154,8 +154,8 @@ class ActionClient:
                 self._goals.pop(goal_id, None)
         if not accepted:
             raise GoalRejected(f"{self.name} refuses the goal; the server's log says why")
-        made.stamp = answer.stamp
-        return made
+        client_goal.stamp = answer.stamp
+        return client_goal
 
     async def result(self, goal: ClientGoal, timeout: float) -> Outcome:
         """Wait for the end of a goal; see `ClientGoal.result`."""
@@ -215,16 +215,16 @@ class ActionClient:
             raise MessageError(f"{answer.return_code} is not an answer to a cancellation") from None
 
     def _on_feedback(self, message: Any) -> None:
-        found = self._goals.get(message.goal_id.uuid)
-        if found is not None and found[1] is not None:
-            found[1](message.feedback)
+        known = self._goals.get(message.goal_id.uuid)
+        if known is not None and known[1] is not None:
+            known[1](message.feedback)
 
     def _on_status(self, message: Any) -> None:
         for one in message.status_list:
-            found = self._goals.get(one.goal_info.goal_id.uuid)
-            if found is not None:
+            known = self._goals.get(one.goal_info.goal_id.uuid)
+            if known is not None:
                 with suppress(ValueError):
-                    found[0].state = GoalState(one.status)
+                    known[0].state = GoalState(one.status)
 
     def close(self) -> None:
         """Leave the graph."""

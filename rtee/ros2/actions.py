@@ -86,13 +86,13 @@ def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
         kind: The action.
         distro: Distribution of the robot; its version comes first.
     """
-    found = {kind.feedback_message.hash: kind}
+    by_hash = {kind.feedback_message.hash: kind}
     if distro != "humble":
         for other in ("jazzy", "rolling"):
             version = interfaces(other).action(kind.name)
             # `setdefault` keeps the robot's own version of the same hash.
-            found.setdefault(version.feedback_message.hash, version)
-    return tuple(found.values())
+            by_hash.setdefault(version.feedback_message.hash, version)
+    return tuple(by_hash.values())
 
 
 def nanoseconds(stamp: Message) -> int:

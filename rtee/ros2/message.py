@@ -105,15 +105,15 @@ class Message:
         """
         if not isinstance(fields, Mapping):
             raise MessageError(f"{cls.STRUCTURE.name}: fields by name expected, not '{fields}'")
-        made = {}
+        values = {}
         for name, value in fields.items():
             inner = cls._INNER.get(name)
             if inner is not None and isinstance(value, (list, tuple)):
                 value = [inner.from_dict(one) for one in value]
             elif inner is not None:
                 value = inner.from_dict(value)
-            made[name] = value
-        message = cls(**made)
+            values[name] = value
+        message = cls(**values)
         message.encode()  # to report a wrong value here, with its field
         return message
 

@@ -190,12 +190,12 @@ def split(name: str, text: str) -> list[str]:
 
 
 def _read(text: str) -> dict[str, str]:
-    found = {}
+    texts = {}
     for section in text.split(_RULE)[1:]:
         head, _, definition = section.partition("\n")
         kind, _, name = head.partition(": ")
-        found[full_name(name.strip(), kind.lower())] = definition
-    return found
+        texts[full_name(name.strip(), kind.lower())] = definition
+    return texts
 
 
 _NEWER = {"kilted": "control_msgs_6", "rolling": "control_msgs_6"}
@@ -208,12 +208,12 @@ def definitions(distro: str = "jazzy") -> dict[str, str]:
     """Return the definitions of all interfaces of a distribution, by full name."""
     newer = f"{_NEWER.get(distro)}.txt"
     differing = set(_NEWER.values())
-    found = dict(DEFINITIONS)
+    texts = dict(DEFINITIONS)
     folder = files("rtee.ros2").joinpath("interfaces")
     for file in sorted(folder.iterdir(), key=lambda one: one.name):
         # A file of newer distributions would replace definitions of Jazzy.
         if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in differing:
-            found |= _read(file.read_text("utf-8"))
+            texts |= _read(file.read_text("utf-8"))
     if distro in _NEWER:
-        found |= _read(folder.joinpath(newer).read_text("utf-8"))
-    return found
+        texts |= _read(folder.joinpath(newer).read_text("utf-8"))
+    return texts

@@ -13,12 +13,12 @@ NAME = "rtee_msgs"
 
 def interface_files() -> dict[str, str]:
     """Return the definitions of the package by path: ``msg/Goal.msg``, ``action/Grasp.action``."""
-    found = {}
+    paths = {}
     for name, text in definitions().items():
         package, kind, last = name.split("/")
         if package == NAME:
-            found[f"{kind}/{last}.{kind}"] = text
-    return dict(sorted(found.items()))
+            paths[f"{kind}/{last}.{kind}"] = text
+    return dict(sorted(paths.items()))
 
 
 def _needed(files: dict[str, str]) -> list[str]:

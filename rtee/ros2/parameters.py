@@ -180,11 +180,11 @@ class Parameters:
         self._events.publish(event)
 
     def _value(self, value: Value | None) -> Message:
-        made = self._message("ParameterValue")()
+        message = self._message("ParameterValue")()
         if value is not None:
-            made.type = kind_of(value)
-            setattr(made, _FIELDS[made.type], value)
-        return typing.cast("Message", made)
+            message.type = kind_of(value)
+            setattr(message, _FIELDS[message.type], value)
+        return typing.cast("Message", message)
 
     async def _get(self, request: Any) -> dict[str, Any]:
         return {"values": [self._value(self._values.get(name)) for name in request.names]}
@@ -197,30 +197,31 @@ class Parameters:
         return {"descriptors": [self._descriptor(name) for name in request.names]}
 
     def _descriptor(self, name: str) -> Any:
-        made = self._message("ParameterDescriptor")(name=name)
-        one = self._declared.get(name)
-        if one is not None:
-            made.type, made.description, made.read_only = one.kind, one.description, one.read_only
-            if one.lower is not None or one.upper is not None:
-                lower = -math.inf if one.lower is None else one.lower
-                upper = math.inf if one.upper is None else one.upper
-                if one.kind in {_DOUBLE, _DOUBLES}:
-                    made.floating_point_range = [
+        descriptor = self._message("ParameterDescriptor")(name=name)
+        declared = self._declared.get(name)
+        if declared is not None:
+            descriptor.type, descriptor.read_only = declared.kind, declared.read_only
+            descriptor.description = declared.description
+            if declared.lower is not None or declared.upper is not None:
+                lower = -math.inf if declared.lower is None else declared.lower
+                upper = math.inf if declared.upper is None else declared.upper
+                if declared.kind in {_DOUBLE, _DOUBLES}:
+                    descriptor.floating_point_range = [
                         self._message("FloatingPointRange")(
-                            from_value=lower, to_value=upper, step=one.step
+                            from_value=lower, to_value=upper, step=declared.step
                         )
                     ]
                 else:
                     # The fields are int64, which has no infinity.
                     most = (1 << 63) - 1
-                    made.integer_range = [
+                    descriptor.integer_range = [
                         self._message("IntegerRange")(
                             from_value=int(max(lower, -most)) if math.isfinite(lower) else -most,
                             to_value=int(upper) if math.isfinite(upper) else most,
-                            step=int(one.step),
+                            step=int(declared.step),
                         )
                     ]
-        return made
+        return descriptor
 
     async def _list(self, request: Any) -> dict[str, Any]:
         def wanted(name: str) -> bool:

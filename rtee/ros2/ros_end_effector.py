@@ -97,23 +97,23 @@ class RosEndEffector:
         if request.action_type >= len(_ASKED):
             return {}
         kinds = _ASKED[request.action_type]
-        found = [one for one in await self._hand.actions() if one.action_kind in kinds]
+        actions = [one for one in await self._hand.actions() if one.action_kind in kinds]
         if ActionKind.PRIMITIVE in kinds:
-            found = list(_filtered(found, request))
+            actions = list(_filtered(actions, request))
         elif request.action_name:
-            found = [one for one in found if _same(one, request.action_name)]
-        return {"grasping_actions": [_described(self._interfaces, one) for one in found]}
+            actions = [one for one in actions if _same(one, request.action_name)]
+        return {"grasping_actions": [_described(self._interfaces, one) for one in actions]}
 
     async def _aggregated(self, request: Any) -> dict[str, Any]:
         actions = await self._hand.actions(kind=ActionKind.PRIMITIVE)
-        made = self._interfaces.message(f"{_MSG}/GraspingPrimitiveAggregated")
+        aggregated = self._interfaces.message(f"{_MSG}/GraspingPrimitiveAggregated")
         groups: dict[str, list[Primitive]] = {}
         for one in _filtered(actions, request):
             if isinstance(one, Primitive):
                 groups.setdefault(name_there(one), []).append(one)
         return {
             "primitives_aggregated": [
-                made(
+                aggregated(
                     action_name=name,
                     primitive_type=_NUMBERS[group[0].kind],
                     selectable_names=sorted({each for one in group for each in one.elements}),

@@ -240,7 +240,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _first(errors: BaseExceptionGroup[Any]) -> str:
-    found: BaseException = errors
-    while isinstance(found, BaseExceptionGroup):
-        found = found.exceptions[0]
-    return str(found)
+    error: BaseException = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error)

@@ -47,8 +47,8 @@ _NANO = 1_000_000_000
 
 def ros_name(name: str) -> str:
     """Return a name that ROS 2 allows: letters, digits and underscores, with no digit first."""
-    made = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return made if made[:1].isalpha() or made[:1] == "_" else f"_{made}"
+    allowed = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return allowed if allowed[:1].isalpha() or allowed[:1] == "_" else f"_{allowed}"
 
 
 def description(model: Hand, urdf: str) -> str:

@@ -137,7 +137,7 @@ class _Parser(ABC, Generic[F]):
     def feed(self, data: bytes) -> list[F]:
         """Receive bytes and return the frames that they complete."""
         *ends, rest = data.split(b"\x7e")
-        found = []
+        frames = []
         for part in ends:
             run = bytes(self._run) + part
             self._run.clear()
@@ -145,12 +145,12 @@ class _Parser(ABC, Generic[F]):
             if not run.strip(b"\0"):
                 continue
             try:
-                found.append(self._decode(self._checked(run)))
+                frames.append(self._decode(self._checked(run)))
             except AbilityFrameError:
                 self.errors += 1
         # One byte more than a frame can have is enough to know that this is none.
         self._run += rest[: self.LIMIT + 1 - len(self._run)]
-        return found
+        return frames
 
     def _checked(self, run: bytes) -> bytes:
         """Return the frame without its checksum; raises `AbilityFrameError`."""

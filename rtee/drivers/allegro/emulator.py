@@ -163,12 +163,12 @@ class AllegroEmulator(Emulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the hand; over-temperature and communication switch it off."""
         super().inject(fault)
-        found = {
+        status = {
             "over_temperature": Status.OVER_TEMPERATURE,
             "communication": Status.COMMUNICATION,
         }.get(fault)
-        if found is not None:
-            self._fail(found)
+        if status is not None:
+            self._fail(status)
 
     def _fail(self, fault: Status) -> None:
         self._fault |= fault

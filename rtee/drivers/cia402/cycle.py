@@ -263,8 +263,8 @@ class DriveCycle:
             status = 0 if drive.status is None else drive.status.statusword
             current = time.monotonic() > begun + _OLD_STATUS
             failed = current and status & StatusBit.HOMING_ERROR
-            found = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
-            if current and found and not failed:
+            reached = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
+            if current and reached and not failed:
                 return
             if failed or time.monotonic() > end:
                 raise DeviceFault(

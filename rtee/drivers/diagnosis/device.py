@@ -158,12 +158,12 @@ async def _elsewhere(driver: Driver, pool: BusPool, plan: Plan) -> str:
         where = " at this bit rate" if plan.probes[0].name == "CAN" else ""
         where = where or ("" if "://" in plan.address else " at any rate")
         return f"nobody answers there{where}: check the supply and the wiring"
-    names = ", ".join(one.what for one in result.found)
-    one = result.found[0]
+    names = ", ".join(device.what for device in result.found)
+    first = result.found[0]
     settings = ", ".join(
-        f"{k}: {v}" for k, v in one.options.items() if k not in ("port", "channel", "interface")
+        f"{k}: {v}" for k, v in first.options.items() if k not in ("port", "channel", "interface")
     )
-    return f"there is {names}; set driver: {one.driver or '?'}, {settings or 'as it is'}"
+    return f"there is {names}; set driver: {first.driver or '?'}, {settings or 'as it is'}"
 
 
 def _identity(driver: Driver) -> Check:
@@ -174,27 +174,27 @@ def _identity(driver: Driver) -> Check:
 
 
 def _state(state: ActuatorState, homing: bool) -> list[Check]:
-    found = []
+    checks = []
     bad = [i for i, q in enumerate(state.position) if not math.isfinite(q)]
     if bad and homing:
-        found.append(ok("position", "not known before homing"))
+        checks.append(ok("position", "not known before homing"))
     elif bad:
-        found.append(wrong("position", f"not measured by actuators {bad}", "recover it"))
+        checks.append(wrong("position", f"not measured by actuators {bad}", "recover it"))
     elif len(state.position):
-        found.append(ok("position", ", ".join(f"{q:.3f}" for q in state.position)))
+        checks.append(ok("position", ", ".join(f"{q:.3f}" for q in state.position)))
     if state.touch is not None:
         taxels = state.touch.values
         largest = float(np.nanmax(taxels, initial=0.0))
-        found.append(ok("touch", f"{len(taxels)} taxels, the largest value {largest:.2f}"))
+        checks.append(ok("touch", f"{len(taxels)} taxels, the largest value {largest:.2f}"))
     hot = [t for t in state.temperature if t > _HOT]
     if hot:
-        found.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))
+        checks.append(warning("temperature", f"{max(hot):.0f} °C", "let it cool down"))
     for name in ("voltage", "supply"):
         values = state.extras.get(name)
         if values is not None and len(values):
-            found.append(ok("supply", f"{float(min(values)):.1f} V"))
-    found += [warning("warning", text, "see the driver's page") for text in state.warnings]
-    return found
+            checks.append(ok("supply", f"{float(min(values)):.1f} V"))
+    checks += [warning("warning", text, "see the driver's page") for text in state.warnings]
+    return checks
 
 
 def _rate(driver: Driver) -> Check:

@@ -52,14 +52,14 @@ def _kernel(root: Path) -> Check:
 
 def _governor(root: Path) -> Check:
     files = sorted((root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor"))
-    found = {_read(file) for file in files}
-    if not found:
+    governors = {_read(file) for file in files}
+    if not governors:
         return ok("CPU governor", "none: the clock is not scaled")
-    if found == {"performance"}:
+    if governors == {"performance"}:
         return ok("CPU governor", "performance")
     return warning(
         "CPU governor",
-        f"{', '.join(sorted(found))}: the clock slows down between ticks",
+        f"{', '.join(sorted(governors))}: the clock slows down between ticks",
         "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
     )
 

@@ -118,7 +118,7 @@ def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
     """
     target = str(path.resolve())
     pty = target.startswith("/dev/pts/")
-    found = []
+    users = []
     for folder in (root / "proc").glob("[0-9]*"):
         try:
             links = list((folder / "fd").iterdir())
@@ -128,8 +128,8 @@ def port_users(path: Path, root: Path = Path("/")) -> list[tuple[int, str]]:
         plays = pty and not held.isdisjoint(_MASTERS)
         # The other end of a pty has it open to emulate the device, not to use it.
         if target in held and not plays:
-            found.append((int(folder.name), _name(folder)))
-    return sorted(found)
+            users.append((int(folder.name), _name(folder)))
+    return sorted(users)
 
 
 def _target(link: Path) -> str:

@@ -77,13 +77,13 @@ async def _slaves(
 ) -> list[Found]:
     found = []
     for unit in units:
-        one = await slave(bus, address, unit)
-        if one is not None and bus.rtu:
+        device = await slave(bus, address, unit)
+        if device is not None and bus.rtu:
             line = f"{baudrate} baud 8{parity}1"
-            options = {**one.options, "baudrate": baudrate}
-            found.append(Found(one.driver, f"{one.what}, {line}", options))
-        elif one is not None:
-            found.append(one)
+            options = {**device.options, "baudrate": baudrate}
+            found.append(Found(device.driver, f"{device.what}, {line}", options))
+        elif device is not None:
+            found.append(device)
     # Over TCP many devices answer to every unit and would be listed once for each.
     if bus.rtu or len(found) < 2 or await slave(bus, address, _NOBODYS_UNIT) is None:
         return found
@@ -97,9 +97,9 @@ def _any_unit(found: Sequence[Found]) -> Found:
 
     first = found[0]
     usual = default_options(find_driver(first.driver).Options)["unit"] if first.driver else None
-    one = next((f for f in found if f.options["unit"] == usual), first)
-    what = one.what.partition(", unit ")[0]
-    return Found(one.driver, f"{what}, any unit", one.options)
+    device = next((f for f in found if f.options["unit"] == usual), first)
+    what = device.what.partition(", unit ")[0]
+    return Found(device.driver, f"{what}, any unit", device.options)
 
 
 def linkerhand() -> Probe:

@@ -221,9 +221,9 @@ class InstructionParser(FramedParser[InstructionPacket]):
         return InstructionPacket.from_bytes(raw)
 
     def _tried(self, at: int, length: int) -> InstructionPacket | None:
-        found = super()._tried(at, length)
-        if found is None and length and at == 0 and self._buffer[7] != STATUS:
+        packet = super()._tried(at, length)
+        if packet is None and length and at == 0 and self._buffer[7] != STATUS:
             raw = self._buffer[:length]
             if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
                 self.damaged = [*self.damaged[-7:], (raw[4], raw[7])]
-        return found
+        return packet

@@ -107,8 +107,8 @@ class DynamixelDriver(CalibratesServos):
 
     def _describe(self, cycle: ServoCycle) -> None:
         """Refine the capabilities according to the servos found."""
-        found = cycle.found.values()
-        models = Counter(model_of(servo.model).name for servo in found)
+        servos = cycle.found.values()
+        models = Counter(model_of(servo.model).name for servo in servos)
         measures = {"position", "velocity", "temperature"}
         if all(math.isfinite(s.current_unit) for s in cycle.scales):
             measures.add("current")
@@ -128,7 +128,7 @@ class DynamixelDriver(CalibratesServos):
             best_rate=self._best_rate(fast=fast),
             identity={
                 "model": ", ".join(f"{n} x {name}" for name, n in models.items()),
-                "firmware": ", ".join(sorted({str(s.firmware) for s in found})),
+                "firmware": ", ".join(sorted({str(s.firmware) for s in servos})),
                 "read": "fast sync read" if fast else "sync read",
             },
         )

@@ -102,9 +102,9 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 defaults["special"] = start
         if "turnaround" in options:
             defaults["latency"] = options["turnaround"]
-        made = cls(read_properties(LineProperties, options, **defaults))
-        made.baudrate = int(options.get("baudrate") or made.baudrate)
-        return made
+        line = cls(read_properties(LineProperties, options, **defaults))
+        line.baudrate = int(options.get("baudrate") or line.baudrate)
+        return line
 
     def inject(self, fault: str) -> None:
         """Put a fault into the first servo (hardware errors) or all (the rest)."""

@@ -109,8 +109,8 @@ async def _store(bus: DynamixelBus, number: int, register: table.Register, value
 
 async def _asked(bus: DynamixelBus, number: int) -> Model | None:
     link = _link(bus, number)
-    found = await link.run(partial(link.ping, number), _ALL)
-    return None if found is None else model_of(found)
+    model = await link.run(partial(link.ping, number), _ALL)
+    return None if model is None else model_of(model)
 
 
 def _link(bus: DynamixelBus, number: int) -> DynamixelLink:

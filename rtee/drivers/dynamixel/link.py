@@ -196,8 +196,8 @@ class DynamixelLink:
         else:
             group = GroupRead(self.bus.port, self.bus.packets, address, size, ids)
         self.repeated(group.fastSyncRead if self.fast else group.txRxPacket)
-        found = {n: bytes(data) for n, data in group.data_dict.items()}
-        return found, group.errors
+        answers = {n: bytes(data) for n, data in group.data_dict.items()}
+        return answers, group.errors
 
     def choose_read(self, choice: str) -> None:
         """Decide whether groups are read by the fast sync read: ``auto``, ``always``, ``never``.

@@ -11,8 +11,8 @@ from rtee.drivers.dynamixel.codec import ALERT, Hardware
 from rtee.drivers.dynamixel.link import DynamixelLink
 from rtee.drivers.dynamixel.options import DynamixelOptions, ServoOptions
 from rtee.drivers.dynamixel.table import MODELS, Mode, Register, model_of
-from rtee.drivers.servo_lines import check_present
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError
+from rtee.drivers.servo_lines import check_present, fault_of
+from rtee.errors import BusTimeout, FrameError, HandshakeError
 
 MODES: Mapping[str, Mode] = {
     "current_based_position": Mode.CURRENT_BASED_POSITION,
@@ -193,30 +193,23 @@ def refuse(
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:
         return
-    problems, code = [], 0
+    hardware = {}
     for number in alerted:
         data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
-        hardware = Hardware(data[number][0])
-        code |= hardware
-        words = ", ".join(bit.name.lower().replace("_", " ") for bit in hardware if bit.name)
-        problems.append(f"{words or 'alert'} in servo {number} ({names[number]})")
-    raise DeviceFault(
-        device,
-        code,
-        "; ".join(problems),
-        hint="free the hand and check its supply, then `rtee recover` reboots the servo",
-    )
+        hardware[number] = Hardware(data[number][0])
+    hint = "free the hand and check its supply, then `rtee recover` reboots the servo"
+    raise fault_of(device, names, hardware, hint)
 
 
 def hurt(link: DynamixelLink) -> list[int]:
     """Return the servos that have a hardware error or do not answer; in the worker thread."""
-    found = []
+    numbers = []
     for number in link.ids:
         try:
             data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])
         except (BusTimeout, FrameError):
-            found.append(number)
+            numbers.append(number)
             continue
         if data[number][0]:
-            found.append(number)
-    return found
+            numbers.append(number)
+    return numbers

@@ -85,13 +85,16 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
     baudrate = table.BAUD_RATES[0]
 
     def __init__(self, properties: LineProperties | None = None) -> None:
-        made = properties or LineProperties()
-        family, self._parser = FAMILIES[made.family], RequestParser()
+        properties = properties or LineProperties()
+        family, self._parser = FAMILIES[properties.family], RequestParser()
         super().__init__(
-            [Servo(family, number, made.special.get(number, made.servo)) for number in made.ids],
+            [
+                Servo(family, number, properties.special.get(number, properties.servo))
+                for number in properties.ids
+            ],
             self._parser,
         )
-        self.properties, self.family = made, family
+        self.properties, self.family = properties, family
         self._models = [servo.get(table.MODEL) for servo in self.ordered]
         self._shown_rate = 0
 
@@ -110,9 +113,9 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             if "special" not in emulated:
                 common = dict(emulated.get("servo") or {})
                 defaults["special"] = _places(options, common)
-        made = cls(read_properties(LineProperties, options, **defaults))
-        made.baudrate = int(options.get("baudrate") or made.baudrate)
-        return made
+        line = cls(read_properties(LineProperties, options, **defaults))
+        line.baudrate = int(options.get("baudrate") or line.baudrate)
+        return line
 
     def inject(self, fault: str) -> None:
         """Put a fault into the first servo (its errors) or all (the rest)."""
@@ -133,14 +136,14 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
     def closings(self) -> Sequence[Closing]:
         """Return how the servos close, from their positions at power-up."""
         quarter = self.family.counts / self.family.span * 1.57
-        found = []
+        closings = []
         for servo in self.ordered:
-            made = servo.properties
-            start = self.family.center if made.start < 0.0 else made.start
-            opened = start + made.offset
-            closed = opened + (made.closing or quarter)
-            found.append(Closing(servo.axis, opened, closed, float(FULL)))
-        return found
+            properties = servo.properties
+            start = self.family.center if properties.start < 0.0 else properties.start
+            opened = start + properties.offset
+            closed = opened + (properties.closing or quarter)
+            closings.append(Closing(servo.axis, opened, closed, float(FULL)))
+        return closings
 
     # --- the line ----------------------------------------------------------------------------
 
@@ -237,14 +240,14 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
     family = FAMILIES[options.get("family", "sts")]
     angles: dict[str, tuple[float, float]] = {}
     if options.get("differential"):
-        made = DifferentialOptions.model_validate(options["differential"])
-        one = Differential(made)
-        bent = max(made.flexion[-1][1], made.flexion[0][1])
-        for pair in made.pairs.values():
-            opened, closed = one.servos(0.0, 0.0), one.servos(bent, 0.0)
+        pairing = DifferentialOptions.model_validate(options["differential"])
+        differential = Differential(pairing)
+        bent = max(pairing.flexion[-1][1], pairing.flexion[0][1])
+        for pair in pairing.pairs.values():
+            opened, closed = differential.servos(0.0, 0.0), differential.servos(bent, 0.0)
             for name, start, end in zip(pair.servos, opened, closed, strict=True):
                 angles[name] = start, end
-    found = {}
+    places = {}
     for name, servo in options["servos"].items():
         given = dict(servo)
         zero = given.get("zero")
@@ -258,5 +261,5 @@ def _places(options: Mapping[str, Any], common: Mapping[str, Any]) -> dict[int, 
         start, end = angles.get(name, (0.0, 1.57 / scale.gear))
         first, last = scale.to_counts(start), scale.to_counts(end)
         place = {"start": float(first), "closing": float(last - first)}
-        found[given["id"]] = {**place, **common}
-    return found
+        places[given["id"]] = {**place, **common}
+    return places

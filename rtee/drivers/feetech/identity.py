@@ -28,9 +28,9 @@ def recognise(data: bytes) -> Model | None:
     """Return the model for the two bytes of a model number, in its family's byte order."""
     for family in FAMILIES.values():
         # In the other byte order they may be the number of another family's model.
-        found = MODELS.get(int.from_bytes(data, family.order))
-        if found is not None and found.family == family.name:
-            return found
+        model = MODELS.get(int.from_bytes(data, family.order))
+        if model is not None and model.family == family.name:
+            return model
     return None
 
 
@@ -91,9 +91,9 @@ async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) ->
 async def _heard(ask: Callable[[], Awaitable[T | None]], times: int = 3) -> T | None:
     """Return an answer; without one, ask again."""
     for _ in range(times):
-        found = await ask()
-        if found is not None:
-            return found
+        answer = await ask()
+        if answer is not None:
+            return answer
     return None
 
 

@@ -133,9 +133,9 @@ class Joints:
         self._actuators = [actuator.name for actuator in spec.actuators]
         self._pairs: list[tuple[int, int, Differential]] = []
         if options.differential is not None:
-            one = Differential(options.differential)
+            differential = Differential(options.differential)
             self._pairs = [
-                (order[pair.actuators[0]], order[pair.actuators[1]], one)
+                (order[pair.actuators[0]], order[pair.actuators[1]], differential)
                 for pair in options.differential.pairs.values()
             ]
 
@@ -169,8 +169,8 @@ class Joints:
         """Return the derivative of the servos' angles by the actuators' positions ``(n, n)``."""
         matrix = np.eye(len(angles))
         for i, j, pair in self._pairs:
-            found = pair.jacobian(float(angles[i]), float(angles[j]))
-            matrix[np.ix_((i, j), (i, j))] = found
+            block = pair.jacobian(float(angles[i]), float(angles[j]))
+            matrix[np.ix_((i, j), (i, j))] = block
         return matrix
 
     def gave_way(self, positions: FloatArray, angles: FloatArray) -> tuple[str, ...]:

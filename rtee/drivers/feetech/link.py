@@ -146,12 +146,12 @@ class FeetechLink(Unhurried):
         Raises:
             BusError: if the line fails.
         """
-        left, found = dict(values), dict[int, int]()
+        left, kept = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS):
             data = {number: self._family.pack(register, value) for number, value in left.items()}
             await self.write_all(register.address, data)
-            found = {number: await self.value(number, register) for number in left}
-            left = {number: value for number, value in left.items() if found[number] != value}
+            kept = {number: await self.value(number, register) for number in left}
+            left = {number: value for number, value in left.items() if kept[number] != value}
             if not left:
                 return {}
-        return {number: found[number] for number in left}
+        return {number: kept[number] for number in left}

@@ -11,7 +11,7 @@ from rtee.drivers.feetech.identity import recognise
 from rtee.drivers.feetech.link import FeetechLink
 from rtee.drivers.feetech.options import FeetechOptions, ServoOptions
 from rtee.drivers.feetech.table import FULL, MODELS, RAM, Family, Register, model_name
-from rtee.drivers.servo_lines import check_present
+from rtee.drivers.servo_lines import check_present, fault_of
 from rtee.errors import DeviceFault, DriverError, HandshakeError
 
 POWERED = 1
@@ -128,9 +128,11 @@ async def find(
 
 def _found(data: bytes) -> str:
     """Return the name for the bytes of a model number, in any family."""
-    one = recognise(data)
+    model = recognise(data)
     return (
-        f"model {data.hex(' ').upper()}" if one is None else f"{one.name}, of family {one.family}"
+        f"model {data.hex(' ').upper()}"
+        if model is None
+        else f"{model.name}, of family {model.family}"
     )
 
 
@@ -221,19 +223,10 @@ def refuse(device: str, names: Mapping[int, str], statuses: Mapping[int, Status]
         names: The servos' names by id.
         statuses: Their status by id.
     """
-    problems, code = [], 0
-    for number, status in statuses.items():
-        if status:
-            code |= status
-            words = ", ".join(bit.name.lower() for bit in status if bit.name)
-            problems.append(f"{words} in servo {number} ({names[number]})")
-    if problems:
-        raise DeviceFault(
-            device,
-            code,
-            "; ".join(problems),
-            hint="free the hand and check its supply, then `rtee recover` powers it again",
-        )
+    reported = {number: status for number, status in statuses.items() if status}
+    if reported:
+        hint = "free the hand and check its supply, then `rtee recover` powers it again"
+        raise fault_of(device, names, reported, hint)
 
 
 def lost(device: str, names: Mapping[int, str], numbers: Sequence[int]) -> DeviceFault:

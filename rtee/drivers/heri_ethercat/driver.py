@@ -395,8 +395,8 @@ def _identify(bus: EthercatBus, boards: int, options: HeriEthercatOptions, devic
 
 async def _firmware(bus: EthercatBus, boards: int) -> str:
     """Return the boards' firmware, each version once; raises `BusError`."""
-    found = [await bus.run(partial(_firmware_of, position), 1.0) for position in range(boards)]
-    return ", ".join(dict.fromkeys(found))
+    versions = [await bus.run(partial(_firmware_of, position), 1.0) for position in range(boards)]
+    return ", ".join(dict.fromkeys(versions))
 
 
 def _firmware_of(position: int, ring: Ring) -> str:

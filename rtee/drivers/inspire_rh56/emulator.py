@@ -54,10 +54,10 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         *,
         baudrate: int = codec.BAUDRATES[0],
     ) -> None:
-        made = properties or Rh56Properties()
-        super().__init__(made.unit, framing or "rtu", baudrate=baudrate)
-        self.turnaround = max(self.turnaround, made.turnaround)
-        self.memory = Memory(made)
+        properties = properties or Rh56Properties()
+        super().__init__(properties.unit, framing or "rtu", baudrate=baudrate)
+        self.turnaround = max(self.turnaround, properties.turnaround)
+        self.memory = Memory(properties)
         self._frames = RequestParser() if framing is None else None
         self._before = b"\0\0"
 

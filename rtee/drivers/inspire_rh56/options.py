@@ -150,7 +150,7 @@ def scales_of(
     Raises:
         ConfigError: if an actuator has no limits.
     """
-    found = []
+    scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
         # Written with `not`, so that limits of NaN are refused, too.
         if not actuator.upper - actuator.lower < float("inf"):
@@ -159,7 +159,7 @@ def scales_of(
         given = options.forces.get(finger)  # type: ignore[call-overload]
         changes = {} if given is None else given.model_dump(exclude_none=True)
         force = replace(FORCES[finger], **changes)
-        found.append(
+        scales.append(
             Scale(
                 actuator.lower,
                 actuator.upper,
@@ -169,4 +169,4 @@ def scales_of(
                 reverse=finger in options.reverse,
             )
         )
-    return tuple(found)
+    return tuple(scales)

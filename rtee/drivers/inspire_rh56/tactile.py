@@ -49,22 +49,22 @@ class Area:
 
 
 def _areas() -> tuple[Area, ...]:
-    found = []
+    areas = []
     for number, finger in enumerate(("little", "ring", "middle", "index")):
         start = FIRST + _FINGER * number
-        found += [
+        areas += [
             Area(f"{finger}_tip", start, (3, 3)),
             Area(f"{finger}_top", start + 18, (12, 8)),
             Area(f"{finger}_pad", start + 210, (10, 8)),
         ]
-    found += [
+    areas += [
         Area("thumb_tip", 4480, (3, 3)),
         Area("thumb_top", 4498, (12, 8)),
         Area("thumb_middle", 4690, (3, 3)),
         Area("thumb_pad", 4708, (12, 8)),
         Area("palm", 4900, (8, 14)),
     ]
-    return tuple(found)
+    return tuple(areas)
 
 
 AREAS: Final = _areas()

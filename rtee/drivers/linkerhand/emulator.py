@@ -86,11 +86,11 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     EXCEPTIONS: ClassVar[bool] = True
 
     def __init__(self, properties: LinkerProperties | None = None) -> None:
-        made = properties or LinkerProperties()
-        super().__init__(made.unit, baudrate=BAUDRATE)
-        self.properties = made
-        self.model: Model = MODELS[made.model]
-        self.turnaround = max(self.turnaround, made.turnaround)
+        properties = properties or LinkerProperties()
+        super().__init__(properties.unit, baudrate=BAUDRATE)
+        self.properties = properties
+        self.model: Model = MODELS[properties.model]
+        self.turnaround = max(self.turnaround, properties.turnaround)
         self.axes = []
         for name in self.model.motors:
             axis = Axis(

@@ -116,7 +116,7 @@ def scales_of(
     Raises:
         ConfigError: if a motor's range is empty, or does not overlap its actuator's.
     """
-    found = []
+    scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
         name = options.kind.motors[motor]
         ends = options.ranges.get(name, options.kind.ranges[motor])  # type: ignore[call-overload]
@@ -127,5 +127,5 @@ def scales_of(
                 f"'{actuator.name}' {actuator.lower:g} to {actuator.upper:g} rad; set 'ranges'",
                 key=f"devices.{spec.name}.options.ranges",
             )
-        found.append(LinearScale((255.0, 0.0), ends))
-    return tuple(found)
+        scales.append(LinearScale((255.0, 0.0), ends))
+    return tuple(scales)

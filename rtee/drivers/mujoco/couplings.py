@@ -97,8 +97,8 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
     truth = np.array([coupling.value(float(u)) for u in grid])
     error = float(np.abs(polynomial(grid) - truth).max())
     coefficients = np.zeros(DEGREE + 1)
-    found = polynomial.convert().coef
-    coefficients[: len(found)] = found
+    monomials = polynomial.convert().coef
+    coefficients[: len(monomials)] = monomials
     return tuple(float(c) for c in coefficients), error
 
 
@@ -148,7 +148,7 @@ class Follower:
 
 def followers(hand: Hand) -> list[Follower]:
     """Return all joints that follow an actuator by more than being its own, in the hand's order."""
-    found = []
+    joints = []
     for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
         if joint.role is JointRole.IGNORED or coupling.actuator is None:
             continue
@@ -160,8 +160,8 @@ def followers(hand: Hand) -> list[Follower]:
         linear = mimic is not None and mimic.expression is None
         master = mimic.of if mimic is not None and linear and mimic.of in elastic else None
         own = joint.name in elastic
-        found.append(Follower(joint.name, actuator, coupling, None if own else master, own))
-    return found
+        joints.append(Follower(joint.name, actuator, coupling, None if own else master, own))
+    return joints
 
 
 def on_spring(hand: Hand, joint: str) -> bool:

@@ -110,15 +110,15 @@ def _check(hand: Hand) -> None:
 
 def _below(hand: Hand, link: str) -> list[str]:
     """Return a link and all links below it."""
-    found = [link]
-    for name in found:
-        found += [j.child for j in hand.urdf.joints.values() if j.parent == name]
-    return found
+    links = [link]
+    for name in links:
+        links += [j.child for j in hand.urdf.joints.values() if j.parent == name]
+    return links
 
 
 def _has_substance(hand: Hand, link: str) -> bool:
     links = [hand.urdf.links[name] for name in _below(hand, link)]
-    return any(found.collisions or found.mass > 0.0 for found in links)
+    return any(body.collisions or body.mass > 0.0 for body in links)
 
 
 def add_shape(

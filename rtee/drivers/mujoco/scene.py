@@ -68,8 +68,8 @@ def closed(hand: Hand) -> FloatArray:
 def tips(hand: Hand, u: FloatArray) -> FloatArray:
     """Return the fingertips' origins ``(k, 3)`` [m] in the base frame."""
     kinematics = Kinematics(hand)
-    found = [kinematics.link_pose(u, f.tip)[:3, 3] for f in hand.fingers if f.tip is not None]
-    return np.array(found).reshape(-1, 3)
+    origins = [kinematics.link_pose(u, f.tip)[:3, 3] for f in hand.fingers if f.tip is not None]
+    return np.array(origins).reshape(-1, 3)
 
 
 def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
@@ -79,8 +79,8 @@ def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
         hand: The hand.
         closure: Share of the way from rest to the far limits at which it is taken.
     """
-    found = tips(hand, from_rest(hand.rest, closed(hand), closure))
-    return np.asarray(found.mean(axis=0)) if len(found) else np.zeros(3)
+    origins = tips(hand, from_rest(hand.rest, closed(hand), closure))
+    return np.asarray(origins.mean(axis=0)) if len(origins) else np.zeros(3)
 
 
 def approach(hand: Hand) -> FloatArray:
@@ -235,16 +235,16 @@ def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)  # what MuJoCo finds near pairs by
     mujoco.mj_collision(model, data)
-    found = set()
+    links = set()
     for contact in data.contact:
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         of_object = [model.body(model.body_rootid[body]).name == OBJECT for body in bodies]
         # The object's skin reports contacts before anything touches; those have a distance above 0.
         if contact.dist < 0.0 and any(of_object):
-            found |= {
+            links |= {
                 model.body(b).name for b, own in zip(bodies, of_object, strict=True) if not own
             }
-    return found
+    return links
 
 
 def make_simulation(

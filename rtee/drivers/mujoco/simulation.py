@@ -209,12 +209,12 @@ class Simulation:
     @property
     def gains(self) -> dict[str, float]:
         """The gains now; see `set_gain`."""
-        found = {}
+        gains = {}
         for index, name in enumerate(self.actuators):
-            found[f"kp.{name}"] = float(self._gain[index])
-            found[f"ki.{name}"] = float(self._integral[index])
-            found[f"kd.{name}"] = -float(self._bias[index, 2])
-        return found
+            gains[f"kp.{name}"] = float(self._gain[index])
+            gains[f"ki.{name}"] = float(self._integral[index])
+            gains[f"kd.{name}"] = -float(self._bias[index, 2])
+        return gains
 
     def command(
         self,

@@ -28,10 +28,10 @@ _LINKS = 2  # as many links can hold an object between them; one can only push i
 
 def pose_vector(pose: FloatArray) -> FloatArray:
     """Return a pose ``(4, 4)`` as position and unit quaternion (w, x, y, z) ``(7,)``."""
-    found = np.zeros(7)
-    found[:3] = pose[:3, 3]
-    mujoco.mju_mat2Quat(found[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
-    return found
+    vector = np.zeros(7)
+    vector[:3] = pose[:3, 3]
+    mujoco.mju_mat2Quat(vector[3:], np.ascontiguousarray(pose[:3, :3]).ravel())
+    return vector
 
 
 class Surroundings:
@@ -159,13 +159,13 @@ class Surroundings:
     def _met(self, data: mujoco.MjData) -> list[tuple[int, int]]:
         """Return the geom of the hand and the number of each of its contacts with the object."""
         is_part, link = self._is_part, self._link
-        found = []
+        touching = []
         for number, (one, other) in enumerate(data.contact.geom.tolist()):
             if is_part[one] and link[other]:
-                found.append((other, number))
+                touching.append((other, number))
             elif is_part[other] and link[one]:
-                found.append((one, number))
-        return found
+                touching.append((one, number))
+        return touching
 
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
         """Return how deep a link would be inside the object [m]; 0 when none touches it.

@@ -275,13 +275,13 @@ def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
         body: The body's name.
     """
     number = int(model.body(body).id)
-    found = [np.zeros((0, 3, 3))]
+    triangles = [np.zeros((0, 3, 3))]
     for geom in np.flatnonzero(model.geom_bodyid == number).tolist():
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
         points, faces = _triangles(model, geom)
-        found.append((points @ turn.reshape(3, 3).T + model.geom_pos[geom])[faces])
-    return np.concatenate(found)
+        triangles.append((points @ turn.reshape(3, 3).T + model.geom_pos[geom])[faces])
+    return np.concatenate(triangles)
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> tessellation.Triangles:

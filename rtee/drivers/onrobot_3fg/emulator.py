@@ -108,8 +108,8 @@ class OnRobot3FGEmulator(OnRobotEmulator):
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
-        found = cls._fitting(options, "unit", "baudrate", "grip")
-        return cls(read_properties(OnRobot3FGProperties, options, **found))
+        fitting = cls._fitting(options, "unit", "baudrate", "grip")
+        return cls(read_properties(OnRobot3FGProperties, options, **fitting))
 
     def power_cycle(self, now: float) -> None:
         """Stop, and forget targets and contact; encoders are absolute and the gears hold."""

@@ -104,16 +104,16 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     async def _described(self, bus: ModbusBus) -> dict[str, str]:
         unit = self.options.unit
         [product] = await bus.read(unit, PRODUCT, 1, deadline=CONNECTING)
-        found = PRODUCTS.get(product)
+        model = PRODUCTS.get(product)
         # Older lists number the models otherwise; a code that is in neither list is left to the
         # option.
-        if found is not None and found != self._model.name:
-            ours = found.lower() in MODELS
+        if model is not None and model != self._model.name:
+            ours = model.lower() in MODELS
             raise HandshakeError(
                 self.spec.name,
                 f"an OnRobot {self._model.name}",
-                f"an OnRobot {found}",
-                hint=f"set 'model: {found.lower()}'" if ours else "is another tool mounted?",
+                f"an OnRobot {model}",
+                hint=f"set 'model: {model.lower()}'" if ours else "is another tool mounted?",
             )
         offset = await self._offset(bus)
         return {"fingertip offset": f"{offset * TENTH_MM * 1000:.1f} mm"}

@@ -273,11 +273,11 @@ def connected(data: bytes) -> tuple[str, ...]:
 
 def connected_bytes(fingers: Sequence[str]) -> bytes:
     """Return `Register.CONNECTED` of a board with the tips of some fingers."""
-    found = bytearray(CONNECTED_SIZE)
+    slots = bytearray(CONNECTED_SIZE)
     for name in fingers:
         byte, bit = _SLOTS[name]
-        found[byte] |= 1 << bit
-    return bytes(found)
+        slots[byte] |= 1 << bit
+    return bytes(slots)
 
 
 def tip_counts(data: bytes) -> dict[str, int]:
@@ -290,10 +290,10 @@ def tip_counts(data: bytes) -> dict[str, int]:
 
 def counts_bytes(counts: Mapping[str, int]) -> bytes:
     """Return `Register.COUNTS` of a board with fingertips of so many taxels."""
-    found = [0] * (COUNTS_SIZE // 2)
+    table = [0] * (COUNTS_SIZE // 2)
     for name, count in counts.items():
-        found[_PER_SLOT * FINGERS.index(name) + _TIP] = count
-    return struct.pack(f"<{len(found)}H", *found)
+        table[_PER_SLOT * FINGERS.index(name) + _TIP] = count
+    return struct.pack(f"<{len(table)}H", *table)
 
 
 def data_size(content: Content, counts: Sequence[int]) -> int:

@@ -138,9 +138,9 @@ class OrcaTouchDriver(Driver):
                 self.spec.name, "a touch board", f"another device ({error})", hint="check the port"
             ) from error
         if not fingers or any(not counts[finger] for finger in fingers):
-            what = "no fingertip is connected" if not fingers else "a fingertip without taxels"
+            problem = "no fingertip is connected" if not fingers else "a fingertip without taxels"
             raise HandshakeError(
-                self.spec.name, "a touch board with fingertips", what, hint="check their cables"
+                self.spec.name, "a touch board with fingertips", problem, hint="check their cables"
             )
         self._counts = tuple(counts[finger] for finger in fingers)
         single = not self._content & Content.TAXELS

@@ -74,12 +74,12 @@ class OrcaTouchEmulator(Emulator):
         self, properties: OrcaTouchProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
     ) -> None:
         super().__init__()
-        made = properties or OrcaTouchProperties()
+        properties = properties or OrcaTouchProperties()
         self.baudrate = baudrate
-        self.properties = made
-        self.fingers = tuple(finger for finger in FINGERS if finger in made.taxels)
+        self.properties = properties
+        self.fingers = tuple(finger for finger in FINGERS if finger in properties.taxels)
         self.forces: dict[str, FloatArray] = {
-            finger: np.zeros((made.taxels[finger], 3)) for finger in self.fingers
+            finger: np.zeros((properties.taxels[finger], 3)) for finger in self.fingers
         }
         self.angles = [0] * codec.ENCODERS
         self._parser = RequestParser()

@@ -153,17 +153,17 @@ class Limits:
 
 def limits(parameters: Mapping[int, Parameter]) -> tuple[Limits, ...]:
     """Return the motors' limits from a list; empty if it has no plausible ones."""
-    found = parameters.get(Index.LIMITS)
-    if found is None or len(found.values) < 2 or found.kind not in _SIGNED:
+    parameter = parameters.get(Index.LIMITS)
+    if parameter is None or len(parameter.values) < 2 or parameter.kind not in _SIGNED:
         return ()
-    pairs = zip(found.values[::2], found.values[1::2], strict=False)
-    made = tuple(Limits(int(low), int(high)) for low, high in pairs)
-    return made if all(m.lower < m.upper for m in made) else ()
+    pairs = zip(parameter.values[::2], parameter.values[1::2], strict=False)
+    ranges = tuple(Limits(int(low), int(high)) for low, high in pairs)
+    return ranges if all(m.lower < m.upper for m in ranges) else ()
 
 
 def current_limit(parameters: Mapping[int, Parameter]) -> float | None:
     """Return the current limit [A] from a list, ``None`` if it has none."""
-    found = parameters.get(Index.CURRENT_LIMIT)
-    if found is None or not found.values or not 0 < found.values[0] < _SIGN:
+    parameter = parameters.get(Index.CURRENT_LIMIT)
+    if parameter is None or not parameter.values or not 0 < parameter.values[0] < _SIGN:
         return None
-    return found.values[0] / 1000.0
+    return parameter.values[0] / 1000.0

@@ -38,11 +38,11 @@ def checked(stops: EndStops, device: str) -> EndStops:
     Raises:
         CalibrationError: if the gripper cannot have moved over its whole range.
     """
-    found = stops.closed_count - stops.open_count
-    if found < _LEAST_RANGE:
+    travel = stops.closed_count - stops.open_count
+    if travel < _LEAST_RANGE:
         raise CalibrationError(
             device,
-            f"it moved {found} counts between open and closed, at least {_LEAST_RANGE} are "
+            f"it moved {travel} counts between open and closed, at least {_LEAST_RANGE} are "
             "expected: is something between the fingers?",
         )
     return stops

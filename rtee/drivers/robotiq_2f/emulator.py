@@ -96,10 +96,10 @@ class Robotiq2FEmulator(RobotiqEmulator):
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the gripper that a driver's options describe."""
         names = ("unit", "baudrate", "model", "open_count", "closed_count")
-        found = cls._fitting(options, *names)
+        fitting = cls._fitting(options, *names)
         if options.get("register_base") is not None:
-            found |= {"output": options["register_base"], "input": options["register_base"]}
-        return cls(read_properties(Robotiq2FProperties, options, **found))
+            fitting |= {"output": options["register_base"], "input": options["register_base"]}
+        return cls(read_properties(Robotiq2FProperties, options, **fitting))
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""

@@ -333,14 +333,14 @@ class SchunkEguDriver(BlocksDriver):
         )
 
     def _warnings(self, now: Input) -> tuple[str, ...]:
-        found = []
+        warnings = []
         if now.warning:
-            found.append(WARNINGS.get(now.warning, f"warning {now.warning:#04x}"))
+            warnings.append(WARNINGS.get(now.warning, f"warning {now.warning:#04x}"))
         if now.status & Status.LOST:
-            found.append("workpiece lost")
+            warnings.append("workpiece lost")
         if now.status & Status.WRONG_WORKPIECE:
-            found.append("wrong workpiece")
-        return tuple(found)
+            warnings.append("wrong workpiece")
+        return tuple(warnings)
 
     async def move(self, reference: Reference) -> None:
         """Follow a reference in steps."""

@@ -132,11 +132,11 @@ def read_stops(path: Path | None) -> dict[int, int]:
         return {}
     try:
         stored = json.loads(path.read_text("utf-8"))
-        found = {int(channel): int(ticks) for channel, ticks in stored["stops"].items()}
+        stops = {int(channel): int(ticks) for channel, ticks in stored["stops"].items()}
     # Not an error, since homing finds the stops without the file.
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return {}
-    return found if all(0 <= channel < codec.CHANNELS for channel in found) else {}
+    return stops if all(0 <= channel < codec.CHANNELS for channel in stops) else {}
 
 
 def write_stops(path: Path | None, stops: dict[int, int]) -> None:

@@ -144,13 +144,13 @@ class Grasping(IntEnum):
 
 
 def _table() -> tuple[int, ...]:
-    found = []
+    table = []
     for byte in range(256):
         value = byte << 8
         for _ in range(8):
             value = value << 1 ^ (_POLYNOMIAL if value & 0x8000 else 0)
-        found.append(value & 0xFFFF)
-    return tuple(found)
+        table.append(value & 0xFFFF)
+    return tuple(table)
 
 
 _TABLE = _table()
@@ -285,11 +285,11 @@ def numbers(frame: Frame, count: int) -> tuple[float, ...]:
     data = frame.payload[2:]
     if len(data) != 4 * count:
         raise WsgFrameError(f"{len(data)} bytes of numbers instead of {4 * count}")
-    found = struct.unpack(f"<{count}f", data)
+    values = struct.unpack(f"<{count}f", data)
     # NaN minus itself is not 0, nor is infinity minus itself.
-    if any(value - value != 0.0 for value in found):
+    if any(value - value != 0.0 for value in values):
         raise WsgFrameError("a number that is not finite")
-    return found
+    return values
 
 
 @dataclass(frozen=True, slots=True)

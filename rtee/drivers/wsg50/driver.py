@@ -148,12 +148,12 @@ class Wsg50Driver(Driver):
         """Connect and check that a WSG answers; moves nothing."""
         options = self.options
         # An emulated gripper starts referenced, as after an earlier run, unless it is to be homed.
-        found = {"referenced": options.home == "on_demand", **options.emulator}
+        emulated = {"referenced": options.home == "on_demand", **options.emulator}
         link = await self.connection.open(
             self.buses.serial(
                 options.port,
                 owner=self.connection.owner,
-                emulator=emulator_of(self.spec, "wsg50", emulator=found),
+                emulator=emulator_of(self.spec, "wsg50", emulator=emulated),
             ),
             lambda bus: WsgLink(bus, 0.5),
         )

@@ -85,13 +85,13 @@ class _Reports:
                 self._found[frame.command] = frame
         if len(self._found) < len(_REPORT):
             return []
-        found = [self._found[command] for command in _REPORT]
+        frames = [self._found[command] for command in _REPORT]
         # Before anything fails below: parts of this report must not complete the next one.
         self._found.clear()
         try:
-            if any(frame.status is not Status.OK for frame in found):
+            if any(frame.status is not Status.OK for frame in frames):
                 raise WsgFrameError("a request was refused")
-            state, grasping, *rest = found
+            state, grasping, *rest = frames
             return [Report(state_of(state), grasping_of(grasping), *map(number, rest))]
         except WsgFrameError:
             self._wrong += 1
@@ -133,17 +133,17 @@ class WsgLink(Unhurried):
             WsgRefusal: if the gripper refuses it.
             BusError: if the exchange failed.
         """
-        found = await self.bus.transact(
+        answer = await self.bus.transact(
             request.to_bytes(),
             self._frames,
             self.deadline,
             retries,
             accept=_answers(request),
         )
-        status = found.status
+        status = answer.status
         if status not in (Status.OK, Status.PENDING):
             raise WsgRefusal(self.bus.name, request.command, status)
-        return found
+        return answer
 
     async def begin(self, request: Frame) -> bool:
         """Begin a motion; return whether the gripper accepts it: not while another is under way.
@@ -163,11 +163,11 @@ class WsgLink(Unhurried):
 
 
 def _answers(request: Frame) -> Callable[[Frame], bool]:
-    def accepted(found: Frame) -> bool:
-        if found.command != request.command:
+    def accepted(answer: Frame) -> bool:
+        if answer.command != request.command:
             return False
         try:
-            status = found.status
+            status = answer.status
         except WsgFrameError:
             return False
         # The result of an earlier motion may come first; a new motion is never refused by these.
