@@ -12,9 +12,10 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.entrances import GAP, Candidate
 from rtee.planning.nearness import Nearness
 from rtee.planning.planner import Planner
-from rtee.planning.poses import GAP, Candidate, Poses
+from rtee.planning.poses import Poses
 from rtee.sample import FloatArray
 
 _BESIDE: Final = 0.008
@@ -161,7 +162,7 @@ def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray |
     pose, length = pose.copy(), float(np.linalg.norm(way))
     at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
-        if Nearness(closing.scene, at, pose).least(at, pose, enough=_PUSH) > 0.0:
+        if Nearness(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
             return pose
         # Without a way in, there is no direction to push it.
         if not length:

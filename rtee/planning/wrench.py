@@ -204,32 +204,42 @@ def balanced(vectors: FloatArray) -> bool:
     return least_squares(system, target)[1] < 1e-3
 
 
-def quality(found: FloatArray) -> float:
+def quality(found: FloatArray, least: float = 0.0) -> float:
     """Return the radius of the largest ball of wrenches that a grasp resists (Ferrari and Canny).
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
+        least: A radius below this need not be exact, only below it [N].
 
     Returns:
         The radius [N]; 0 where some wrench is not resisted at all.
     """
-    # A flat hull contains no ball, and its polar has no vertices to climb to.
-    if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
+    if len(found) < 2:
         return 0.0
     size = float(np.linalg.norm(found, axis=1).max())
     directions = _starts(found.shape[1])
     # The support function has edges; smoothed ones, ever sharper, let a descent pass them.
     for sharpness in _SHARPENING:
         for _ in range(_DESCENT):
-            support = directions @ found.T
-            # Relative to the largest exponent, so that exp does not overflow.
-            weight = np.exp((support - support.max(axis=1, keepdims=True)) * (sharpness / size))
+            weight = directions @ found.T
+            highest = weight.max(axis=1, keepdims=True)
+            # The ball reaches no farther than the hull does in any direction.
+            if least > 0.0 and highest.min() < least:
+                return max(0.0, float(highest.min()))
+            # Relative to the largest exponent, so that exp does not overflow. In place: these are
+            # a hundred by a few hundred numbers, and new arrays take as long as the exponents.
+            weight -= highest
+            weight *= sharpness / size
+            np.exp(weight, out=weight)
             weight /= weight.sum(axis=1, keepdims=True)
             slope = weight @ found
             # Directions stay on the unit sphere: only the tangential part counts.
             slope -= (slope * directions).sum(axis=1, keepdims=True) * directions
             directions = directions - slope / (size * sharpness)
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # A flat hull contains no ball, and its polar has no vertices to climb to.
+    if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
+        return 0.0
     support = (directions @ found.T).max(axis=1)
     best = np.argsort(support, kind="stable")
     # The origin is on the hull's surface, or outside of it by rounding.
@@ -299,6 +309,7 @@ def load(
     found: FloatArray,
     torques: FloatArray,
     weight: FloatArray,
+    least: float = 0.0,
 ) -> float:
     """Return how many times a weight a grasp can carry with the efforts of the actuators.
 
@@ -307,6 +318,7 @@ def load(
         torques: Effort that each takes of each actuator with an effort limit, as a fraction of
             that limit ``(k, a)``.
         weight: The wrench of the object's weight ``(6,)`` [N].
+        least: A multiple below this need not be exact, only below it.
 
     Returns:
         The multiple, from 0 to `MOST_LOAD`.
@@ -334,6 +346,8 @@ def load(
 
     if not carried(_LEAST_LOAD):
         return 0.0
+    if least > _LEAST_LOAD and not carried(least):
+        return _LEAST_LOAD
     if carried(MOST_LOAD):
         return MOST_LOAD
     # Halving works: the loads that can be carried are an interval from 0, since the solutions
