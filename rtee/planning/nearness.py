@@ -93,15 +93,26 @@ class Nearness:
         """
         rows, bounds = self._of(rows)
         pairs, _ = self._pairs(bounds <= TOUCH, rows, among)
-        pairs = pairs[self._refined(pairs, at) <= TOUCH]
-        # The nearest piece of each shape counts.
-        nearest: dict[int, dict[int, Measured]] = {row: {} for row in rows.tolist()}
-        for pair, found in zip(pairs.tolist(), self._measured(pairs.tolist(), at), strict=True):
-            row, shape = divmod(pair // self._pieces, self._shapes)
-            there = nearest[row]
-            if found[0] <= TOUCH and (shape not in there or found[0] < there[shape][0]):
-                there[shape] = found
-        return [[Touch(shape, *f) for shape, f in there.items()] for there in nearest.values()]
+        refined = self._refined(pairs, at)
+        pairs, refined = pairs[refined <= TOUCH], refined[refined <= TOUCH]
+        slots = pairs // self._pieces
+        order = np.lexsort((refined, slots))
+        left = zip(*(array[order].tolist() for array in (slots, pairs, refined)), strict=True)
+        # The nearest piece of each shape counts, and rules most others out.
+        nearest: dict[int, Measured] = {}
+        new: list[int] = []
+        for slot, pair, bound in left:
+            least = nearest.get(slot)
+            if least is None or bound < least[0]:
+                found = self._distance(pair, at, new)
+                if found[0] <= TOUCH and (least is None or found[0] < least[0]):
+                    nearest[slot] = found
+        self._note(new, at)
+        touches: dict[int, list[Touch]] = {row: [] for row in rows.tolist()}
+        for slot, found in nearest.items():
+            row, shape = divmod(slot, self._shapes)
+            touches[row].append(Touch(shape, *found))
+        return list(touches.values())
 
     def touch(self, row: int, shape: int, at: Placed) -> Touch:
         """Return how near a shape is to the object, and where if they touch."""

@@ -69,6 +69,7 @@ class HandPoses:
     def __init__(self, postures: Postures, frames: FloatArray) -> None:
         self._postures, self._frames = postures, frames
         self._transforms: list[dict[int, coal.Transform3s]] = [{} for _ in frames]
+        """Poses of shapes for Coal, and of bodies by their complements, which are negative."""
 
     def put(self, rows: Slots, frames: FloatArray) -> None:
         """Replace some postures by others ``(len(rows), m + 1, 4, 4)``."""
@@ -82,13 +83,17 @@ class HandPoses:
 
     def where(self, slot: int) -> coal.Transform3s:
         """Return a shape's pose for Coal."""
-        row, shape = divmod(slot, len(self._postures.radii))
-        known, body = self._transforms[row], self._postures.body[shape]
-        # The body's pose is kept: several of its shapes are near the object, or none is.
-        if body not in known:
-            frame = self._frames[row, body]
-            known[body] = coal.Transform3s(frame[:3, :3], frame[:3, 3])
-        return known[body] * self._postures.placements[shape]
+        row, shape = divmod(slot, len(self._postures.body))
+        known, body = self._transforms[row], ~self._postures.body[shape]
+        found = known.get(shape)
+        if found is None:
+            # The body's pose is kept, too: several of its shapes are near the object, or none is.
+            carrier = known.get(body)
+            if carrier is None:
+                frame = self._frames[row, ~body]
+                carrier = known[body] = coal.Transform3s(frame[:3, :3], frame[:3, 3])
+            found = known[shape] = carrier * self._postures.placements[shape]
+        return found
 
     def carried(self, slots: Slots) -> tuple[FloatArray, FloatArray]:
         """Return rotations ``(k, 3, 3)`` of the bodies of some shapes, and middles ``(k, 3)``."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Final
 
@@ -171,7 +172,7 @@ def least_squares(
             columns = np.flatnonzero(used)
             if not len(columns):
                 break
-            shares = np.linalg.lstsq(matrix[:, columns], target, rcond=None)[0]
+            shares = _shares(matrix[:, columns], target, enough)
             if shares.min() > 0.0:
                 x = np.zeros(count)
                 x[columns] = shares
@@ -189,6 +190,24 @@ def least_squares(
             x[columns] = after
             used[columns[left]] = False
     return x, float(np.linalg.norm(matrix @ x - target))
+
+
+def _shares(part: FloatArray, target: FloatArray, enough: float) -> FloatArray:
+    """Return ``x`` of the least ``|part x - target|``, of any sign.
+
+    Args:
+        part: ``(m, n)``.
+        target: ``(m,)``.
+        enough: Gradient that counts as none.
+    """
+    # The normal equations take a quarter of the time of `lstsq`, and do for columns that are not
+    # nearly dependent; the gradient says whether they did.
+    with suppress(np.linalg.LinAlgError):
+        shares: FloatArray = np.linalg.solve(part.T @ part, target @ part)
+        if np.abs((target - part @ shares) @ part).max() <= enough:
+            return shares
+    found: FloatArray = np.linalg.lstsq(part, target, rcond=None)[0]
+    return found
 
 
 def balanced(vectors: FloatArray) -> bool:
