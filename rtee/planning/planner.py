@@ -56,6 +56,10 @@ _JUDGED: Final = 12
 _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
 
+_SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
+"""How an arm accelerates what it carries, one at a time ``(6, 3)`` [m/s²]: as when it stops, and as
+`rtee try` shakes it, 15 mm to either side at 2 Hz."""
+
 _HALF_PLACE: Final = 5.1e-5
 """Scores are rounded to four places: a lower one by no more than this may count as the same."""
 
@@ -259,22 +263,18 @@ class Planner:
     def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
         return wrenches(contacts, self.task.friction, self._centre(closure), self.thing.length)
 
-    def _carried(
-        self, closure: Closure, contacts: Sequence[Contact], found: FloatArray, least: float
-    ) -> float:
-        """Return how many times its weight the object can have, at full effort.
-
-        Less than the least need not be exact.
-        """
+    def _efforts(
+        self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
+    ) -> FloatArray:
+        """Return what wrenches take of the actuators' efforts, as shares of their limits."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)
         # Virtual work: the transposed Jacobian turns the forces at contacts into efforts.
         maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
         maps = np.repeat(maps, EDGES + 2, axis=0)  # each contact has so many wrenches
-        torques = np.einsum("kaj,kj->ka", maps, found[:, :3])
-        force = self.thing.mass * GRAVITY * self.task.weight_axis
-        return load(found, torques, np.concatenate([force, np.zeros(3)]), least)
+        efforts: FloatArray = np.einsum("kaj,kj->ka", maps, found[:, :3])
+        return efforts
 
     def _judged(self, grasp: Grasp, least: float) -> GraspPlan | None:
         """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
@@ -293,10 +293,14 @@ class Planner:
         highest = _score(SAFETY, ball, off)
         if highest < wanted:
             return None
-        times = self._carried(closure, contacts, found, SAFETY * wanted / highest)
-        score = _score(times, ball, off)
+        efforts = self._efforts(closure, contacts, found)
+        weights = np.zeros((1 + len(_SHAKEN), 6))
+        weights[:, :3] = self.thing.mass * GRAVITY * self.task.weight_axis
+        weights[1:, :3] += self.thing.mass * _SHAKEN
+        score = _score(load(found, efforts, weights, SAFETY * wanted / highest), ball, off)
         if round(score, 4) < least:
             return None
+        times = load(found, efforts, weights[0])
         preshape, opening, clearance = self._before(grasp)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
@@ -408,6 +412,21 @@ def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
     return (-plan.score, plan.action, plan.elements)
 
 
+def _score(times: float, ball: float, off: float) -> float:
+    """Return the score of a grasp, 0 to 1.
+
+    Args:
+        times: How many times its weight the object can have while the arm accelerates it.
+        ball: The quality.
+        off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
+    """
+    held = min(1.0, times / SAFETY)
+    # What does not resist every wrench turns or slides out as soon as it is disturbed.
+    closed = 0.2 if ball > 0.0 else 0.0
+    # A product: a grasp that carries nothing scores 0, however good it is otherwise.
+    return held * (closed + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))
+
+
 def _least_quality(score: float, off: float) -> float:
     """Return the quality that a grasp needs for a score, if it carries enough; see `_score`."""
     share = (score - 0.2 - 0.3 * (1.0 - min(1.0, off))) / 0.5
@@ -418,16 +437,3 @@ def _least_quality(score: float, off: float) -> float:
 
 def _rows(pose: FloatArray) -> Matrix:
     return tuple(tuple(round(float(value), 6) for value in row) for row in pose)
-
-
-def _score(times: float, ball: float, off: float) -> float:
-    """Return the score of a grasp, 0 to 1.
-
-    Args:
-        times: How many times its weight the object can have.
-        ball: The quality.
-        off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
-    """
-    held = min(1.0, times / SAFETY)
-    # A product: a grasp that carries nothing scores 0, however good it is otherwise.
-    return held * (0.2 + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))

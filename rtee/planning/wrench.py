@@ -203,11 +203,10 @@ def _shares(part: FloatArray, target: FloatArray, enough: float) -> FloatArray:
     # The normal equations take a quarter of the time of `lstsq`, and do for columns that are not
     # nearly dependent; the gradient says whether they did.
     with suppress(np.linalg.LinAlgError):
-        shares: FloatArray = np.linalg.solve(part.T @ part, target @ part)
+        shares = np.asarray(np.linalg.solve(part.T @ part, target @ part), dtype=np.float64)
         if np.abs((target - part @ shares) @ part).max() <= enough:
             return shares
-    found: FloatArray = np.linalg.lstsq(part, target, rcond=None)[0]
-    return found
+    return np.asarray(np.linalg.lstsq(part, target, rcond=None)[0], dtype=np.float64)
 
 
 def balanced(vectors: FloatArray) -> bool:
@@ -327,22 +326,26 @@ def _starts(dimensions: int) -> FloatArray:
 def load(
     found: FloatArray,
     torques: FloatArray,
-    weight: FloatArray,
+    weights: FloatArray,
     least: float = 0.0,
 ) -> float:
     """Return how many times a weight a grasp can carry with the efforts of the actuators.
+
+    Where several are given, as of an object that is accelerated one way or the other, that many
+    times each of them, one at a time.
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
         torques: Effort that each takes of each actuator with an effort limit, as a fraction of
             that limit ``(k, a)``.
-        weight: The wrench of the object's weight ``(6,)`` [N].
+        weights: Wrenches of the object's weight ``(6,)`` or ``(p, 6)`` [N].
         least: A multiple below this need not be exact, only below it.
 
     Returns:
         The multiple, from 0 to `MOST_LOAD`.
     """
-    heavy = float(np.linalg.norm(weight))
+    weights = np.atleast_2d(weights)
+    heavy = float(np.linalg.norm(weights[0]))
     if not len(found) or heavy <= 0.0:
         return 0.0
     # Both ways of each actuator; one in which nothing drives it needs no limit.
@@ -355,13 +358,18 @@ def load(
     scale = np.maximum(np.linalg.norm(system[:, :count], axis=0), 1e-9)
     system[:, :count] /= scale
     # Without a load there is no force, and all of each effort is left.
-    x = np.concatenate([np.zeros(count), np.ones(limits)])
+    starts = [np.concatenate([np.zeros(count), np.ones(limits)])] * len(weights)
+    order = list(range(len(weights)))
 
     def carried(times: float) -> bool:
-        nonlocal x
-        target = np.concatenate([-times * weight / heavy, np.ones(limits)])
-        x, residual = least_squares(system, target, x)
-        return residual < _CLOSED * 1e2 * max(1.0, times)
+        for place, k in enumerate(order):
+            target = np.concatenate([-times * weights[k] / heavy, np.ones(limits)])
+            starts[k], residual = least_squares(system, target, starts[k])
+            if residual >= _CLOSED * 1e2 * max(1.0, times):
+                # What was too heavy once is likely to be it again, and is looked at first.
+                order.insert(0, order.pop(place))
+                return False
+        return True
 
     if not carried(_LEAST_LOAD):
         return 0.0
