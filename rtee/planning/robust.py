@@ -11,7 +11,7 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.closing import ActionWay, Closing, Closure, close_all
 from rtee.planning.entrances import GAP, Candidate
 from rtee.planning.nearness import Nearness
 from rtee.planning.planner import Planner
@@ -84,7 +84,8 @@ def robust_poses(
         poses = Poses(planner.scene, closing, group, planner.out)
         most = _CANDIDATES if group is action else _OF_GROUP
         candidates += poses.candidates(planner.turns, most)
-    closed = [(c, closure) for c in candidates if (closure := closing.close(c.pose)) is not None]
+    closures = close_all([(closing, candidate.pose) for candidate in candidates])
+    closed = [(c, k) for c, k in zip(candidates, closures, strict=True) if k is not None]
     between = _two_tips(planner.hand, action, closing)
     if between:  # a gripper holds with its tips, though its linkage might hold more firmly
         closed = [
@@ -147,11 +148,9 @@ def _judged(
     """Return how well an object is held at a pose and nearby."""
     promises = [planner.promise(middle)]
     nearby = _nearby(candidate.pose)
-    for pose in nearby:
-        free = _pushed(closing, pose, candidate.way)
-        closure = None if free is None else closing.close(free)
-        if closure is not None:
-            promises.append(planner.promise(closure))
+    free = [_pushed(closing, pose, candidate.way) for pose in nearby]
+    closures = close_all([(closing, pose) for pose in free if pose is not None])
+    promises += [planner.promise(closure) for closure in closures if closure is not None]
     # Poses nearby that are not held count in the mean, as promising nothing.
     count = len(nearby) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
