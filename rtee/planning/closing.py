@@ -18,7 +18,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
 from rtee.planning.nearness import Nearness
-from rtee.planning.postures import HandPose
+from rtee.planning.postures import HandPose, HandPoses, Slots
 from rtee.planning.result import Contact
 from rtee.planning.scene import TOUCH, GraspScene, Touch
 from rtee.planning.wrench import balanced, cones
@@ -27,7 +27,7 @@ from rtee.sample import BoolArray, FloatArray
 STEPS: Final = 16
 """Steps of the table of an action's way; a step of a finger is about 6 mm."""
 
-_TICKS: Final = 120
+TICKS: Final = 120
 """Intensities at which the hand is looked at; less than 1 mm of a fingertip's way apart."""
 
 _STEP: Final = 4
@@ -124,7 +124,18 @@ class Closure:
 
 
 class Closing:
-    """Closes a hand by an action; its table of the way serves all poses of the object."""
+    """What closes a hand by an action; its table of the way serves all poses of the object.
+
+    Attributes:
+        scene: The hand and the object.
+        way: The action's way.
+        friction: Coefficient of friction between the hand and the object.
+        grid: Intensities of the table ``(STEPS + 1,)``.
+        table: Where the hand is at these.
+        frames: Poses of the bodies at `TICKS` intensities and rest ``(TICKS + 1, m + 1, 4, 4)``.
+        speed: How fast each shape moves at most ``(shapes,)`` [m per unit of intensity].
+        drives: Which moving actuators move each shape ``(shapes, n)``.
+    """
 
     def __init__(self, scene: GraspScene, way: ActionWay, friction: float) -> None:
         """Make the table.
@@ -139,142 +150,208 @@ class Closing:
         postures = scene.postures
         table = postures.frames(way.along(self.grid))
         self.table: list[HandPose] = [postures.posed(frames) for frames in table]
-        self._frames = postures.frames(way.along(np.arange(_TICKS + 1) / _TICKS))
-        self._known: dict[int, HandPose] = {}
-        self._speed = postures.farthest_steps(table) * STEPS
-        """How fast each shape moves at most [m per unit of intensity]."""
+        self.frames = postures.frames(way.along(np.arange(TICKS + 1) / TICKS))
+        self.speed = postures.farthest_steps(table) * STEPS
         # Absolute values, so that joints which move against each other do not cancel.
         drive = postures.carried @ np.abs(scene.hand.transmission.jacobian(way.at(1.0))) > 0.0
-        self._drives = drive & way.moving
-        """Which moving actuators move each shape ``(shapes, n)``."""
+        self.drives: BoolArray = drive & way.moving
 
-    def close(self, pose: FloatArray, begin: float = 0.0) -> Closure | None:
-        """Close on an object.
+    def close(self, pose: FloatArray) -> Closure | None:
+        """Close on an object; see `close_all`."""
+        return close_all([(self, pose)])[0]
 
-        Args:
-            pose: Where the object is at first ``(4, 4)``, free of the hand.
-            begin: Intensity from which the hand closes.
 
-        Returns:
-            The closed hand, or ``None`` where it never holds the object from two sides.
-        """
-        # `_push` moves the object in place, and the caller's pose must stay.
-        start, pose = pose, pose.copy()
-        tick = math.floor(begin * _TICKS)
-        near = Nearness(self.scene, self._posed(tick), pose)
-        pace = np.maximum(self._speed, 1e-9) / _TICKS
-        tick = self._until_contact(tick, near, pose)
-        while True:
-            at = self._posed(tick)
-            touches = self._push(near, at, pose)
-            if float(np.linalg.norm(pose[:3, 3] - start[:3, 3])) > _FARTHEST:
-                return None
-            if self._opposed(touches):
-                break
-            if tick >= _TICKS:
-                return None
-            step = min(_STEP, _TICKS - tick)
-            if not touches:  # over all steps after which nothing touches either
-                least = near.least(at, pose, _SOON, pace, until=TOUCH)
-                step = min(max(1, math.ceil(least / _STEP)) * _STEP, _TICKS - tick)
-            near.closed(self._speed * (step / _TICKS))
-            tick += step
-        return self._rest_closed(pose, tick / _TICKS, near, touches)
+def close_all(asked: Sequence[tuple[Closing, FloatArray]]) -> list[Closure | None]:
+    """Close hands on an object, each by an action; together, it takes a fraction of the time.
 
-    def _posed(self, tick: int) -> HandPose:
-        """Return where the hand is at an intensity; poses of the object share these."""
-        if tick not in self._known:
-            self._known[tick] = self.scene.postures.posed(self._frames[tick])
-        return self._known[tick]
+    Args:
+        asked: Actions of one scene, and where the object is at first ``(4, 4)``, free of the hand.
 
-    def _rest_closed(
-        self, pose: FloatArray, first: float, near: Nearness, touches: list[Touch]
-    ) -> Closure:
-        """Let the actuators go on that are not blocked, with the object where it is."""
-        s, shares = first, np.full(len(self.scene.hand.rest), first)
-        # Those that never move count as blocked, so that the loop can end early.
-        blocked: BoolArray = ~self.way.moving
-        for touch in touches:
-            blocked = blocked | self._drives[touch.shape]
-        there = {touch.shape for touch in touches}
-        speed, shortest = np.maximum(self._speed, 1e-9), _STEP / _TICKS
-        at = self.scene.posed(self.way.at(shares))
-        free: BoolArray = np.any(self._drives[:, ~blocked], axis=1)
-        while s < 1.0 and not blocked.all():
-            for touch in near.touching(at, pose, free):
-                if touch.shape not in there:
-                    there.add(touch.shape)
-                    touches.append(touch)
-                    blocked = blocked | self._drives[touch.shape]
-            # At least one step: a link inside the object has a negative way left.
-            step = max(shortest, near.least(at, pose, 1.0, speed, free, below=shortest))
-            before, s = s, min(1.0, s + step)
-            shares = np.where(blocked, shares, s)
-            at = self.scene.posed(self.way.at(shares))
-            free = np.any(self._drives[:, ~blocked], axis=1)
-            near.closed(np.where(free, self._speed * (s - before), 0.0))
-        found = [near.touch(touch.shape, at, pose) for touch in touches]
-        contacts = tuple(self.scene.contacts(found, at, pose))
-        u = self.way.at(shares)
-        return Closure(pose, shares, u, first, contacts, blocked & self.way.moving)
+    Returns:
+        The closed hands; ``None`` where one never holds the object from two sides.
+    """
+    return _Together(asked).closed() if asked else []
 
-    def _until_contact(self, tick: int, near: Nearness, pose: FloatArray) -> int:
-        """Return the intensity just before a moving link touches (conservative advancement).
 
-        Args:
-            tick: Intensity from which the hand closes.
-            near: How near the hand is there; kept up to date.
-            pose: Pose of the object.
-        """
-        speed = np.maximum(self._speed, 1e-9) / _TICKS
-        while tick < _TICKS:
+class _Together:
+    """Hands that close on an object at the same time, one in each row."""
+
+    def __init__(self, asked: Sequence[tuple[Closing, FloatArray]]) -> None:
+        self._closings = [closing for closing, _ in asked]
+        first = self._closings[0]
+        self._scene, self._friction = first.scene, first.friction
+        self._links = [shape.link for shape in self._scene.geometry.shapes]
+        poses = np.array([pose for _, pose in asked])
+        self._poses = poses
+        # All begin at rest.
+        self._near = Nearness(self._scene, first.table[0], poses)
+        frames = np.array([closing.frames[0] for closing in self._closings])
+        self._at = HandPoses(self._scene.postures, frames)
+        self._ticks = np.zeros(len(asked), dtype=np.intp)
+        self._speed = np.array([closing.speed for closing in self._closings])
+        self._fastest = np.maximum(self._speed, 1e-9)
+        self._touches: list[list[Touch]] = [[] for _ in asked]
+        self._facing = [False] * len(asked)
+        """Whether these touches oppose each other."""
+
+    def closed(self) -> list[Closure | None]:
+        """Return the closed hands."""
+        self._until_contact()
+        rows = self._until_opposed()
+        found: list[Closure | None] = [None] * len(self._closings)
+        if len(rows):
+            for row, closure in zip(rows.tolist(), self._rest_closed(rows), strict=True):
+                found[row] = closure
+        return found
+
+    def _go(self, rows: Slots, ticks: Slots) -> None:
+        """Close hands by some ticks ``(len(rows),)``."""
+        if not len(rows):
+            return
+        self._ticks[rows] += ticks
+        self._near.closed(self._speed[rows] * (ticks / TICKS)[:, None], rows)
+        now = zip(rows.tolist(), self._ticks[rows].tolist(), strict=True)
+        self._at.put(rows, np.array([self._closings[row].frames[tick] for row, tick in now]))
+
+    def _until_contact(self) -> None:
+        """Close the hands until just before a moving link touches (conservative advancement)."""
+        rows, pace = np.arange(len(self._closings)), self._fastest / TICKS
+        while len(rows):
             # No farther than needed: what is far away is looked at when it comes near.
-            least = near.least(self._posed(tick), pose, _SOON, speed, below=1.0)
-            if least < 1.0:
-                return tick
+            least = self._near.least(self._at, _SOON, rows, paces=pace[rows], below=1.0)
+            rows, least = rows[least >= 1.0], least[least >= 1.0]
             # Rounded down, so that the hand stops before it touches.
-            ticks = min(math.floor(least), _TICKS - tick)
-            tick += ticks
-            near.closed(self._speed * (ticks / _TICKS))
-        return _TICKS
+            ticks = np.minimum(np.floor(least).astype(np.intp), TICKS - self._ticks[rows])
+            self._go(rows, ticks)
+            rows = rows[self._ticks[rows] < TICKS]
 
-    def _push(self, near: Nearness, at: HandPose, pose: FloatArray) -> list[Touch]:
+    def _until_opposed(self) -> Slots:
+        """Close the hands until contacts oppose each other; return in which rows they do."""
+        rows, pace = np.arange(len(self._closings)), self._fastest / TICKS
+        start, done = self._near.places.copy(), [np.zeros(0, dtype=np.intp)]
+        while len(rows):
+            self._push(rows)
+            pushed = np.linalg.norm(self._near.places[rows] - start[rows], axis=1)
+            rows = rows[pushed <= _FARTHEST]
+            facing = np.array([self._facing[row] for row in rows.tolist()], dtype=np.bool_)
+            done.append(rows[facing])
+            rows = rows[~facing & (self._ticks[rows] < TICKS)]
+            steps = np.full(len(rows), _STEP)
+            nothing = np.array([not self._touches[row] for row in rows.tolist()], dtype=np.bool_)
+            if nothing.any():  # over all steps after which nothing touches either
+                free = rows[nothing]
+                least = self._near.least(self._at, _SOON, free, paces=pace[free], until=TOUCH)
+                steps[nothing] *= np.maximum(np.ceil(least / _STEP).astype(np.intp), 1)
+            self._go(rows, np.minimum(steps, TICKS - self._ticks[rows]))
+        return np.sort(np.concatenate(done))
+
+    def _push(self, rows: Slots) -> None:
         """Move the object out of the links that push it, unless they oppose each other."""
-        touches = near.touching(at, pose)
+        self._touch(rows)
         for _ in range(_PUSHES):
-            deep = [touch for touch in touches if touch.distance < 0.0]
-            if not deep or self._opposed(touches):
-                break
-            push = sum((_clear_of(touch) for touch in deep), np.zeros(3)) / len(deep)
-            if (
-                len(self._links(deep)) == 1
-            ):  # as several shapes of a jaw: the mean would leave it inside
-                push = _clear_of(min(deep, key=lambda touch: touch.distance))
-            pose[:3, 3] += push
-            near.pushed(push)
-            touches = near.touching(at, pose)
-        return touches
+            pushes: dict[int, FloatArray] = {}
+            for row in rows.tolist():
+                deep = [touch for touch in self._touches[row] if touch.distance < 0.0]
+                if not deep or self._facing[row]:
+                    continue
+                push = sum((_clear_of(touch) for touch in deep), np.zeros(3)) / len(deep)
+                # As several shapes of a jaw: the mean would leave it inside.
+                if len({self._links[touch.shape] for touch in deep}) == 1:
+                    push = _clear_of(min(deep, key=lambda touch: touch.distance))
+                pushes[row] = push
+            if not pushes:
+                return
+            rows = np.array(list(pushes))
+            self._near.pushed(np.array(list(pushes.values())), rows)
+            self._touch(rows)
+
+    def _touch(self, rows: Slots) -> None:
+        """Look at what touches in some rows."""
+        found = self._near.touching(self._at, rows)
+        for row, touches in zip(rows.tolist(), found, strict=True):
+            self._touches[row], self._facing[row] = touches, self._opposed(touches)
 
     def _opposed(self, touches: Sequence[Touch]) -> bool:
         """Return whether forces at the contacts can balance, with friction."""
         if len(touches) < 2:
             return False
-        if all(touch.distance < -_INSIDE for touch in touches) and len(self._links(touches)) > 1:
+        if all(touch.distance < -_INSIDE for touch in touches) and (
+            len({self._links[touch.shape] for touch in touches}) > 1
+        ):
             return True  # squeezed from all sides
         normals = np.array([touch.normal for touch in touches])
-        slope = np.arctan(self.friction)
-        if float((normals @ normals.T).min()) <= -np.cos(slope):
+        slope = math.atan(self._friction)
+        if float((normals @ normals.T).min()) <= -math.cos(slope):
             return True  # two of them face each other
         mean = normals.sum(axis=0)
         # Near their mean, every edge of every cone has a part along it: no sum of them is zero.
-        if float((normals @ mean).min()) > np.sin(slope) * np.linalg.norm(mean):
+        if float((normals @ mean).min()) > math.sin(slope) * math.sqrt(float(mean @ mean)):
             return False  # all push the same way
         # Forces alone: an object that does not turn needs no balance of torques.
-        return balanced(cones(normals, self.friction).reshape(-1, 3))
+        return balanced(cones(normals, self._friction).reshape(-1, 3))
 
-    def _links(self, touches: Sequence[Touch]) -> set[str]:
-        """Return the links that touch."""
-        return {self.scene.geometry.shapes[touch.shape].link for touch in touches}
+    def _rest_closed(self, rows: Slots) -> list[Closure]:
+        """Let the actuators go on that are not blocked, with the object where it is.
+
+        Args:
+            rows: Rows in which contacts oppose each other.
+        """
+        ways = [self._closings[row].way for row in rows.tolist()]
+        drives = np.array([self._closings[row].drives for row in rows.tolist()])
+        touches = [self._touches[row] for row in rows.tolist()]
+        there = [{touch.shape for touch in found} for found in touches]
+        first: FloatArray = self._ticks[rows] / TICKS
+        s = first.copy()
+        shares = np.repeat(s[:, None], drives.shape[2], axis=1)
+        # Those that never move count as blocked, so that the loop can end early.
+        blocked = np.array([~way.moving for way in ways])
+        for k, found in enumerate(touches):
+            blocked[k] |= drives[k, [touch.shape for touch in found]].any(axis=0)
+        free = (drives & ~blocked[:, None]).any(axis=2)
+        left = np.flatnonzero((s < 1.0) & ~blocked.all(axis=1))
+        shortest = _STEP / TICKS
+        while len(left):
+            mine = rows[left]
+            for k, found in zip(
+                left.tolist(), self._near.touching(self._at, mine, free[left]), strict=True
+            ):
+                new = [touch for touch in found if touch.shape not in there[k]]
+                there[k].update(touch.shape for touch in new)
+                touches[k] += new
+                for touch in new:
+                    blocked[k] |= drives[k, touch.shape]
+            least = self._near.least(
+                self._at,
+                1.0,
+                mine,
+                paces=self._fastest[mine],
+                among=free[left],
+                below=shortest,
+            )
+            # At least one step: a link inside the object has a negative way left.
+            after = np.minimum(1.0, s[left] + np.maximum(shortest, least))
+            gone, s[left] = after - s[left], after
+            shares[left] = np.where(blocked[left], shares[left], after[:, None])
+            u = np.array([ways[k].at(shares[k]) for k in left.tolist()])
+            self._at.put(mine, self._scene.postures.frames(u))
+            free[left] = (drives[left] & ~blocked[left, None]).any(axis=2)
+            moved = np.where(free[left], self._speed[mine] * gone[:, None], 0.0)
+            self._near.closed(moved, mine)
+            left = left[(s[left] < 1.0) & ~blocked[left].all(axis=1)]
+        return [
+            self._closure(row, float(first[k]), shares[k], blocked[k], touches[k])
+            for k, row in enumerate(rows.tolist())
+        ]
+
+    def _closure(
+        self, row: int, first: float, shares: FloatArray, blocked: BoolArray, touches: list[Touch]
+    ) -> Closure:
+        """Return a hand that has closed."""
+        way, pose, at = self._closings[row].way, self._poses[row].copy(), self._at.one(row)
+        pose[:3, 3] = self._near.places[row]
+        found = [self._near.touch(row, touch.shape, self._at) for touch in touches]
+        contacts = tuple(self._scene.contacts(found, at, pose))
+        return Closure(pose, shares, way.at(shares), first, contacts, blocked & way.moving)
 
 
 def _clear_of(touch: Touch) -> FloatArray:

@@ -101,8 +101,7 @@ class Collisions:
             return []
         at = scene.posed(u)
         depths: dict[str, float] = {}
-        near = Nearness(scene, at, self._pose)
-        for touch in near.touching(at, self._pose):
+        for touch in Nearness(scene, at, self._pose[None]).touching(at)[0]:
             link, depth = self._geometry.shapes[touch.shape].link, -touch.distance
             if depth > (_PRESSED if self._tips.get(link) in fingers else _DEPTH):
                 depths[link] = max(depth, depths.get(link, 0.0))

@@ -17,7 +17,7 @@ import numpy as np
 
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference, Composed, Primitive, PrimitiveKind
-from rtee.planning.planner import Planner, rank, squeeze
+from rtee.planning.planner import Planner, squeeze
 from rtee.planning.result import GraspPlan
 
 DRAFT: Final = "Planned"
@@ -40,20 +40,16 @@ def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
         planner: Plans the grasps of the object.
         library: The hand's actions.
     """
-    drafts = (_draft(library, parts) for parts in islice(_combinations(library), _TRIES))
-    best: GraspPlan | None = None
-    chosen: Composed | None = None
-    for draft in drafts:
-        plan = planner.best(draft, _POSES, best)
-        if isinstance(plan, GraspPlan) and (best is None or rank(plan) < rank(best)):
-            best, chosen = plan, draft
-    if best is None or chosen is None:
+    drafts = [_draft(library, parts) for parts in islice(_combinations(library), _TRIES)]
+    found = planner.best(drafts, _POSES)
+    if found is None:
         return None
+    chosen, best = drafts[found[0]], found[1]
     scaled = _draft(library, _scaled(planner, library, chosen, best))
     # With as many poses as a stored action gets: with fewer, a worse place may be chosen.
-    again = planner.best(scaled)
-    if isinstance(again, GraspPlan) and again.score >= 0.9 * best.score:
-        best, chosen = again, scaled
+    again = planner.best([scaled])
+    if again is not None and again[1].score >= 0.9 * best.score:
+        chosen, best = scaled, again[1]
     return dataclasses.replace(best, action="", parts=chosen.parts)
 
 

@@ -6,17 +6,21 @@ says a lot about what comes next. The gap between two planes across the closest 
 than the distance of the parts, inside of each other or not; so where the object moves, the gap
 grows or shrinks by what it moves along the normal, and where a shape of the hand moves, by no more
 than that shape moves.
+
+Many hands with the object are looked at together, since numpy takes about as long for one of them
+as for a few.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, Protocol
 
+import coal
 import numpy as np
-from numpy.typing import NDArray
 
-from rtee.planning.postures import HandPose
+from rtee.planning.postures import HandPose, Slots
 from rtee.planning.scene import NOWHERE, TOUCH, GraspScene, Measured, Touch
 from rtee.sample import BoolArray, FloatArray
 
@@ -24,146 +28,237 @@ _EXACT: Final = 5e-6
 """What Coal's distances and normals are exact to [m]: its iterations end at 1e-6 of a length."""
 
 
-class Nearness:
-    """Lower bounds of the distances between the shapes of a hand and the pieces of an object.
+class Placed(Protocol):
+    """Where the shapes of one hand or of several are; see `HandPose` and `HandPoses`."""
 
-    The caller says by `pushed` and `closed` how hand and object have moved since, and what it hands
-    over as ``at`` and ``pose`` is where they are then. The object does not turn.
+    def where(self, slot: int, /) -> coal.Transform3s:
+        """Return a shape's pose for Coal."""
+
+    def carried(self, slots: Slots, /) -> tuple[FloatArray, FloatArray]:
+        """Return rotations ``(k, 3, 3)`` of the bodies of some shapes, and middles ``(k, 3)``."""
+
+
+class Nearness:
+    """Lower bounds of the distances between the shapes of hands and the pieces of an object.
+
+    Each row is a hand with the object. The caller says by `pushed` and `closed` how they have moved
+    since, and what it hands over as ``at`` is where the hands are then. The object does not turn.
 
     Args:
         scene: The hand and the object.
-        at: Where the hand is.
-        pose: Pose of the object ``(4, 4)`` in the base frame.
+        at: Where the hand is at first in all rows.
+        poses: Poses of the object ``(k, 4, 4)`` in the base frame.
     """
 
-    def __init__(self, scene: GraspScene, at: HandPose, pose: FloatArray) -> None:
-        self._scene, self._pieces = scene, len(scene.object.pieces)
-        gaps, normals = scene.gaps(at, pose)
-        # A pair of a shape and a piece has one number, as in an array (shapes, pieces). Its bound
+    def __init__(self, scene: GraspScene, at: HandPose, poses: FloatArray) -> None:
+        self._scene = scene
+        self._turns, self.places = poses[:, :3, :3], poses[:, :3, 3].copy()
+        self._here: list[coal.Transform3s | None] = [None] * len(poses)
+        found = [scene.gaps(at, pose) for pose in poses]
+        # Arrays (rows, shapes, pieces): a pair has one number there, its shape a slot. Its bound
         # follows every move; where its planes were is kept as well, to look at the gap again.
-        self._bounds = gaps.ravel()
-        self._in_shape = (normals @ at.turns).reshape(-1, 3)
+        self._bounds = np.array([gaps for gaps, _ in found])
+        count, shapes, self._pieces = self._bounds.shape
+        normals = np.array([normals for _, normals in found])
+        self._in_body = (normals @ at.bodies).reshape(-1, 3)
+        ways = self.places[:, None] - at.middles
+        self._begin = (self._bounds - np.einsum("knpi,kni->knp", normals, ways)).ravel()
         self._normals = normals.reshape(-1, 3)
-        self._shapes = np.repeat(np.arange(len(gaps)), self._pieces)
-        self._radii = scene.postures.radii[self._shapes]
-        self._begin = self._bounds - self._between(slice(None), at, pose)
-        self._known: dict[int, Measured] = {}
+        self._radii = np.tile(scene.postures.radii, count)
+        self._shapes, self._rows = shapes, np.arange(count)
+        self._known: list[dict[int, Measured]] = [{} for _ in poses]
 
-    def pushed(self, way: FloatArray) -> None:
-        """Take into account that the object has moved by ``(3,)`` [m]."""
-        self._known.clear()
-        self._bounds += self._normals @ way
+    def pushed(self, ways: FloatArray, rows: Slots | None = None) -> None:
+        """Take into account that the object has moved in some rows, by ``(len(rows), 3)`` [m]."""
+        rows = self._moved(rows)
+        normals = self._normals.reshape(*self._bounds.shape, 3)
+        self._bounds[rows] += (normals[rows] * ways[:, None, None]).sum(axis=-1)
+        self.places[rows] += ways
+        for row in rows.tolist():
+            self._here[row] = None
 
-    def closed(self, ways: FloatArray) -> None:
-        """Take into account that the shapes have moved, by so much at most ``(n,)`` [m]."""
-        self._known.clear()
-        self._bounds -= ways[self._shapes]
+    def closed(self, ways: FloatArray, rows: Slots | None = None) -> None:
+        """Take into account that shapes have moved, by at most ``(len(rows), shapes)`` [m]."""
+        self._bounds[self._moved(rows)] -= ways[:, :, None]
 
     def touching(
-        self, at: HandPose, pose: FloatArray, among: BoolArray | None = None
-    ) -> list[Touch]:
-        """Return the shapes that touch the object, in their order.
+        self, at: Placed, rows: Slots | None = None, among: BoolArray | None = None
+    ) -> list[list[Touch]]:
+        """Return the shapes that touch the object in each row, in their order.
 
         Args:
-            at: Where the hand is.
-            pose: Pose of the object.
-            among: Which shapes are looked at ``(n,)``; all unless given.
+            at: Where the hands are.
+            rows: Which rows are looked at; all unless given.
+            among: Which shapes are looked at ``(len(rows), shapes)``; all unless given.
         """
-        near = self._bounds <= TOUCH
-        pairs = np.flatnonzero(near if among is None else near & among[self._shapes])
-        if not len(pairs):
-            return []
-        pairs = pairs[self._refined(pairs, at, pose) <= TOUCH]
+        rows, bounds = self._of(rows)
+        pairs, _ = self._pairs(bounds <= TOUCH, rows, among)
+        refined = self._refined(pairs, at)
+        pairs, refined = pairs[refined <= TOUCH], refined[refined <= TOUCH]
+        slots = pairs // self._pieces
+        order = np.lexsort((refined, slots))
+        left = zip(*(array[order].tolist() for array in (slots, pairs, refined)), strict=True)
+        # The nearest piece of each shape counts, and rules most others out.
         nearest: dict[int, Measured] = {}
-        for pair, shape in zip(pairs.tolist(), self._shapes[pairs].tolist(), strict=True):
-            found = self._measured(pair, at, pose)
-            if found[0] <= TOUCH and (shape not in nearest or found[0] < nearest[shape][0]):
-                nearest[shape] = found
-        return [Touch(shape, *found) for shape, found in nearest.items()]
+        new: list[int] = []
+        for slot, pair, bound in left:
+            least = nearest.get(slot)
+            if least is None or bound < least[0]:
+                found = self._distance(pair, at, new)
+                if found[0] <= TOUCH and (least is None or found[0] < least[0]):
+                    nearest[slot] = found
+        self._note(new, at)
+        touches: dict[int, list[Touch]] = {row: [] for row in rows.tolist()}
+        for slot, found in nearest.items():
+            row, shape = divmod(slot, self._shapes)
+            touches[row].append(Touch(shape, *found))
+        return list(touches.values())
 
-    def touch(self, shape: int, at: HandPose, pose: FloatArray) -> Touch:
+    def touch(self, row: int, shape: int, at: Placed) -> Touch:
         """Return how near a shape is to the object, and where if they touch."""
-        first = shape * self._pieces
-        bounds = self._bounds[first : first + self._pieces].tolist()
+        first = (row * self._shapes + shape) * self._pieces
+        bounds = self._bounds[row, shape].tolist()
         least: Measured | None = None
         # The nearest piece first: its distance rules most others out.
         for piece in sorted(range(self._pieces), key=bounds.__getitem__):
             if least is not None and bounds[piece] > least[0]:
                 break
-            found = self._measured(first + piece, at, pose)
+            found = self._distance(first + piece, at, [])
             if least is None or found[0] < least[0]:
                 least = found
         return Touch(shape, *(least or (math.inf, NOWHERE, NOWHERE)))
 
     def least(
         self,
-        at: HandPose,
-        pose: FloatArray,
-        enough: float,
+        at: Placed,
+        enough: float | FloatArray,
+        rows: Slots | None = None,
+        *,
         paces: FloatArray | None = None,
         among: BoolArray | None = None,
         until: float = 0.0,
         below: float = -math.inf,
-    ) -> float:
-        """Return the least distance of the hand from the object, or the least time to a contact.
+    ) -> FloatArray:
+        """Return the least distance of each hand from the object, or the least time to a contact.
 
         Args:
-            at: Where the hand is.
-            pose: Pose of the object.
-            enough: More than this need not be exact; then it is what is returned.
-            paces: How fast the shapes may come nearer ``(n,)`` [m per unit of time]; without them,
-                distances are returned [m].
-            among: Which shapes count ``(n,)``; all unless given.
+            at: Where the hands are.
+            enough: More than this need not be exact; then it is what is returned. One for all, or
+                one for each row.
+            rows: Which rows are looked at; all unless given.
+            paces: How fast the shapes may come nearer ``(len(rows), shapes)`` [m per unit of time];
+                without them, distances are returned [m].
+            among: Which shapes count ``(len(rows), shapes)``; all unless given.
             until: The distance that is a contact [m].
             below: Less than this need not be exact, only below it.
         """
-        pace = None if paces is None else paces[self._shapes]
-        free = self._bounds - until
-        near = (free if pace is None else free / pace) < enough
-        pairs = np.flatnonzero(near if among is None else near & among[self._shapes])
+        rows, bounds = self._of(rows)
+        free = bounds - until if paces is None else (bounds - until) / paces[:, :, None]
+        limits = np.broadcast_to(np.asarray(enough, dtype=np.float64), (len(rows),))
+        if paces is None and among is None:
+            limits = self._capped(limits, bounds, rows, at, until)
+        pairs, which = self._pairs(free < limits[:, None, None], rows, among)
         if not len(pairs):
-            return enough
-        bounds = self._refined(pairs, at, pose) - until
-        slow = np.ones(len(pairs)) if pace is None else pace[pairs]
-        times, least = bounds / slow, enough
-        # The nearest first: its distance rules most others out.
-        for k in np.argsort(times, kind="stable").tolist():
-            if times[k] >= least or least < below:
-                break
-            distance = self._measured(int(pairs[k]), at, pose)[0] - until
-            least = min(least, distance / float(slow[k]))
-        return least
+            return limits.copy()
+        least = limits.tolist()
+        slow = np.ones(len(pairs))
+        if paces is not None:
+            slow = paces[which, pairs // self._pieces % self._shapes]
+        times = (self._refined(pairs, at) - until) / slow
+        order = np.lexsort((times, which))
+        left = zip(*(array[order].tolist() for array in (which, times, pairs, slow)), strict=True)
+        measured: list[int] = []
+        # The nearest first: its distance rules most others of its row out.
+        for row, time, pair, pace in left:
+            if time >= least[row] or least[row] < below:
+                continue
+            distance = self._distance(pair, at, measured)[0] - until
+            least[row] = min(least[row], distance / pace)
+        self._note(measured, at)
+        return np.array(least)
 
-    def _between(
-        self, pairs: slice | NDArray[np.intp], at: HandPose, pose: FloatArray
+    def _capped(
+        self, limits: FloatArray, bounds: FloatArray, rows: Slots, at: Placed, until: float
     ) -> FloatArray:
-        """Return how far the object's origin is from the shapes' middles along the normals [m]."""
-        way = pose[:3, 3] - at.middles[self._shapes[pairs]]
-        found: FloatArray = np.add.reduce(self._normals[pairs] * way, axis=1)
-        return found
+        """Return limits ``(len(rows),)`` that are no higher than one distance of each row [m].
 
-    def _refined(self, pairs: NDArray[np.intp], at: HandPose, pose: FloatArray) -> FloatArray:
+        Without a pace that all shapes have, what is far away would be looked at, too.
+        """
+        flat = bounds.reshape(len(rows), -1)
+        nearest = flat.argmin(axis=1)
+        near = np.flatnonzero(flat[np.arange(len(rows)), nearest] - until < limits)
+        pairs = rows[near] * (self._shapes * self._pieces) + nearest[near]
+        found = self._measured(pairs.tolist(), at)
+        capped = limits.copy()
+        for row, (distance, _, _) in zip(near.tolist(), found, strict=True):
+            capped[row] = min(capped[row], distance - until)
+        return capped
+
+    def _moved(self, rows: Slots | None) -> Slots:
+        """Return some rows, whose distances are no longer known."""
+        rows = self._rows if rows is None else rows
+        for row in rows.tolist():
+            self._known[row].clear()
+        return rows
+
+    def _of(self, rows: Slots | None) -> tuple[Slots, FloatArray]:
+        """Return some rows and their bounds ``(len(rows), shapes, pieces)`` [m]."""
+        return (self._rows, self._bounds) if rows is None else (rows, self._bounds[rows])
+
+    def _pairs(self, near: BoolArray, rows: Slots, among: BoolArray | None) -> tuple[Slots, Slots]:
+        """Return the pairs that count, and the place of their row among some rows."""
+        found = np.flatnonzero(near if among is None else near & among[:, :, None])
+        which, inner = np.divmod(found, self._shapes * self._pieces)
+        return rows[which] * (self._shapes * self._pieces) + inner, which
+
+    def _refined(self, pairs: Slots, at: Placed) -> FloatArray:
         """Return the bounds of some pairs after another look at where they are ``(k,)`` [m]."""
-        turns = at.turns[self._shapes[pairs]]
+        slots, normals = pairs // self._pieces, self._normals[pairs]
+        turns, middles = at.carried(slots)
         # The farthest point of a shape along a normal moves with the shape's middle, and by no more
         # than the shape turns times its radius.
-        turned = (self._normals[pairs, None] @ turns)[:, 0] - self._in_shape[pairs]
-        swung = np.sqrt(np.add.reduce(turned * turned, axis=1)) * self._radii[pairs]
-        gaps = self._begin[pairs] + self._between(pairs, at, pose) - swung
-        bounds: FloatArray = np.maximum(self._bounds[pairs], gaps)
-        self._bounds[pairs] = bounds
+        turned = (normals[:, None] @ turns)[:, 0] - self._in_body[pairs]
+        swung = np.sqrt(np.add.reduce(turned * turned, axis=1)) * self._radii[slots]
+        ways = self.places[slots // self._shapes] - middles
+        gaps = self._begin[pairs] + np.add.reduce(normals * ways, axis=1) - swung
+        all_bounds = self._bounds.reshape(-1)
+        bounds: FloatArray = np.maximum(all_bounds[pairs], gaps)
+        all_bounds[pairs] = bounds
         return bounds
 
-    def _measured(self, pair: int, at: HandPose, pose: FloatArray) -> Measured:
-        """Return distance, point and normal of a pair, and note them."""
-        found = self._known.get(pair)
-        if found is None:
-            shape, piece = divmod(pair, self._pieces)
-            found = self._known[pair] = self._scene.measured(shape, piece, at, pose)
-            distance, _, normal = found
-            bound = distance - _EXACT
-            self._bounds[pair] = bound
-            self._begin[pair] = bound - float(normal @ (pose[:3, 3] - at.middles[shape]))
-            self._normals[pair] = normal
-            self._in_shape[pair] = normal @ at.turns[shape]
+    def _measured(self, pairs: Sequence[int], at: Placed) -> list[Measured]:
+        """Return distance, point and normal of pairs, and note them."""
+        new: list[int] = []
+        found = [self._distance(pair, at, new) for pair in pairs]
+        self._note(new, at)
         return found
+
+    def _distance(self, pair: int, at: Placed, new: list[int]) -> Measured:
+        """Return distance, point and normal of a pair; if they are new, it is added to a list."""
+        slot, piece = divmod(pair, self._pieces)
+        row, shape = divmod(slot, self._shapes)
+        found: Measured | None = self._known[row].get(pair)
+        if found is None:
+            here = self._here[row]
+            if here is None:
+                here = self._here[row] = coal.Transform3s(self._turns[row], self.places[row])
+            found = self._scene.measured(shape, piece, at.where(slot), here)
+            self._known[row][pair] = found
+            new.append(pair)
+        return found
+
+    def _note(self, measured: Sequence[int], at: Placed) -> None:
+        """Note where the planes of pairs are whose distances are known."""
+        if not measured:
+            return
+        pairs = np.array(measured)
+        slots = pairs // self._pieces
+        rows = slots // self._shapes
+        found = [self._known[r][p] for r, p in zip(rows.tolist(), measured, strict=True)]
+        bounds = np.array([distance for distance, _, _ in found]) - _EXACT
+        normals = np.array([normal for _, _, normal in found])
+        turns, middles = at.carried(slots)
+        self._bounds.reshape(-1)[pairs] = bounds
+        self._begin[pairs] = bounds - np.add.reduce(normals * (self.places[rows] - middles), axis=1)
+        self._normals[pairs] = normals
+        self._in_body[pairs] = (normals[:, None] @ turns)[:, 0]

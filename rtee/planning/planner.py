@@ -14,11 +14,13 @@ from rtee.actions.types import Action, Timed, kind_of
 from rtee.errors import ConfigError
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.entrances import GAP, Candidate
 from rtee.planning.nearness import Nearness
 from rtee.planning.objects import GraspObject
-from rtee.planning.poses import GAP, Candidate, Poses, orientations, outward
+from rtee.planning.poses import Poses, orientations, outward
 from rtee.planning.result import Contact, GraspPlan, Matrix, Ranking
 from rtee.planning.scene import GraspScene
+from rtee.planning.search import Grasp, Search, search_together
 from rtee.planning.wrench import EDGES, GRAVITY, balanced, load, quality, wrenches
 from rtee.sample import BoolArray, FloatArray
 from rtee.types import ActuatorSpec, JointKind
@@ -45,11 +47,21 @@ _ENOUGH: Final = 3
 """Poses at which an action holds the object, after which no others are tried; or half of those that
 are asked for, if that is more."""
 
+_TOGETHER: Final = 64
+"""Actions that close together: a table of a way takes 0.3 MB."""
+
 _JUDGED: Final = 12
 """Actions whose quality and load are worked out: the most promising."""
 
 _GOOD_QUALITY: Final = 0.05
 """Quality that counts half [N/N]: two soft fingers at friction 0.5 have 0.04, a wrap 0.1 to 0.3."""
+
+_SHAKEN: Final = 2.4 * np.vstack([np.eye(3), -np.eye(3)])
+"""How an arm accelerates what it carries, one at a time ``(6, 3)`` [m/s²]: as when it stops, and as
+`rtee try` shakes it, 15 mm to either side at 2 Hz."""
+
+_HALF_PLACE: Final = 5.1e-5
+"""Scores are rounded to four places: a lower one by no more than this may count as the same."""
 
 _MARGIN: Final = 0.01
 """What a hand stands wider open than the object is wide, before it closes [m]."""
@@ -83,18 +95,6 @@ class Task:
     weight_axis: FloatArray
 
 
-@dataclass(frozen=True)
-class _Grasp:
-    """A hand closed on the object by an action, and how it came there."""
-
-    action: Action
-    closing: Closing
-    poses: Poses
-    candidate: Candidate
-    closure: Closure
-    promise: float
-
-
 class Planner:
     """Plans the grasps of one object by one hand.
 
@@ -120,6 +120,7 @@ class Planner:
             raise ConfigError(f"a friction is above 0 and at most 10, not {friction:g}")
         self.hand, self.thing = hand, thing
         self.scene = GraspScene(hand, thing)
+        self._open = self.scene.posed(np.array(hand.rest))
         self.out = outward(self.scene)
         axis = self.out if weight_axis is None else np.array(weight_axis, dtype=np.float64)
         if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
@@ -133,15 +134,14 @@ class Planner:
         chosen = list(actions)
         each = min(_MOST, max(_FEWEST, _POSES // max(1, len(chosen))))
         grasps, plans, rejected = [], [], []
-        for action in chosen:
-            found = self._grasps(action, each)
+        for action, found in zip(chosen, self._grasps(chosen, each), strict=True):
             if isinstance(found, str):
                 rejected.append((label(action.name, action.elements), found))
             else:
                 grasps.append(found)
         grasps.sort(key=lambda found: -found[0].promise)
         for number, found in enumerate(grasps):
-            action = found[0].action
+            action = found[0].search.action
             plan: GraspPlan | str = f"{_JUDGED} others hold the object with more links"
             if number < _JUDGED:
                 plan = self._best_of(found if len(grasps) <= _JUDGED else found[:1])
@@ -174,47 +174,59 @@ class Planner:
             tuple(notes),
         )
 
-    def best(
-        self, action: Action, most: int = _MOST, beat: GraspPlan | None = None
-    ) -> GraspPlan | str:
-        """Return the best grasp by an action, or why there is none.
+    def best(self, actions: Sequence[Action], most: int = _MOST) -> tuple[int, GraspPlan] | None:
+        """Return the best grasp by one of several actions, and which one; ``None`` without any.
 
         Args:
-            action: The action.
-            most: Poses of the object that are tried.
-            beat: A grasp that it must not be worse than to matter.
+            actions: The actions.
+            most: Poses of the object that are tried for each.
         """
-        found = self._grasps(action, most)
-        return found if isinstance(found, str) else self._best_of(found, beat)
+        best: tuple[int, GraspPlan] | None = None
+        found = enumerate(self._grasps(actions, most))
+        there = [(number, grasps) for number, grasps in found if not isinstance(grasps, str)]
+        # The most promising first: what is certainly worse than the best so far is soon done.
+        for number, grasps in sorted(there, key=lambda each: -each[1][0].promise):
+            plan = self._best_of(grasps, best and best[1])
+            if isinstance(plan, str):
+                continue
+            # Of equal ones the one that was named first, in whatever order they are judged.
+            if best is None or (-plan.score, number) < (-best[1].score, best[0]):
+                best = number, plan
+        return best
 
-    def _grasps(self, action: Action, most: int) -> list[_Grasp] | str:
-        """Return the most promising grasps by an action, or why there is none."""
+    def _grasps(self, actions: Sequence[Action], most: int) -> list[list[Grasp] | str]:
+        """Return the most promising grasps by each action, or why there is none."""
+        found: list[list[Grasp] | str] = []
+        for begin in range(0, len(actions), _TOGETHER):
+            some = [self._search(action, most) for action in actions[begin : begin + _TOGETHER]]
+            search_together(self.scene, self._open, some, self.promise)
+            found += [self._found(search) for search in some]
+        return found
+
+    def _search(self, action: Action, most: int) -> Search:
+        """Return the search for poses at which an action holds the object."""
         closing = Closing(self.scene, ActionWay.of(self.hand, action), self.task.friction)
-        if not closing.way.moving.any():
+        poses = Poses(self.scene, closing, action, self.out) if closing.way.moving.any() else None
+        candidates = iter(()) if poses is None else poses.search(self.turns, most)
+        return Search(action, closing, poses, candidates, max(_ENOUGH, most // 2))
+
+    def _found(self, search: Search) -> list[Grasp] | str:
+        """Return the most promising grasps that a search has found, or why there is none."""
+        if search.poses is None:
             return "it moves nothing"
-        poses = Poses(self.scene, closing, action, self.out)
-        opening, narrowest = float(poses.gaps.max()), poses.narrowest(self.turns)
+        opening, narrowest = float(search.gaps.max()), search.poses.narrowest(self.turns)
         self.widest = max(self.widest, opening)
         self.narrowest = min(self.narrowest, narrowest)
-        grasps, tried = [], 0
-        for candidate in poses.candidates(self.turns, most):
-            tried += 1
-            closure = closing.close(candidate.pose)
-            if closure is not None:
-                promise = self.promise(closure)
-                grasps.append(_Grasp(action, closing, poses, candidate, closure, promise))
-                if len(grasps) >= max(_ENOUGH, most // 2):
-                    break
         # Only where no pose was tried: what is too wide for the tips may still fit into the palm.
-        if not tried and narrowest > opening - 2.0 * GAP:
+        if not search.tried and narrowest > opening - 2.0 * GAP:
             return f"it opens to {opening * 1e3:.0f} mm, the width is {narrowest * 1e3:.0f} mm"
         self.too_wide = False
-        if not tried:
+        if not search.tried:
             return "the object can't come between its fingers"
-        grasps.sort(key=lambda grasp: -grasp.promise)
-        return grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
+        search.grasps.sort(key=lambda grasp: -grasp.promise)
+        return search.grasps[:_FINALISTS] or "its fingers do not oppose each other on the object"
 
-    def _best_of(self, grasps: Sequence[_Grasp], beat: GraspPlan | None = None) -> GraspPlan | str:
+    def _best_of(self, grasps: Sequence[Grasp], beat: GraspPlan | None = None) -> GraspPlan | str:
         """Return the best of the grasps of an action, or why there is none."""
         best: GraspPlan | None = None
         least = 0.0 if beat is None else beat.score
@@ -251,37 +263,44 @@ class Planner:
     def _wrenches(self, closure: Closure, contacts: Sequence[Contact]) -> FloatArray:
         return wrenches(contacts, self.task.friction, self._centre(closure), self.thing.length)
 
-    def _carried(self, closure: Closure, contacts: Sequence[Contact], found: FloatArray) -> float:
-        """Return how many times its weight the object can have, at full effort."""
+    def _efforts(
+        self, closure: Closure, contacts: Sequence[Contact], found: FloatArray
+    ) -> FloatArray:
+        """Return what wrenches take of the actuators' efforts, as shares of their limits."""
         limits = np.array([actuator.effort for actuator in self.hand.actuators])
         # An actuator without a known limit does not limit the load; the notes say so.
         limited: BoolArray = np.isfinite(limits)
         # Virtual work: the transposed Jacobian turns the forces at contacts into efforts.
         maps = self.scene.torques(closure.u, contacts)[:, limited] / limits[limited, None]
         maps = np.repeat(maps, EDGES + 2, axis=0)  # each contact has so many wrenches
-        torques = np.einsum("kaj,kj->ka", maps, found[:, :3])
-        force = self.thing.mass * GRAVITY * self.task.weight_axis
-        return load(found, torques, np.concatenate([force, np.zeros(3)]))
+        efforts: FloatArray = np.einsum("kaj,kj->ka", maps, found[:, :3])
+        return efforts
 
-    def _judged(self, grasp: _Grasp, least: float) -> GraspPlan | None:
+    def _judged(self, grasp: Grasp, least: float) -> GraspPlan | None:
         """Return what a grasp comes to, or ``None`` where its score is certainly below the least.
 
         What it carries takes longest to work out, and can only lower the score.
         """
-        action, closing, candidate = grasp.action, grasp.closing, grasp.candidate
+        action, closing, candidate = grasp.search.action, grasp.search.closing, grasp.candidate
         closure = grasp.closure
         contacts = closure.contacts[:_MOST_CONTACTS]
         found = self._wrenches(closure, contacts)
-        ball = quality(found)
         points = np.array([contact.point for contact in contacts])
-        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure)))
-        # Rounded, as scores are compared.
-        if round(_score(SAFETY, ball, off / self.thing.length), 4) < least:
+        off = float(np.linalg.norm(points.mean(axis=0) - self._centre(closure))) / self.thing.length
+        # Scores are compared when they are rounded: half of the last place below counts as well.
+        wanted = least - _HALF_PLACE
+        ball = quality(found, _least_quality(wanted, off))
+        highest = _score(SAFETY, ball, off)
+        if highest < wanted:
             return None
-        times = self._carried(closure, contacts, found)
-        score = _score(times, ball, off / self.thing.length)
+        efforts = self._efforts(closure, contacts, found)
+        weights = np.zeros((1 + len(_SHAKEN), 6))
+        weights[:, :3] = self.thing.mass * GRAVITY * self.task.weight_axis
+        weights[1:, :3] += self.thing.mass * _SHAKEN
+        score = _score(load(found, efforts, weights, SAFETY * wanted / highest), ball, off)
         if round(score, 4) < least:
             return None
+        times = load(found, efforts, weights[0])
         preshape, opening, clearance = self._before(grasp)
         x, y, z = (float(v) for v in candidate.way)
         kind = kind_of(action)
@@ -318,29 +337,27 @@ class Planner:
         # Rounded up: rounded down, the set-points might no longer press.
         return min(1.0, math.ceil(100.0 * max(wanted)) / 100.0)
 
-    def _before(self, grasp: _Grasp) -> tuple[float, float, float]:
+    def _before(self, grasp: Grasp) -> tuple[float, float, float]:
         """Return pre-shape, opening and clearance before the hand closes.
 
         The hand closes as far as it can without coming near the object where it is and on its way.
         """
-        gaps, closing, candidate = grasp.poses.gaps, grasp.closing, grasp.candidate
-        along = candidate.pose.copy()
+        gaps, closing, candidate = grasp.search.gaps, grasp.search.closing, grasp.candidate
         # Places on its way in, closer to each other near its end, where the fingers are.
         ways = [
             candidate.pose[:3, 3] + share * np.array(candidate.way) for share in (0, 0.1, 0.3, 1)
         ]
         # A timed action always runs at intensity 1, so it has no pre-shape.
-        steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.action, Timed) else (0,)
+        steps = range(len(gaps) - 1, -1, -1) if not isinstance(grasp.search.action, Timed) else (0,)
         for step in steps:
             wide = gaps[step] >= candidate.width + _MARGIN
             if step and not (wide and closing.grid[step] < grasp.closure.first):
                 continue
-            at, along[:3, 3] = closing.table[step], ways[0]
-            near, least = Nearness(self.scene, at, along), math.inf
+            at, least = closing.table[step], math.inf
+            near = Nearness(self.scene, at, candidate.pose[None])
             for place in ways:
-                near.pushed(place - along[:3, 3])
-                along[:3, 3] = place
-                least = near.least(at, along, min(least, _FAR))
+                near.pushed((place - near.places[0])[None])
+                least = float(near.least(at, min(least, _FAR))[0])
                 # Where a posture is ruled out, its other places do not matter.
                 if step and least <= _CLEAR:
                     break
@@ -395,18 +412,28 @@ def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
     return (-plan.score, plan.action, plan.elements)
 
 
-def _rows(pose: FloatArray) -> Matrix:
-    return tuple(tuple(round(float(value), 6) for value in row) for row in pose)
-
-
 def _score(times: float, ball: float, off: float) -> float:
     """Return the score of a grasp, 0 to 1.
 
     Args:
-        times: How many times its weight the object can have.
+        times: How many times its weight the object can have while the arm accelerates it.
         ball: The quality.
         off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
     """
     held = min(1.0, times / SAFETY)
+    # What does not resist every wrench turns or slides out as soon as it is disturbed.
+    closed = 0.2 if ball > 0.0 else 0.0
     # A product: a grasp that carries nothing scores 0, however good it is otherwise.
-    return held * (0.2 + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))
+    return held * (closed + 0.5 * ball / (ball + _GOOD_QUALITY) + 0.3 * (1.0 - min(1.0, off)))
+
+
+def _least_quality(score: float, off: float) -> float:
+    """Return the quality that a grasp needs for a score, if it carries enough; see `_score`."""
+    share = (score - 0.2 - 0.3 * (1.0 - min(1.0, off))) / 0.5
+    if share <= 0.0:
+        return 0.0
+    return math.inf if share >= 1.0 else _GOOD_QUALITY * share / (1.0 - share)
+
+
+def _rows(pose: FloatArray) -> Matrix:
+    return tuple(tuple(round(float(value), 6) for value in row) for row in pose)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -14,20 +13,20 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.hand.linalg import cross
 from rtee.planning.closing import Closing
-from rtee.planning.nearness import Nearness
+from rtee.planning.entrances import (
+    GAP,
+    WAY,
+    Candidate,
+    Entrance,
+    Found,
+    at_most,
+    bring_in,
+    by_turns,
+)
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
-
-GAP: Final = 1e-3
-"""What an object leaves free at the hand when it is brought in [m]: models are that exact."""
-
-_WAY: Final = 0.15
-"""From where an object is brought in [m]: beyond the reach of fingers that stand open."""
-
-_DEEPEST: Final = 0.08
-"""How far beyond the fingertips' middle an object is brought at most [m]: palms are nearer."""
 
 _TIPS: Final = 0.008
 """How far fingertips reach over an object that they hold at its end [m]."""
@@ -82,23 +81,6 @@ _TURNS: Final = tuple(
 
 _OUTLOOK: Final = np.array([d for d in itertools.product((-1, 0, 1), repeat=3) if any(d)], float)
 """Directions in which outlines are compared: a cube's faces, edges and corners."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A pose of the object that an action may grasp.
-
-    Attributes:
-        pose: Pose of the object ``(4, 4)`` in the base frame.
-        way: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
-        width: Its width between the fingers [m].
-        opening: How far apart they are at rest [m].
-    """
-
-    pose: FloatArray
-    way: FloatArray
-    width: float
-    opening: float
 
 
 def outward(scene: GraspScene) -> FloatArray:
@@ -156,7 +138,8 @@ class Poses:
             self._outermost([i for i, shape in enumerate(shapes) if shape.link == names[name]])
             for name in self._fingers
         ]
-        self._paths = np.array([[self._middle(k, t) for t in self._tips] for k in closing.table])
+        middles = np.array([at.middles for at in closing.table])
+        self._paths = np.stack([self._middle(middles, tips) for tips in self._tips], axis=1)
         """Middles of the fingertips ``(steps + 1, k, 3)``."""
         self._axis, self._sides = self._opposition()
         self._probe = coal.Sphere(_PROBE)
@@ -198,11 +181,10 @@ class Poses:
         least = reach.max(initial=-np.inf) - _TIP  # the rest is the body behind it
         return [shape for shape, far in zip(shapes, reach, strict=True) if far >= least]
 
-    def _middle(self, at: HandPose, tips: list[int]) -> FloatArray:
-        middles = at.middles[tips]
+    def _middle(self, middles: FloatArray, tips: list[int]) -> FloatArray:
         # Roughly by volume, so that many small shapes do not draw the middle to them.
         weight = self._scene.postures.radii[tips] ** 3
-        return np.asarray(weight @ middles / weight.sum())
+        return np.asarray(weight @ middles[:, tips] / weight.sum())
 
     def _opposition(self) -> tuple[FloatArray | None, FloatArray]:
         """Return the axis of closing of three or more fingertips, and which side each is on.
@@ -331,19 +313,28 @@ class Poses:
         return np.interp(np.arange(len(self._closing.table)), steps, found)
 
     def candidates(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
-        """Yield poses of the object, at most so many.
+        """Yield poses of the object, at most so many; see `search`."""
+        for found in self.search(turns, most):
+            if isinstance(found, Entrance):
+                bring_in(self._scene, self._closing.table[0], [found])
+            else:
+                yield found
+
+    def search(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
+        """Yield poses of the object, at most so many, and the entrances on which they depend.
 
         First those between the fingertips, narrow sides of the object first; then those in the
-        palm's front, long sides across it, which several fingers may wrap.
+        palm's front, long sides across it, which several fingers may wrap. After an entrance, the
+        search goes on when `bring_in` has found its depth.
         """
-        between = itertools.islice(self._between_tips(turns, most), most)
+        between = at_most(self._between_tips(turns, most), most)
         if len(self._fingers) < _SEVERAL or len(self._ways()) == 1:
             yield from between
             return
         wrapped = self._in_palm(turns, most)
-        yield from itertools.islice(_by_turns(between, wrapped), most)
+        yield from at_most(by_turns(between, wrapped), most)
 
-    def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+    def _between_tips(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
         opening, open_at = float(self.gaps.max()), int(np.argmax(self.gaps))
         fitting = [
             # Rounded, so that the last digits do not decide between turns of the same width.
@@ -362,8 +353,8 @@ class Poses:
                 # Only where one jaw is fixed: where both move, the two places are the same one, and
                 # rounding would decide between equal candidates.
                 if self._aside(wide, step) > _STILL:
-                    placed = _by_turns(self._placed(wide, turns[number], self._ways()), placed)
-            yield from itertools.islice(placed, _share(most, len(fitting)))
+                    placed = by_turns(self._placed(wide, turns[number], self._ways()), placed)
+            yield from at_most(placed, _share(most, len(fitting)))
 
     def _aside(self, wide: int, step: int) -> float:
         """Return how far across the reach the middle moves between two steps [m].
@@ -373,7 +364,7 @@ class Poses:
         moved = self._at(wide)[0] - self._at(step)[0]
         return float(np.linalg.norm(moved - (moved @ self._out) * self._out))
 
-    def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Candidate]:
+    def _in_palm(self, turns: list[FloatArray], most: int) -> Iterator[Found]:
         _, closing = self._at(STEP_MIDDLE)
         front = self._ways()[1:]
         across = front[0][0] @ np.stack([self._rotation(closing, turn) for turn in turns])
@@ -384,7 +375,7 @@ class Poses:
         ]
         for _, number in sorted(sized):
             placed = self._placed(3 * STEP_MIDDLE // 2, turns[number], front)
-            yield from itertools.islice(placed, _share(most, len(sized)))
+            yield from at_most(placed, _share(most, len(sized)))
 
     def narrowest(self, turns: list[FloatArray]) -> float:
         """Return the object's least width between the fingers [m]."""
@@ -402,7 +393,7 @@ class Poses:
 
     def _placed(
         self, step: int, turn: FloatArray, ways: list[tuple[FloatArray, FloatArray]]
-    ) -> Iterator[Candidate]:
+    ) -> Iterator[Found]:
         middle, closing = self._at(step)
         pose = np.eye(4)
         pose[:3, :3] = self._rotation(closing, turn)
@@ -412,7 +403,9 @@ class Poses:
         for way, shift in ways:
             begin = pose.copy()
             begin[:3, 3] += shift
-            deepest = self._brought_in(begin, way)
+            entrance = Entrance(begin, way)
+            yield entrance
+            deepest = entrance.depth
             if deepest is None:
                 continue
             inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
@@ -427,7 +420,7 @@ class Poses:
                 taken.append(depth)
                 there = begin.copy()
                 there[:3, 3] += depth * way
-                yield Candidate(there, _WAY * way, width, opening)
+                yield Candidate(there, WAY * way, width, opening)
 
     def _ways(self) -> list[tuple[FloatArray, FloatArray]]:
         """Return from where the object may come, as unit vectors, and shifts of it [m]."""
@@ -440,40 +433,10 @@ class Poses:
             ways.append((curl / size, -_BACK * self._out))
         return ways
 
-    def _brought_in(self, pose: FloatArray, way: FloatArray) -> float | None:
-        """Return how far the object comes towards the open hand, before it touches [m].
-
-        Returns:
-            How far before the pose it stops; negative beyond it; ``None`` if it cannot come.
-        """
-        moved = pose.copy()
-        at = self._closing.table[0]
-        inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
-        # Its near side, not its middle, begins beyond the reach of the fingers.
-        depth = first = _WAY + float(inner)
-        moved[:3, 3] += depth * way
-        near = Nearness(self._scene, at, moved)
-        while depth > -_DEEPEST:
-            # A step of the free distance cannot pass a link; `GAP` is left at the end.
-            free = near.least(at, moved, enough=first) - GAP
-            if free < 0.5 * GAP:
-                # What touches before its first step has no way in.
-                return None if depth >= first else depth
-            depth -= free
-            moved[:3, 3] = pose[:3, 3] + depth * way
-            near.pushed(-free * way)
-        return -_DEEPEST
-
 
 def _share(most: int, turns: int) -> int:
     """Return how many poses are tried of each turn of the object."""
     return max(2, -(-most // max(1, min(turns, most // 2))))
-
-
-def _by_turns(first: Iterator[Candidate], second: Iterator[Candidate]) -> Iterator[Candidate]:
-    """Yield from two iterators by turns, until both have ended."""
-    for pair in itertools.zip_longest(first, second):
-        yield from (item for item in pair if item is not None)
 
 
 STEP_MIDDLE: Final = 8

@@ -11,10 +11,11 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.hand.model import Hand
-from rtee.planning.closing import ActionWay, Closing, Closure
+from rtee.planning.closing import ActionWay, Closing, Closure, close_all
+from rtee.planning.entrances import GAP, Candidate
 from rtee.planning.nearness import Nearness
 from rtee.planning.planner import Planner
-from rtee.planning.poses import GAP, Candidate, Poses
+from rtee.planning.poses import Poses
 from rtee.sample import FloatArray
 
 _BESIDE: Final = 0.008
@@ -83,7 +84,8 @@ def robust_poses(
         poses = Poses(planner.scene, closing, group, planner.out)
         most = _CANDIDATES if group is action else _OF_GROUP
         candidates += poses.candidates(planner.turns, most)
-    closed = [(c, closure) for c in candidates if (closure := closing.close(c.pose)) is not None]
+    closures = close_all([(closing, candidate.pose) for candidate in candidates])
+    closed = [(c, k) for c, k in zip(candidates, closures, strict=True) if k is not None]
     between = _two_tips(planner.hand, action, closing)
     if between:  # a gripper holds with its tips, though its linkage might hold more firmly
         closed = [
@@ -146,11 +148,9 @@ def _judged(
     """Return how well an object is held at a pose and nearby."""
     promises = [planner.promise(middle)]
     nearby = _nearby(candidate.pose)
-    for pose in nearby:
-        free = _pushed(closing, pose, candidate.way)
-        closure = None if free is None else closing.close(free)
-        if closure is not None:
-            promises.append(planner.promise(closure))
+    free = [_pushed(closing, pose, candidate.way) for pose in nearby]
+    closures = close_all([(closing, pose) for pose in free if pose is not None])
+    promises += [planner.promise(closure) for closure in closures if closure is not None]
     # Poses nearby that are not held count in the mean, as promising nothing.
     count = len(nearby) + 1
     return RobustPose(candidate, middle.first, len(promises) / count, sum(promises) / count)
@@ -161,7 +161,7 @@ def _pushed(closing: Closing, pose: FloatArray, way: FloatArray) -> FloatArray |
     pose, length = pose.copy(), float(np.linalg.norm(way))
     at = closing.table[0]
     for _ in range(round(_PUSHED / _PUSH)):
-        if Nearness(closing.scene, at, pose).least(at, pose, enough=_PUSH) > 0.0:
+        if Nearness(closing.scene, at, pose[None]).least(at, enough=_PUSH)[0] > 0.0:
             return pose
         # Without a way in, there is no direction to push it.
         if not length:

@@ -77,7 +77,6 @@ class GraspScene:
         self._convex = [shape.convex for shape in self.geometry.shapes]
         self._pieces = [piece.shape for piece in thing.pieces]
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
-        self._pose, self._transform = b"", coal.Transform3s()
         # Kept, since every action asks for those of the same few turns.
         self._sizes: dict[bytes, tuple[float, float, float]] = {}
         # A box around each piece, along the axes of the object's box.
@@ -113,19 +112,21 @@ class GraspScene:
         normals = np.where(wider[:, :, None], aside @ at.turns.swapaxes(1, 2), ways @ axes.T)
         return np.where(wider, others, gaps), normals
 
-    def measured(self, shape: int, piece: int, at: HandPose, pose: FloatArray) -> Measured:
+    def measured(
+        self, shape: int, piece: int, there: coal.Transform3s, here: coal.Transform3s
+    ) -> Measured:
         """Return how near a shape is to a piece of the object.
 
         Args:
             shape: The shape.
             piece: The piece.
-            at: Where the hand is.
-            pose: Pose of the object ``(4, 4)`` in the base frame.
+            there: Where the shape is, in the base frame.
+            here: Where the object is.
         """
-        result, here = self._result, self._where(pose)
+        result = self._result
         result.clear()
         distance: float = coal.distance(
-            self._convex[shape], at.where(shape), self._pieces[piece], here, self._request, result
+            self._convex[shape], there, self._pieces[piece], here, self._request, result
         )
         # Only contacts need the points, and each takes a copy.
         point = NOWHERE
@@ -142,14 +143,6 @@ class GraspScene:
             self._sizes[key] = x, y, z
         return self._sizes[key]
 
-    def _where(self, pose: FloatArray) -> coal.Transform3s:
-        """Return a pose of the object for Coal; the one asked for last is kept."""
-        # By content, not identity: callers move an object by changing the same array.
-        key = pose.tobytes()
-        if key != self._pose:
-            self._pose, self._transform = key, coal.Transform3s(pose[:3, :3], pose[:3, 3])
-        return self._transform
-
     def apart(
         self, shape: int, at: HandPose, other: coal.ShapeBase, where: coal.Transform3s
     ) -> float:
@@ -164,7 +157,7 @@ class GraspScene:
 
     def _patch(self, touch: Touch, at: HandPose, pose: FloatArray) -> Iterator[Contact]:
         body = self.geometry.shapes[touch.shape]
-        there, here = at.where(touch.shape), self._where(pose)
+        there, here = at.where(touch.shape), coal.Transform3s(pose[:3, :3], pose[:3, 3])
         request, result = coal.CollisionRequest(), coal.CollisionResult()
         # What touches within `TOUCH` need not overlap, and without a margin has no patch.
         request.security_margin = 2.0 * TOUCH

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Final
 
@@ -171,7 +172,7 @@ def least_squares(
             columns = np.flatnonzero(used)
             if not len(columns):
                 break
-            shares = np.linalg.lstsq(matrix[:, columns], target, rcond=None)[0]
+            shares = _shares(matrix[:, columns], target, enough)
             if shares.min() > 0.0:
                 x = np.zeros(count)
                 x[columns] = shares
@@ -191,6 +192,23 @@ def least_squares(
     return x, float(np.linalg.norm(matrix @ x - target))
 
 
+def _shares(part: FloatArray, target: FloatArray, enough: float) -> FloatArray:
+    """Return ``x`` of the least ``|part x - target|``, of any sign.
+
+    Args:
+        part: ``(m, n)``.
+        target: ``(m,)``.
+        enough: Gradient that counts as none.
+    """
+    # The normal equations take a quarter of the time of `lstsq`, and do for columns that are not
+    # nearly dependent; the gradient says whether they did.
+    with suppress(np.linalg.LinAlgError):
+        shares = np.asarray(np.linalg.solve(part.T @ part, target @ part), dtype=np.float64)
+        if np.abs((target - part @ shares) @ part).max() <= enough:
+            return shares
+    return np.asarray(np.linalg.lstsq(part, target, rcond=None)[0], dtype=np.float64)
+
+
 def balanced(vectors: FloatArray) -> bool:
     """Return whether non-negative shares of vectors ``(k, d)``, not all zero, add up to zero."""
     if len(vectors) < 2:
@@ -204,32 +222,42 @@ def balanced(vectors: FloatArray) -> bool:
     return least_squares(system, target)[1] < 1e-3
 
 
-def quality(found: FloatArray) -> float:
+def quality(found: FloatArray, least: float = 0.0) -> float:
     """Return the radius of the largest ball of wrenches that a grasp resists (Ferrari and Canny).
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
+        least: A radius below this need not be exact, only below it [N].
 
     Returns:
         The radius [N]; 0 where some wrench is not resisted at all.
     """
-    # A flat hull contains no ball, and its polar has no vertices to climb to.
-    if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
+    if len(found) < 2:
         return 0.0
     size = float(np.linalg.norm(found, axis=1).max())
     directions = _starts(found.shape[1])
     # The support function has edges; smoothed ones, ever sharper, let a descent pass them.
     for sharpness in _SHARPENING:
         for _ in range(_DESCENT):
-            support = directions @ found.T
-            # Relative to the largest exponent, so that exp does not overflow.
-            weight = np.exp((support - support.max(axis=1, keepdims=True)) * (sharpness / size))
+            weight = directions @ found.T
+            highest = weight.max(axis=1, keepdims=True)
+            # The ball reaches no farther than the hull does in any direction.
+            if least > 0.0 and highest.min() < least:
+                return max(0.0, float(highest.min()))
+            # Relative to the largest exponent, so that exp does not overflow. In place: these are
+            # a hundred by a few hundred numbers, and new arrays take as long as the exponents.
+            weight -= highest
+            weight *= sharpness / size
+            np.exp(weight, out=weight)
             weight /= weight.sum(axis=1, keepdims=True)
             slope = weight @ found
             # Directions stay on the unit sphere: only the tangential part counts.
             slope -= (slope * directions).sum(axis=1, keepdims=True) * directions
             directions = directions - slope / (size * sharpness)
             directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # A flat hull contains no ball, and its polar has no vertices to climb to.
+    if not balanced(found) or np.linalg.matrix_rank(found, tol=1e-9) < found.shape[1]:
+        return 0.0
     support = (directions @ found.T).max(axis=1)
     best = np.argsort(support, kind="stable")
     # The origin is on the hull's surface, or outside of it by rounding.
@@ -298,20 +326,26 @@ def _starts(dimensions: int) -> FloatArray:
 def load(
     found: FloatArray,
     torques: FloatArray,
-    weight: FloatArray,
+    weights: FloatArray,
+    least: float = 0.0,
 ) -> float:
     """Return how many times a weight a grasp can carry with the efforts of the actuators.
+
+    Where several are given, as of an object that is accelerated one way or the other, that many
+    times each of them, one at a time.
 
     Args:
         found: Wrenches of contacts of unit normal force ``(k, 6)``; see `wrenches`.
         torques: Effort that each takes of each actuator with an effort limit, as a fraction of
             that limit ``(k, a)``.
-        weight: The wrench of the object's weight ``(6,)`` [N].
+        weights: Wrenches of the object's weight ``(6,)`` or ``(p, 6)`` [N].
+        least: A multiple below this need not be exact, only below it.
 
     Returns:
         The multiple, from 0 to `MOST_LOAD`.
     """
-    heavy = float(np.linalg.norm(weight))
+    weights = np.atleast_2d(weights)
+    heavy = float(np.linalg.norm(weights[0]))
     if not len(found) or heavy <= 0.0:
         return 0.0
     # Both ways of each actuator; one in which nothing drives it needs no limit.
@@ -324,16 +358,23 @@ def load(
     scale = np.maximum(np.linalg.norm(system[:, :count], axis=0), 1e-9)
     system[:, :count] /= scale
     # Without a load there is no force, and all of each effort is left.
-    x = np.concatenate([np.zeros(count), np.ones(limits)])
+    starts = [np.concatenate([np.zeros(count), np.ones(limits)])] * len(weights)
+    order = list(range(len(weights)))
 
     def carried(times: float) -> bool:
-        nonlocal x
-        target = np.concatenate([-times * weight / heavy, np.ones(limits)])
-        x, residual = least_squares(system, target, x)
-        return residual < _CLOSED * 1e2 * max(1.0, times)
+        for place, k in enumerate(order):
+            target = np.concatenate([-times * weights[k] / heavy, np.ones(limits)])
+            starts[k], residual = least_squares(system, target, starts[k])
+            if residual >= _CLOSED * 1e2 * max(1.0, times):
+                # What was too heavy once is likely to be it again, and is looked at first.
+                order.insert(0, order.pop(place))
+                return False
+        return True
 
     if not carried(_LEAST_LOAD):
         return 0.0
+    if least > _LEAST_LOAD and not carried(least):
+        return _LEAST_LOAD
     if carried(MOST_LOAD):
         return MOST_LOAD
     # Halving works: the loads that can be carried are an interval from 0, since the solutions

@@ -10,9 +10,9 @@ import numpy as np
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.planning.entrances import Candidate
 from rtee.planning.objects import GraspObject
 from rtee.planning.planner import Planner
-from rtee.planning.poses import Candidate
 from rtee.planning.robust import robust_poses, too_wide
 from rtee.trials.grasp_placement import Place, Places, fingers_of
 from rtee.trials.variation import MASS, SIZE

@@ -145,3 +145,27 @@ def test_loads_are_told_up_to_a_limit() -> None:
     found = _pinch()
     weight = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     assert load(found, np.zeros((len(found), 0)), weight) == MOST_LOAD
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_a_quality_below_the_least_is_only_told_to_be_below(number: int) -> None:
+    found = _around(number, 12)
+    exact = quality(found)
+    assert exact > 0.0
+    assert quality(found, 0.9 * exact) == exact
+    assert exact - 1e-9 <= quality(found, 1.5 * exact) < 1.5 * exact
+
+
+def test_of_several_weights_the_one_that_is_carried_least_counts() -> None:
+    # The fingers' own actuators press with up to 10 N, and nothing limits what they stand.
+    found = _pinch()
+    torques = np.zeros((len(found), 2))
+    torques[: EDGES + 2, 0] = torques[EDGES + 2 :, 1] = 0.1
+    down = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    pulls = np.array([down, [0.0, 1.0, -1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -0.5, 0.0, 0.0, 0.0]])
+    together = load(found, torques, pulls)
+    # Loads are found to 6 %.
+    assert together == pytest.approx(min(load(found, torques, p) for p in pulls), rel=0.13)
+    assert together < 0.8 * load(found, torques, down)
+    assert load(found, torques, down, 100.0) < 100.0
+    assert load(found, torques, down, 1.0) == load(found, torques, down)

@@ -1,0 +1,117 @@
+"""How an object comes towards the open hand, and which poses it may have there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from rtee.planning.nearness import Nearness
+from rtee.planning.postures import HandPose
+from rtee.planning.scene import GraspScene
+from rtee.sample import FloatArray
+
+GAP: Final = 1e-3
+"""What an object leaves free at the hand when it is brought in [m]: models are that exact."""
+
+WAY: Final = 0.15
+"""From where an object is brought in [m]: beyond the reach of fingers that stand open."""
+
+_DEEPEST: Final = 0.08
+"""How far beyond the fingertips' middle an object is brought at most [m]: palms are nearer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A pose of the object that an action may grasp.
+
+    Attributes:
+        pose: Pose of the object ``(4, 4)`` in the base frame.
+        way: From where it comes, relative to the hand ``(3,)`` [m]; free of contact.
+        width: Its width between the fingers [m].
+        opening: How far apart they are at rest [m].
+    """
+
+    pose: FloatArray
+    way: FloatArray
+    width: float
+    opening: float
+
+
+@dataclass(slots=True)
+class Entrance:
+    """A way of the object towards the open hand; where it ends is to be found by `bring_in`.
+
+    Attributes:
+        pose: Pose of the object at depth 0 ``(4, 4)``.
+        way: From where it comes, a unit vector ``(3,)``.
+        depth: How far before the pose it stops [m]; negative beyond it; ``None`` if it can't come.
+    """
+
+    pose: FloatArray
+    way: FloatArray
+    depth: float | None = None
+
+
+Found: TypeAlias = Candidate | Entrance
+"""A candidate; or an entrance, whose depth decides which candidates come next."""
+
+
+def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> None:
+    """Find how far the object comes towards the open hand, before it touches.
+
+    Args:
+        scene: The hand and the object.
+        at: Where the open hand is.
+        entrances: The ways of the object; their depths are filled in.
+    """
+    if not entrances:
+        return
+    ways = np.array([entrance.way for entrance in entrances])
+    poses = np.array([entrance.pose for entrance in entrances])
+    inner = [scene.object.support((-e.way @ e.pose[:3, :3])[None])[0] for e in entrances]
+    # Its near side, not its middle, begins beyond the reach of the fingers.
+    first = WAY + np.array(inner)
+    depths = first.copy()
+    poses[:, :3, 3] += depths[:, None] * ways
+    near = Nearness(scene, at, poses)
+    left = np.arange(len(entrances))
+    while len(left):
+        # A step of the free distance cannot pass a link; `GAP` is left at the end.
+        free = near.least(at, first[left], left) - GAP
+        there = free < 0.5 * GAP
+        for row in left[there].tolist():
+            # What touches before its first step has no way in.
+            depth = float(depths[row])
+            entrances[row].depth = None if depth >= first[row] else depth
+        left, free = left[~there], free[~there]
+        depths[left] -= free
+        near.pushed(-free[:, None] * ways[left], left)
+        for row in left[depths[left] <= -_DEEPEST].tolist():
+            entrances[row].depth = -_DEEPEST
+        left = left[depths[left] > -_DEEPEST]
+
+
+def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:
+    """Yield at most so many candidates, with the entrances before them."""
+    while most:
+        item = next(found, None)
+        if item is None:
+            return
+        most -= isinstance(item, Candidate)
+        yield item
+
+
+def by_turns(first: Iterator[Found], second: Iterator[Found]) -> Iterator[Found]:
+    """Yield candidates from two iterators by turns, with the entrances before them."""
+    left = [first, second]
+    while left:
+        for found in list(left):
+            one = list[Found]()
+            for item in at_most(found, 1):
+                one.append(item)
+                yield item
+            if not one or isinstance(one[-1], Entrance):
+                left.remove(found)

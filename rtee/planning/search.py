@@ -1,0 +1,125 @@
+"""Searches for poses at which actions hold an object, for many actions at the same time.
+
+Both what brings the object into the open hand and what closes the hand work on many hands together,
+so searches go on in rounds: all that are asked for next is found at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rtee.actions.types import Action
+from rtee.planning.closing import Closing, Closure, close_all
+from rtee.planning.entrances import Candidate, Entrance, Found, bring_in
+from rtee.planning.poses import Poses
+from rtee.planning.postures import HandPose
+from rtee.planning.scene import GraspScene
+from rtee.sample import FloatArray
+
+
+@dataclass
+class Search:
+    """A search for poses of the object at which an action holds it.
+
+    Attributes:
+        action: The action.
+        closing: What closes the hand by it.
+        poses: Finds poses of the object; ``None`` if the action moves nothing.
+        candidates: The poses that are left to try, and the entrances on which they depend.
+        enough: Grasps after which no other poses are tried.
+        grasps: What was found.
+        ready: Poses to try next.
+        tried: How many poses were tried.
+    """
+
+    action: Action
+    closing: Closing
+    poses: Poses | None
+    candidates: Iterator[Found]
+    enough: int
+    grasps: list[Grasp] = field(default_factory=list)
+    ready: list[Candidate] = field(default_factory=list)
+    tried: int = 0
+
+    def next(self) -> Entrance | list[Candidate]:
+        """Return the poses to try next, or the entrance on which these depend.
+
+        They are no more than are needed if the action holds the object at all of them.
+        """
+        # At least one grasp more is looked for as long as there is a pose to try.
+        while len(self.ready) < self.enough - len(self.grasps):
+            found = next(self.candidates, None)
+            if isinstance(found, Entrance):
+                return found
+            if found is None:
+                break
+            self.ready.append(found)
+        ready, self.ready = self.ready, []
+        self.tried += len(ready)
+        return ready
+
+    @property
+    def gaps(self) -> FloatArray:
+        """How far apart the fingertips are along the way ``(steps + 1,)`` [m]."""
+        return np.zeros(1) if self.poses is None else self.poses.gaps
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """A hand closed on the object by an action, and how it came there.
+
+    Attributes:
+        search: The search that found it.
+        candidate: Where the object was at first.
+        closure: The closed hand.
+        promise: A quick estimate of how good the grasp is; larger is better.
+    """
+
+    search: Search
+    candidate: Candidate
+    closure: Closure
+    promise: float
+
+
+def search_together(
+    scene: GraspScene,
+    open_hand: HandPose,
+    searches: Sequence[Search],
+    promise: Callable[[Closure], float],
+) -> None:
+    """Search until each has enough grasps, or no pose is left to try.
+
+    Args:
+        scene: The hand and the object.
+        open_hand: Where the open hand is.
+        searches: The searches; their grasps are filled in.
+        promise: A quick estimate of how good a closed hand holds; larger is better.
+    """
+    while asked := _next(scene, open_hand, searches):
+        closures = close_all([(search.closing, candidate.pose) for search, candidate in asked])
+        for (search, candidate), closure in zip(asked, closures, strict=True):
+            if closure is not None:
+                search.grasps.append(Grasp(search, candidate, closure, promise(closure)))
+
+
+def _next(
+    scene: GraspScene, open_hand: HandPose, searches: Sequence[Search]
+) -> list[tuple[Search, Candidate]]:
+    """Return the poses to try next; the entrances on which they depend are found together."""
+    found: list[tuple[Search, Candidate]] = []
+    while searches:
+        asking: list[Search] = []
+        entrances: list[Entrance] = []
+        for search in searches:
+            after = search.next()
+            if isinstance(after, Entrance):
+                asking.append(search)
+                entrances.append(after)
+            else:
+                found += [(search, candidate) for candidate in after]
+        bring_in(scene, open_hand, entrances)
+        searches = asking
+    return found
