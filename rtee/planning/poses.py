@@ -415,9 +415,7 @@ class Poses:
             deepest = self._brought_in(begin, way)
             if deepest is None:
                 continue
-            inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
-            centre = float(way @ pose[:3, :3] @ self._scene.object.box[0])
-            out_of_reach = float(inner + centre) - _TIPS
+            out_of_reach = self._near_side(begin, way) - _TIPS
             # The deepest first: the turn's share of poses may be used up before the others.
             depths = [deepest, 0.0, 0.5 * deepest, out_of_reach]
             taken: list[float] = []
@@ -440,6 +438,11 @@ class Poses:
             ways.append((curl / size, -_BACK * self._out))
         return ways
 
+    def _near_side(self, pose: FloatArray, way: FloatArray) -> float:
+        """Return how far the object reaches from the middle of its box against a way [m]."""
+        thing, along = self._scene.object, way @ pose[:3, :3]
+        return float(thing.support(-along[None])[0] + along @ thing.box[0])
+
     def _brought_in(self, pose: FloatArray, way: FloatArray) -> float | None:
         """Return how far the object comes towards the open hand, before it touches [m].
 
@@ -448,9 +451,8 @@ class Poses:
         """
         moved = pose.copy()
         at = self._closing.table[0]
-        inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
         # Its near side, not its middle, begins beyond the reach of the fingers.
-        depth = first = _WAY + float(inner)
+        depth = first = _WAY + self._near_side(pose, way)
         moved[:3, 3] += depth * way
         near = Nearness(self._scene, at, moved)
         while depth > -_DEEPEST:
