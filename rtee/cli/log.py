@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -233,7 +234,11 @@ def replay(
     if checking:
         from rtee.log.check import check
 
-        _show_check(check(read(paths)), as_json)
+        recording = read(paths)
+        # "The same" is said of what can be read only; in JSON, `rtee log info` has the notes.
+        for note in recording.notes:
+            print(f"note: {note}", file=sys.stderr)
+        _show_check(check(recording), as_json)
         return
     if len(paths) > 1:
         raise LogError("--series goes with --check only: replay one part after the other")

@@ -18,6 +18,7 @@ from rtee.gui.bridge import Bridge
 from rtee.gui.colours import BAD, GOOD, WARN
 from rtee.gui.session import Session
 from rtee.gui.visitors import Visitors
+from rtee.gui.wording import WRAPS
 from rtee.loop.memory import give_memory_back
 from rtee.remote.client import connect
 from rtee.remote.find import hands_running
@@ -106,7 +107,7 @@ class App:
         self.message = text
         self._banner.content = (
             f'{_STICKY}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
-            f'font-weight:600;color:{colour}">{escape(text)}</div>'
+            f'font-weight:600;{WRAPS};color:{colour}">{escape(text)}</div>'
         )
 
     async def run(self) -> None:

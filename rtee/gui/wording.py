@@ -54,9 +54,13 @@ def described(use: ActionReference) -> str:
     return name if use.scale == 1.0 else f"{name} × {use.scale:g}"
 
 
+WRAPS: Final = "overflow-wrap:anywhere"
+"""CSS of a line that may hold names of files and clients: a long word must not widen the panel."""
+
+
 def small(html: str) -> str:
     """Return HTML in small print."""
-    return f'<div style="font-size:0.8em;padding:0 0.75em">{html}</div>'
+    return f'<div style="font-size:0.8em;padding:0 0.75em;{WRAPS}">{html}</div>'
 
 
 def coloured(text: str, colour: str) -> str:

@@ -47,10 +47,12 @@ def make_fingers(
     chains, notes = fingers_of(srdf, urdf) if srdf else (), []
     if not chains:
         chains = discover_fingers(urdf, frozenset(movers))
+        given = "no SRDF was given" if srdf is None else "the SRDF names no finger"
         notes.append(
-            "no SRDF was given; the fingers were found from the tree"
-            if srdf is None
-            else "the SRDF names no finger; the fingers were found from the tree"
+            f"{given}; the fingers were found from the tree"
+            if chains
+            else f"{given}, and none was found: a finger is a branch that an actuator moves and "
+            "whose end has collision geometry"
         )
     tips = _tips(chains, urdf, srdf)
     notes += [

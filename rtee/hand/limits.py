@@ -35,6 +35,9 @@ _ASSUMED_VELOCITY: Final = {
     JointKind.PRISMATIC: 0.1,
 }
 
+_MANY_TURNS: Final = 4.0 * math.pi
+"""Range of a revolute joint that is likely meant in degrees [rad]: no finger turns twice."""
+
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
@@ -118,6 +121,11 @@ def actuator_spec(
         # 0 means "not given" in a URDF; the limiter needs a number, and a small one is safe.
         velocity = _ASSUMED_VELOCITY[JointKind(joint.kind)]
         notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
+    if joint.kind == "revolute" and upper - lower > _MANY_TURNS:
+        notes.append(
+            f"actuator '{joint.name}' goes from {lower:g} to {upper:g} rad, "
+            f"{(upper - lower) / math.tau:.1f} turns; are its limits in degrees? URDFs have radians"
+        )
     acceleration = reader.configured("acceleration") or velocity / ACCELERATION_TIME
     rest = reader.rest(state, lower, upper)
     if rest is None:

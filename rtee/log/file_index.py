@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -177,14 +178,19 @@ class _Surveyor:
             # Other software may write the definitions only inside chunks.
             if not self._channels:
                 self._define_from_chunks(stream)
+            stream.seek(-len(MAGIC), os.SEEK_END)
+            closed = size > len(MAGIC) and stream.read() == MAGIC
         if not finished:
             if self._chunks:
                 self._chunks[-1].indexes.clear()  # the index of the last chunk may be incomplete
             left = size - good if data else 0
             self._notes.append(
-                "the file was not closed: it is being written, or its writer was killed"
-                + (f"; {left} bytes at its end are of no use" if left else "")
+                f"the file is damaged at byte {good}"
+                if closed and left
+                else "the file was not closed: it is being written, or its writer was killed"
             )
+            if left:
+                self._notes[-1] += f"; {left} bytes at its end are of no use"
         return Survey(
             path=self._path,
             size=size,

@@ -72,7 +72,7 @@ class Question:
             )
         if len(self.mesh) > LONGEST:
             raise ConfigError(
-                f"the mesh has {len(self.mesh) / 1e3:.0f} kB; at most {LONGEST / 1e3:.0f} kB can "
+                f"the mesh has {len(self.mesh) / 1e3:.1f} kB; at most {LONGEST / 1e3:.0f} kB can "
                 "be sent to a hand; simplify it, or plan with its files by rtee grasp-plan"
             )
         if not 0 < len(self.object) <= _LONGEST_SHAPE:

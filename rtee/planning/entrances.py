@@ -9,6 +9,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from rtee.planning.nearness import Nearness
+from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
 from rtee.planning.scene import GraspScene
 from rtee.sample import FloatArray
@@ -71,9 +72,9 @@ def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> 
         return
     ways = np.array([entrance.way for entrance in entrances])
     poses = np.array([entrance.pose for entrance in entrances])
-    inner = [scene.object.support((-e.way @ e.pose[:3, :3])[None])[0] for e in entrances]
     # Its near side, not its middle, begins beyond the reach of the fingers.
-    first = WAY + np.array(inner)
+    thing = scene.object
+    first = WAY + np.array([near_side(thing, e.pose, e.way, thing.inside) for e in entrances])
     depths = first.copy()
     poses[:, :3, 3] += depths[:, None] * ways
     near = Nearness(scene, at, poses)
@@ -92,6 +93,12 @@ def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> 
         for row in left[depths[left] <= -_DEEPEST].tolist():
             entrances[row].depth = -_DEEPEST
         left = left[depths[left] > -_DEEPEST]
+
+
+def near_side(thing: GraspObject, pose: FloatArray, way: FloatArray, origin: FloatArray) -> float:
+    """Return how far an object reaches against a way ``(3,)`` from a point of its frame [m]."""
+    along = way @ pose[:3, :3]
+    return float(thing.support(-along[None])[0] + along @ origin)
 
 
 def at_most(found: Iterator[Found], most: int) -> Iterator[Found]:

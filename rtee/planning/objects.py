@@ -128,6 +128,16 @@ class GraspObject:
         high, low = self.support(axes), -self.support(-axes)
         return self.frame @ (0.5 * (high + low)), 0.5 * (high - low)
 
+    @cached_property
+    def inside(self) -> FloatArray:
+        """A point inside its box ``(3,)`` [m]: its origin, or the middle if that is outside.
+
+        Meshes may be modelled far from their origin.
+        """
+        middle, half = self.box
+        outside = bool((np.abs(self.frame.T @ middle) > half).any())
+        return middle if outside else np.zeros(3)
+
     @property
     def extents(self) -> tuple[float, float, float]:
         """Extents of its bounding box, the smallest first [m]."""
@@ -207,10 +217,13 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
     corners, faces = _triangles(path, scale)
     extent = float(np.ptp(corners, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
+        hint = (
+            "is it in millimetres? then give --scale 0.001"
+            if extent > LARGEST
+            else f"--scale brings it to metres, and {scale:g} is too small"
+        )
         raise ModelError(
-            f"the mesh is {extent:g} m in size, no object for a hand; is it in millimetres? then "
-            "give --scale 0.001",
-            path=path,
+            f"the mesh is {extent:g} m in size, no object for a hand; {hint}", path=path
         )
     parts = _parts(faces, len(corners))
     if len(parts) > _MOST_PIECES:
@@ -244,13 +257,14 @@ def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]
     try:
         mesh = loader.load(str(path), np.full(3, scale))
     except (ValueError, RuntimeError) as error:
-        # Coal also names its own source file and line; those lines have a colon.
-        said = [line for line in str(error).splitlines() if ":" not in line]
-        why = said[0] if said else "it is no such file"
-        raise ModelError(f"the mesh cannot be read: {why}", path=path) from None
-    if not 0 < mesh.num_tris <= _MOST_TRIANGLES:
+        # Coal names its own source file and line first, then the mesh; the next line is Assimp's.
+        _, _, said = str(error).partition("Could not load resource")
+        lines = said.splitlines()[1:] or [f"it is no {path.suffix[1:].upper()} file"]
+        raise ModelError(f"the mesh cannot be read: {lines[0].strip()}", path=path) from None
+    if mesh.num_tris > _MOST_TRIANGLES:
         raise ModelError(
-            f"the mesh has {mesh.num_tris} triangles; there must be 1 to {_MOST_TRIANGLES}",
+            f"the mesh has {mesh.num_tris} triangles, {_MOST_TRIANGLES} are the most; its convex "
+            "hull counts, so a simplified copy of it will do",
             path=path,
         )
     if path.suffix.lower() != ".stl":  # a single part

@@ -22,6 +22,7 @@ from rtee.planning.entrances import (
     at_most,
     bring_in,
     by_turns,
+    near_side,
 )
 from rtee.planning.objects import GraspObject
 from rtee.planning.postures import HandPose
@@ -408,9 +409,8 @@ class Poses:
             deepest = entrance.depth
             if deepest is None:
                 continue
-            inner = self._scene.object.support((-way @ pose[:3, :3])[None])[0]
-            centre = float(way @ pose[:3, :3] @ self._scene.object.box[0])
-            out_of_reach = float(inner + centre) - _TIPS
+            thing = self._scene.object
+            out_of_reach = near_side(thing, begin, way, thing.box[0]) - _TIPS
             # The deepest first: the turn's share of poses may be used up before the others.
             depths = [deepest, 0.0, 0.5 * deepest, out_of_reach]
             taken: list[float] = []

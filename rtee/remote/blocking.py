@@ -27,7 +27,7 @@ import anyio
 from anyio.from_thread import BlockingPortal
 
 from rtee.commands import StreamStatus
-from rtee.errors import RemoteError
+from rtee.errors import NoHand, RemoteError
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.goal import GoalOptions, RunningGoal
@@ -279,8 +279,17 @@ class BlockingHand:
 
 
 def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]) -> T:
-    """Call an async function and wait for it; an interrupt cancels it."""
-    future: Future[T] = portal.start_task_soon(function)
+    """Call an async function and wait for it; an interrupt cancels it.
+
+    Raises:
+        NoHand: if the hand was left.
+    """
+    try:
+        future: Future[T] = portal.start_task_soon(function)
+    except RuntimeError as error:
+        if "not running" not in str(error):  # as when called from the event loop
+            raise
+        raise NoHand("this client has left its hand; connect again") from None
     try:
         return future.result()
     except KeyboardInterrupt:

@@ -308,6 +308,7 @@ async def connect(
         yield remote
         await remote.leave()  # not after an error, which counts as losing the client
     finally:
+        link.leave()
         # Even when cancelled: while the session is open, the client is alive to the hand.
         with anyio.CancelScope(shield=True):
             await anyio.to_thread.run_sync(link.close)

@@ -56,7 +56,7 @@ class FastRequests:
         self._loop = asyncio.get_running_loop()
         self._waiting: dict[str, asyncio.Future[bytes]] = {}
         self._refusals: dict[str, Callable[[bytes], None]] = {}
-        self._gone = False
+        self._gone: NoHand | None = None
         self._unmatched = set(PUT)
         self._connected = asyncio.Event()
         self._publishers = {
@@ -94,7 +94,7 @@ class FastRequests:
     def send(self, name: str, question: bytes, within: float) -> asyncio.Future[bytes]:
         """Publish a request and return the future of its answer; see `Link.send`."""
         if self._gone:
-            raise NoHand(f"the hand '{self._hand}' does not answer")
+            raise self._gone
         # The hand withdraws its subscriber from a client that sends too much (see `Inboxes`); a
         # request published meanwhile would be lost without an answer.
         if name in self._unmatched:
@@ -128,7 +128,7 @@ class FastRequests:
             NoHand: if the hand has gone.
         """
         if self._gone:
-            raise NoHand(f"the hand '{self._hand}' has gone")
+            raise self._gone
         self._publish(name, question, self._signer.number(label))
 
     @contextlib.contextmanager
@@ -158,9 +158,9 @@ class FastRequests:
         elif not ok and (refused := self._refusals.get(number.partition(".")[2])) is not None:
             refused(data)
 
-    def fail_all(self) -> None:
-        """End all waiting requests with an error, and refuse new ones, since the hand has gone."""
-        self._gone = True
+    def fail_all(self, gone: NoHand) -> None:
+        """End all waiting requests, and refuse new ones by an error, since the hand has gone."""
+        self._gone = gone
         for number in tuple(self._waiting):
             self._settle(number, False, b"")
 

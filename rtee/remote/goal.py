@@ -12,8 +12,9 @@ from typing import Any, TypedDict, Unpack
 
 import anyio
 
-from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
+from rtee.errors import GoalRejected, RemoteError, suggestion
 from rtee.messages import decode_feedback, decode_result, encode_goal, topics
+from rtee.remote.goal_values import QUANTITIES, check_types, reactions
 from rtee.remote.link import Link
 from rtee.remote.planner import HandInfo
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
@@ -162,7 +163,7 @@ class GoalClient:
     def _on_gone(self) -> None:
         running, self._running = self._running, {}
         for goal in running.values():
-            goal.deliver(NoHand(f"the hand '{self._link.hand}' has gone"))
+            goal.deliver(self._link.lost())
 
     async def start(
         self, action: str, *elements: str, **options: Unpack[GoalOptions]
@@ -179,6 +180,7 @@ class GoalClient:
             LeaseHeld: if another client holds the lease.
             NoHand: if the hand has gone.
         """
+        check_types(action, elements, options, GoalOptions.__annotations__)
         effort = options.get("effort")
         if isinstance(effort, float | int):
             options["effort"] = await self.effort_limits(effort)
@@ -302,7 +304,7 @@ class GoalClient:
             grasp=True,
             narrower=quantity(inner, LENGTH, "tolerance"),
             wider=quantity(outer, LENGTH, "tolerance"),
-            on_contact=_reactions({} if on_contact is None else on_contact),
+            on_contact=reactions({} if on_contact is None else on_contact),
             max_force=None if max_force is None else quantity(max_force, FORCE, "largest force"),
         )
         return await self.start_goal(goal)
@@ -452,34 +454,13 @@ class GoalClient:
         return {name: share * known[name] for name in chosen}
 
 
-def _reactions(given: OnContactWords) -> dict[str, OnContact]:
-    """Return the reactions to contacts by finger; raises `GoalRejected` for unknown ones."""
-    words = given if isinstance(given, Mapping) else {"": given}
-    try:
-        return {finger: OnContact(word) for finger, word in words.items()}
-    except ValueError:
-        wrong = next(word for word in words.values() if word not in list(OnContact))
-        raise GoalRejected(
-            f"unknown on_contact '{wrong}'; {suggestion(str(wrong), OnContact)}"
-        ) from None
-
-
-_QUANTITIES: Mapping[str, tuple[Mapping[str, float], str]] = {
-    "opening": (LENGTH, "opening"),
-    "force": (FORCE, "force"),
-    "tip_speed": (SPEED, "speed"),
-    "max_force": (FORCE, "largest force"),
-}
-"""Units and names, for people, of the options that may have units."""
-
-
 def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
     values: dict[str, Any] = dict(options)
-    for option, (units, name) in _QUANTITIES.items():
+    for option, (units, name) in QUANTITIES.items():
         if values.get(option) is not None:
             values[option] = quantity(values[option], units, name)
     if "on_contact" in values:
-        values["on_contact"] = _reactions(values["on_contact"])
+        values["on_contact"] = reactions(values["on_contact"])
     if "stage" in values:
         try:
             values["stage"] = Stage(values["stage"])

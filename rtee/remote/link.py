@@ -46,7 +46,7 @@ class Link:
         way: This client's access path to the hand, see `rtee.messages.requests.HELLO`.
 
     Attributes:
-        gone: Whether the hand has gone.
+        gone: Whether the hand has gone, or this client has left it.
         role: This client's role, once it is connected.
     """
 
@@ -54,6 +54,7 @@ class Link:
         self.hand = hand
         self.client = client
         self.gone = False
+        self._left = False
         self.role = Role.OBSERVER
         self._session = session
         self._loop = asyncio.get_running_loop()
@@ -99,9 +100,20 @@ class Link:
         if sample.kind == zenoh.SampleKind.DELETE:
             self._call_soon(self._on_gone)
 
+    def lost(self) -> NoHand:
+        """Return the error for whoever still waits for the hand, or asks it once more."""
+        if self._left:
+            return NoHand(f"this client has left the hand '{self.hand}'; connect again")
+        return NoHand(f"the hand '{self.hand}' has gone")
+
+    def leave(self) -> None:
+        """End all that waits for the hand, since this client leaves it; before `close`."""
+        self._left = True
+        self._on_gone()
+
     def _on_gone(self) -> None:
         self.gone = True
-        self._fast.fail_all()
+        self._fast.fail_all(self.lost())
         for callback in self._gone_callbacks:
             callback()
 

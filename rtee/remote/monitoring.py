@@ -121,7 +121,7 @@ class Monitoring:
             _put(messages, None)
 
     def _has_gone(self) -> NoHand:
-        return NoHand(f"the hand '{self._link.hand}' has gone")
+        return self._link.lost()
 
     async def _next(self, queue: asyncio.Queue[T | None]) -> T | None:
         """Return a queue's next item; ``None`` once the hand has gone and the queue is empty."""

@@ -66,6 +66,13 @@ def test_an_srdf_without_chains_leaves_the_fingers_to_the_tree(load: Load) -> No
     assert "the SRDF names no finger; the fingers were found from the tree" in hand.notes
 
 
+def test_a_hand_without_collision_geometry_says_why_it_has_no_finger(load: Load) -> None:
+    bare = re.sub(r"<collision.*?</collision>", "", GRIPPER, flags=re.S)
+    hand = load(bare, srdf='<robot name="gripper"/>')
+    assert hand.finger_names == ()
+    assert any("none was found: a finger is a branch that" in note for note in hand.notes)
+
+
 def test_rest_posture_of_a_group_state(load: Load) -> None:
     states = "".join(
         f'<group_state name="{name}" group="fingers"><joint name="left" value="{value}"/>'

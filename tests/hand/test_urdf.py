@@ -60,6 +60,13 @@ def test_axis_is_made_unit_and_defaults_to_x(load: Load) -> None:
     assert hand.urdf.joints["right"].axis == (1.0, 0.0, 0.0)
 
 
+def test_limits_in_degrees_are_noticed(load: Load) -> None:
+    text = changed(LIMIT, LIMIT.replace('upper="0.8"', 'upper="90"'))
+    (note,) = [note for note in load(text).notes if "turns" in note]
+    assert "rad, 14.3 turns; are its limits in degrees? URDFs have radians" in note
+    assert not [note for note in load().notes if "turns" in note]
+
+
 def test_continuous_and_prismatic(load: Load) -> None:
     text = changed(LIMIT, "").replace('"left" type="revolute"', '"left" type="continuous"')
     hand = load(text.replace('"right" type="revolute"', '"right" type="prismatic"'))

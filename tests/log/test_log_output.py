@@ -28,6 +28,7 @@ from rtee.log import Recording, read
 from rtee.log.dataclass_json import to_json
 from rtee.log.export import Format, export
 from rtee.log.figure import MOST_POINTS, By, figure, thinned
+from rtee.log.file_index import survey
 from rtee.log.info import info
 from rtee.log.layout import REPLAY, Replayable
 from rtee.log.playback import fingers, states, write_hand
@@ -389,6 +390,21 @@ def test_log_recover(story: Path, tmp_path: Path) -> None:
     newest.write_bytes(story.read_bytes()[:-400])
     _, out = run("recover", tmp_path)
     assert out.startswith(f"{newest}: recovered")
+
+
+def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> None:
+    data = story.read_bytes()
+    cut, damaged = tmp_path / "cut.mcap", tmp_path / "damaged.mcap"
+    cut.write_bytes(data[:-400])
+    head = survey(story).chunks[-1].record.offset - 9  # its opcode and the length of its content
+    damaged.write_bytes(
+        data[:head] + bytes(0xFF ^ byte for byte in data[head:][:9]) + data[head + 9 :]
+    )
+    for path, said in ((cut, "was not closed"), (damaged, "is damaged at byte")):
+        _, out = run("info", path)
+        assert f"note: {path.name}: the file {said}" in out
+        checked = CliRunner().invoke(app, ["replay", str(path), "--check"])
+        assert f"note: {path.name}: the file {said}" in checked.stderr
 
 
 def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:

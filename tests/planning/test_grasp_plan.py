@@ -148,6 +148,21 @@ def test_a_mesh_is_planned_for_as_the_shape_it_has(library: ActionLibrary, tmp_p
         assert _pose(other.pose) == pytest.approx(_pose(one.pose), abs=1e-3)
 
 
+@pytest.mark.parametrize("origin", [0.5, -0.5, 2.0])
+def test_a_mesh_may_have_its_origin_anywhere(
+    library: ActionLibrary, tmp_path: Path, origin: float
+) -> None:
+    vertices, faces = box((0.04, 0.02, 0.03))
+    here = _stl(tmp_path / "here.stl", (vertices, faces))
+    away = _stl(tmp_path / "away.stl", (vertices + origin, faces))
+    near, far = (plan_grasps(library.hand, library, read_object(str(m))) for m in (here, away))
+    assert [p.label for p in far.plans] == [p.label for p in near.plans]
+    middle = np.append(np.full(3, origin), 1.0)
+    for one, other in zip(near.plans, far.plans, strict=True):
+        assert other.score == pytest.approx(one.score, abs=0.01)
+        assert (_pose(other.pose) @ middle)[:3] == pytest.approx(_pose(one.pose)[:3, 3], abs=1e-3)
+
+
 def test_a_mesh_of_a_hand_like_svh_ranks_as_its_primitive(tmp_path: Path) -> None:
     mesh = _stl(tmp_path / "rod.stl", cylinder(0.03, 0.12))
     ranked = grasp_plan(ROOT / "config/robotiq_3f", "cylinder:0.03x0.12")
@@ -291,6 +306,8 @@ def test_weight_axes_that_make_no_sense_are_refused(
         ("a.stl", bytes(80) + (9).to_bytes(4, "little") + bytes(50), "truncated"),
         ("a.off", b"nothing", "cannot be read"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "cannot be read"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "vertex index out of range"),
+        ("a.ply", b"ply\nformat ascii 1.0\nend_header\n", "Unable to extract mesh data$"),
     ],
 )
 def test_files_that_are_no_mesh_are_refused(
@@ -307,6 +324,8 @@ def test_a_mesh_in_millimetres_is_noticed(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"in millimetres\? then give --scale 0.001"):
         read_object(str(mesh))
     assert read_object(str(mesh), scale=0.001).extents == pytest.approx((0.02, 0.03, 0.04))
+    with pytest.raises(ModelError, match=r"--scale brings it to metres, and 1e-06 is too small"):
+        read_object(str(mesh), scale=1e-6)
 
 
 def test_a_hand_without_actions_is_told_what_to_do(jaws: Hand) -> None:

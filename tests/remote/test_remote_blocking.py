@@ -3,8 +3,11 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import anyio.from_thread
 import pytest
@@ -13,7 +16,7 @@ import rtee
 from rtee.actions.build import StepPlan
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
-from rtee.errors import NoHand, RequestRejected
+from rtee.errors import GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote.blocking import BlockingHand
@@ -114,6 +117,46 @@ def test_an_error_of_ones_own_while_a_goal_runs_cancels_it(served: Served) -> No
             remote.do("fist", speed=0.2, on_feedback=fail)
         assert remote.open().reached
     assert served.watcher.results[0].cancelled
+
+
+def test_leaving_the_hand_ends_a_wait_in_another_thread(served: Served) -> None:
+    remote = rtee.connect_blocking("small")
+    begun, states = threading.Event(), remote.states(50.0)
+    with ThreadPoolExecutor() as pool:
+        waiting = pool.submit(remote.do, "fist", speed=0.05, on_feedback=lambda _: begun.set())
+        assert begun.wait(10.0)
+        listening = pool.submit(list, remote.states(50.0))
+        next(states)
+        remote.close()
+        for ended in (waiting, listening):
+            with pytest.raises(NoHand, match="this client has left"):
+                ended.result(10.0)
+    for call in (remote.state, remote.open, remote.stop, states.__next__):
+        with pytest.raises(NoHand, match="this client has left"):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("elements", "options", "said"),
+    [
+        ((["index", "thumb"],), {}, r"one argument each, not \['index', 'thumb'\]"),
+        ((), {"intensity": "60%"}, "intensity must be a number, not '60%'"),
+        ((), {"intensity": None}, "intensity must be a number, not None"),
+        ((), {"speed": "fast"}, "speed must be a number, not 'fast'"),
+        ((), {"timeout": "5s"}, "timeout must be a number of seconds, not '5s'"),
+        ((), {"effort": "40%"}, "such as 0.4, or a number for each actuator, not '40%'"),
+        ((), {"effort": {"near": "1"}}, "not {'near': '1'}"),
+        ((), {"intensty": 0.5}, "unknown option 'intensty' of a goal; did you mean 'intensity'"),
+    ],
+)
+def test_what_no_message_can_carry_is_said_in_words(
+    served: Served, elements: tuple[Any, ...], options: dict[str, Any], said: str
+) -> None:
+    with (
+        rtee.connect_blocking("small") as remote,
+        pytest.raises(GoalRejected, match=said),
+    ):
+        remote.do("fist", *elements, **options)
 
 
 def test_events(served: Served) -> None:

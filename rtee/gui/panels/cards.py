@@ -33,6 +33,9 @@ _STAGES = {
 }
 """Stages of a pinch by their labels."""
 
+_CROWDED = 85
+"""Intensity from which on the contact's label would run into the number beside the slider [%]."""
+
 _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as the effort allows"
 
 
@@ -128,7 +131,7 @@ class Card:
 
     def _make_slider(self, gui: viser.GuiApi, value: int = 100) -> viser.GuiSliderHandle[int]:
         self._contact = None if self.evidence is None else self.evidence.contact_at
-        marks = None if self._contact is None else ((round(100 * self._contact), "contact"),)
+        marks = None if self._contact is None else (_contact_mark(round(100 * self._contact)),)
         slider = gui.add_slider(
             "Intensity [%]",
             0,
@@ -392,3 +395,10 @@ class Card:
         self._execution.remove()
         self._command.remove()
         self._folder.remove()
+
+
+def _contact_mark(intensity: int) -> tuple[int, str]:
+    """Return the mark of a slider at the contact [%], whose label ends there if it is far on."""
+    # A label is centred on its mark; the spaces, as wide as the word, put the word before it.
+    spaces = "\N{NO-BREAK SPACE}" * 12 if intensity > _CROWDED else ""
+    return intensity, f"contact{spaces}"

@@ -8,6 +8,7 @@ import viser
 
 from rtee.gui.bridge import Bridge
 from rtee.gui.colours import STOP
+from rtee.gui.wording import WRAPS
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
@@ -113,7 +114,7 @@ class Header:
 
     def _put(self, lines: list[str]) -> None:
         body = "<br>".join(lines)
-        html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em">{body}</div>'
+        html = f'<div role="status" style="font-size:0.85em;padding:0 0.75em;{WRAPS}">{body}</div>'
         if self._state.content != html:  # viser sends each assignment to all windows
             self._state.content = html
 

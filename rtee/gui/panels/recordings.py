@@ -14,7 +14,7 @@ import viser
 from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.playback import Playback, timeline
-from rtee.gui.wording import NOTHING, offer
+from rtee.gui.wording import NOTHING, WRAPS, offer
 from rtee.hand.config_schema import LogSection
 from rtee.hand.load import load_configured
 from rtee.hand.model import Hand
@@ -122,7 +122,7 @@ class RecordingsPanel:
         """Show the name of the file that is being written."""
         name = escape(Path(status.recording).name)
         text = f"● recording to <b>{name}</b>" if status.recording else "○ off"
-        html = f'<div style="font-size:0.85em;padding:0.25em 0.75em">{text}</div>'
+        html = f'<div style="font-size:0.85em;padding:0.25em 0.75em;{WRAPS}">{text}</div>'
         if self._status.content == html:
             return
         self._status.content = html

@@ -32,7 +32,9 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [f'<tr><th style="{_HEAD};text-align:left;padding-left:0">{head[0]}</th>{cells}</tr>']
     for row in rows:
         numbers = "".join(f'<td style="{_NUMBER}">{cell}</td>' for cell in row[1:])
-        lines.append(f"<tr><td>{escape(row[0])}</td>{numbers}</tr>")
+        # Long names may break where they are joined, so that the last column has its room.
+        name = escape(row[0]).replace("_", "_<wbr>")
+        lines.append(f"<tr><td>{name}</td>{numbers}</tr>")
     return (
         f'<div style="padding:0 0.5em;overflow-x:auto"><table style="{_STYLE}">'
         f"{''.join(lines)}</table></div>"

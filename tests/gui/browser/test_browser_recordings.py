@@ -30,6 +30,8 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.button("Start").click()
     window.says("a recording begins")
     window.page.locator("div:visible", has_text="recording to").first.wait_for()
+    for name in ("STOP", "Start", "Stop", "Set mark"):
+        assert window.room(window.button(name).first) >= 0, name
     other.do("PinchTight", "finger_1", "finger_2")
     window.type("Mark", "it is closed")
     window.button("Set mark").click()
@@ -51,6 +53,8 @@ def test_a_recording_is_marked_ended_and_looked_at(
     assert any(text.startswith("PinchTight") and "reached" in text for text in said), said
     assert "it is closed" in said
     window.tab("Joints")
+    window.until(lambda: window.page.locator("th:visible", has_text="max").count() == 1)
+    assert window.room(window.page.locator("th:visible", has_text="max")) >= 0
     window.field("Go to", panel).click()
     window.page.get_by_role("option").filter(has_text="it is closed").click()
     window.until(lambda: abs(_position(window) - closed) <= 0.02)

@@ -29,6 +29,17 @@ Worker.prototype.postMessage = function (data, ...more) {
 };
 """
 
+_ROOM = """
+(control) => {
+  const right = (each) => each.getBoundingClientRect().right;
+  let room = window.innerWidth - right(control);
+  for (let each = control; (each = each.parentElement); )
+    if (getComputedStyle(each).overflowX !== "visible")
+      room = Math.min(room, right(each) - right(control));
+  return Math.round(room);
+}
+"""
+
 ROW = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
 
 
@@ -123,6 +134,10 @@ class Window:
     def status(self, text: str) -> None:
         """Wait until the lines below Stop and Open say something."""
         self.page.locator("[role=status]").filter(has_text=text).first.wait_for()
+
+    def room(self, control: Locator) -> float:
+        """Return how far a control is from the edge of what shows it [CSS px]; < 0: cut off."""
+        return float(control.evaluate(_ROOM))
 
     def wait(self, control: Locator, condition: str) -> None:
         """Wait until something is true of a control: a JavaScript function of it."""
