@@ -217,7 +217,8 @@ def _scanned(best: _Tried, varied: _Varied, free: Places) -> _Tried:
                 if np.abs(here.place.pose - wanted).max() > _SCAN_STEP / 2.0:
                     break
                 row[sign * step] = here
-                if not varied.comparable(here, max(one.share for one in row.values())):
+                varied.choose(here, varied.choosing)
+                if here.share < max(one.share for one in row.values()) - _FALLS_OFF:
                     break
         best = row[_middle({step: here.share for step, here in row.items()})]
     return best
@@ -388,17 +389,6 @@ class _Varied:
                 return
             variation = choosing_draw(self._trial.seed, number)
             here.held.append(self.run(here.place, variation).held())
-
-    def comparable(self, here: _Tried, share: float) -> bool:
-        """Return whether a place holds about such a share of the tries that choose it.
-
-        One that loses far more of a few is beyond the edge, and tried no further.
-        """
-        for count in (CHOOSING, self.choosing):
-            self.choose(here, count)
-            if here.share < share - _FALLS_OFF:
-                return False
-        return True
 
     def measured(self, here: _Tried) -> TrialResult:
         """Return the result at a place, with how many of the trial's variations are held there."""
