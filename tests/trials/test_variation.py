@@ -257,7 +257,7 @@ def test_a_place_that_survives_all_its_tries_is_moved_to_the_middle(
 ) -> None:
     # At its start, the object is just held however it is moved; along z there is room to one side.
     wide = np.full(3, POSITION)
-    found = scanned_in(-wide, wide + np.array([0.0, 0.0, 0.012]), monkeypatch)
+    found = scanned_in(-wide, wide + np.array([0.0, 0.0, 0.008]), monkeypatch)
     assert found.lost == 0
     assert found.place.pose[:3, 3] == pytest.approx([0.0, 0.0, 0.004])
 
