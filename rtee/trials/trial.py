@@ -232,9 +232,13 @@ def _middle(shares: dict[int, float]) -> int:
     """
 
     def mean(step: int) -> float:
-        # Beside the last place nothing is known: it counts as its own neighbour.
-        beside = [shares.get(step + side, shares[step]) for side in (-1, 0, 1)]
-        return round(sum(beside) / 3.0, 6)  # so that rounding does not part equal ones
+        here = shares[step]
+        # Beside the last place nothing is known: there it goes on falling as it fell, or stays.
+        before, after = (
+            shares.get(step + side, min(here, 2.0 * here - shares.get(step - side, here)))
+            for side in (-1, 1)
+        )
+        return round((before + here + after) / 3.0, 6)  # so that rounding does not part equal ones
 
     largest = max(mean(step) for step in shares)
     tied = sorted((step for step in shares if mean(step) == largest), key=abs)

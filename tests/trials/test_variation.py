@@ -278,6 +278,7 @@ def test_a_place_beside_the_middle_is_moved_to_it(monkeypatch: pytest.MonkeyPatc
         ({-2: 1.0, -1: 1.0, 0: 1.0, 1: 1.0, 2: 1.0}, 0),
         ({-1: 0.6, 0: 1.0, 1: 1.0, 2: 1.0}, 1),
         ({0: 0.7, 1: 0.9, 2: 0.9}, 2),
+        ({0: 0.5, 1: 0.7, 2: 0.8, 3: 0.7}, 2),
         # One that survives more than its neighbours may do so by chance.
         ({-2: 0.2, -1: 0.4, 0: 0.95, 1: 0.9, 2: 0.9}, 1),
     ],
