@@ -70,7 +70,8 @@ def try_(
             max=1000,
             metavar="N",
             help="Choose the object's place by N tries with other variations; 20 or more find "
-            "better places, and take longer; 10 unless given.",
+            "better places, 40 or more look for the middle of where the object is held along each "
+            "axis, too, and take longer; 10 unless given.",
         ),
     ] = None,
     all_: Annotated[

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,18 +22,30 @@ from rtee.errors import ConfigError
 from rtee.hand.load import load_hand
 from rtee.object_shape import parse_object
 from rtee.planning.objects import read_object
+from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Place, Places
 from rtee.trials.result import CHOOSING
 from rtee.trials.robust_places import robust_places
 from rtee.trials.store import from_document, read_results, to_document, write_results
 from rtee.trials.sweep import attempt, bench
-from rtee.trials.trial import Trial, TrialResult, _carefully, _simulation, _Tried, _Varied
+from rtee.trials.trial import (
+    Trial,
+    TrialResult,
+    _carefully,
+    _middle,
+    _scanned,
+    _simulation,
+    _Tried,
+    _Varied,
+    run_trial,
+)
 from rtee.trials.variation import (
     FRICTION,
     MASS,
     POSITION,
     SIZE,
     TURN,
+    Variation,
     choosing_draw,
     draw,
     interval,
@@ -198,6 +211,99 @@ def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
     assert found.place.pose[2, 3] < pose[2, 3] - 0.002
     assert found.around > start.around > 0.0
     assert len(found.held) == 2
+
+
+class Region:
+    """Stands for the tries at a place; held is what lies in a region, however it is varied."""
+
+    def __init__(self, trial: Trial, low: FloatArray, high: FloatArray) -> None:
+        self._trial, self._low, self._high = trial, low, high
+
+    def __call__(self, place: Place, variation: Variation | None = None) -> Region:
+        beside = np.zeros(3) if variation is None else np.array(variation.position)
+        point = place.pose[:3, 3] + beside
+        self._inside = bool(np.all((self._low <= point) & (point <= self._high)))
+        return self
+
+    def held(self) -> bool:
+        return self._inside
+
+    def result(self) -> TrialResult:
+        return TrialResult(self._trial, self._inside)
+
+
+class Clear:
+    """Stands for a hand that is nowhere in the way."""
+
+    @staticmethod
+    def freed(place: Place) -> FloatArray:
+        return place.pose
+
+
+def scanned_in(low: FloatArray, high: FloatArray, monkeypatch: pytest.MonkeyPatch) -> _Tried:
+    """Return the place that is found from one at the origin, which its tries choose first."""
+    ready = bench(GRIPPER)
+    trial = Trial("Grasp", object="sphere:0.03", variations=20, choosing=40)
+    varied = _Varied(ready.hand, ready.library, ready.settings, trial, None)
+    monkeypatch.setattr(varied, "run", Region(trial, low, high))
+    start = _Tried(Place(np.eye(4), 0.0, np.zeros(3)), TrialResult(trial, True))
+    varied.choose(start, 40)
+    assert len(start.held) == 40
+    return _scanned(start, varied, cast("Places", Clear()))
+
+
+def test_a_place_that_survives_all_its_tries_is_moved_to_the_middle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # At its start, the object is just held however it is moved; along z there is room to one side.
+    wide = np.full(3, POSITION)
+    found = scanned_in(-wide, wide + np.array([0.0, 0.0, 0.008]), monkeypatch)
+    assert found.lost == 0
+    assert found.place.pose[:3, 3] == pytest.approx([0.0, 0.0, 0.004])
+
+
+def test_a_place_beside_the_middle_is_moved_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    middle, wide = np.array([0.008, 0.0, -0.004]), np.full(3, 0.8 * POSITION)
+    found = scanned_in(middle - wide, middle + wide, monkeypatch)
+    # To one step: the draws are random.
+    assert found.place.pose[:3, 3] == pytest.approx(middle, abs=0.0041)
+    assert found.place.pose[0, 3] == pytest.approx(middle[0])
+    assert found.share > 0.5
+
+
+@pytest.mark.parametrize(
+    ("shares", "middle"),
+    [
+        ({0: 1.0}, 0),
+        ({-2: 1.0, -1: 1.0, 0: 1.0, 1: 1.0, 2: 1.0}, 0),
+        ({-1: 0.6, 0: 1.0, 1: 1.0, 2: 1.0}, 1),
+        ({0: 0.7, 1: 0.9, 2: 0.9}, 2),
+        ({0: 0.5, 1: 0.7, 2: 0.8, 3: 0.7}, 2),
+        # One that survives more than its neighbours may do so by chance.
+        ({-2: 0.2, -1: 0.4, 0: 0.95, 1: 0.9, 2: 0.9}, 1),
+    ],
+)
+def test_the_middle_of_a_row_counts_its_neighbours(shares: dict[int, float], middle: int) -> None:
+    assert _middle(shares) == middle
+
+
+def test_moved_places_are_freed_of_the_hand_where_it_began(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not of the hand as the last trial left it, lifted: there, the ball would be in its base."""
+    ready = bench("onrobot_3fg15")
+    moved = []
+
+    def compare(contenders: list[_Tried], varied: _Varied, free: Places) -> _Tried:
+        place = contenders[0].place
+        moved.append(free.freed(place) - place.pose)
+        return contenders[0]
+
+    monkeypatch.setattr("rtee.trials.trial._carefully", compare)
+    monkeypatch.setattr("rtee.trials.trial._scanned", lambda best, varied, free: best)
+    trial = Trial("Grasp", object="sphere:0.05", places=1, variations=1, choosing=40)
+    assert run_trial(ready.hand, ready.library, ready.settings, trial).held
+    assert np.array(moved) == pytest.approx(np.zeros((1, 4, 4)))
 
 
 def place_for(trial: Trial) -> tuple[_Varied, Place]:
