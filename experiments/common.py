@@ -19,11 +19,12 @@ from rtee.log.figure import By, figure
 from rtee.log.playback import fingers
 from rtee.log.plot_png import write_png
 from rtee.loop.observer import Observer
+from rtee.planning.objects import read_object
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
 from rtee.trials.pictures import Stills, write_strip
 from rtee.trials.recorded import recorder_for
-from rtee.trials.robust_places import graspable, robust_places
+from rtee.trials.robust_places import robust_places
 from rtee.trials.sweep import Bench, bench
 from rtee.trials.trial import Trial, TrialResult, run_trial
 from rtee.types import Feedback
@@ -184,7 +185,7 @@ def steadiest(ready: Bench, trial: Trial) -> int:
     options = SimOptions(object=trial.object, object_mass=trial.mass, carrier="arm")
     simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
     action = library.find(trial.action, trial.elements)
-    thing = graspable(trial.object, trial.mass)
+    thing = read_object(trial.object, trial.mass)
     count = len(robust_places(simulation, library, action, thing, trial.places))
     tried = [
         run_trial(hand, library, settings, replace(trial, places=number + 1), skip=number)
