@@ -40,6 +40,10 @@ T = TypeVar("T")
 _ATTEMPTS = 100
 """Attempts to close a generator whose last step is still ending: 1 s with `_PAUSE` between them."""
 
+_END_WITHIN = 5.0
+"""Time to wait for the end of the event loop [s]: it takes milliseconds, but must not hang a
+script."""
+
 _PAUSE = 0.01
 """Time between two of these attempts [s]: a step that was cancelled ends within milliseconds."""
 
@@ -336,15 +340,15 @@ def connect_blocking(
     Takes the same arguments as `rtee.connect`, and raises the same errors.
     """
     with contextlib.ExitStack() as stack:
-        portal = _start_portal()
-        stack.callback(lambda: portal.call(portal.stop))  # if connecting fails, too
+        portal = stack.enter_context(_portal())
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
         return BlockingHand(portal, remote, stack.pop_all())
 
 
-def _start_portal() -> BlockingPortal:
-    """Start an event loop in a daemon thread, so that it doesn't keep the process from ending."""
+@contextlib.contextmanager
+def _portal() -> Iterator[BlockingPortal]:
+    """Run an event loop in a daemon thread, so that it doesn't keep the process from ending."""
     started: Future[BlockingPortal] = Future()
 
     async def run() -> None:
@@ -352,5 +356,13 @@ def _start_portal() -> BlockingPortal:
             started.set_result(portal)
             await portal.sleep_until_stopped()
 
-    threading.Thread(target=anyio.run, args=(run,), name="rtee client", daemon=True).start()
-    return started.result()
+    thread = threading.Thread(target=anyio.run, args=(run,), name="rtee client", daemon=True)
+    thread.start()
+    portal = started.result()
+    try:
+        yield portal
+    finally:
+        portal.call(portal.stop)
+        # The loop's end closes what is still iterated over, by calls into Zenoh. A thread that
+        # returns from one while the interpreter ends aborts the process.
+        thread.join(_END_WITHIN)

@@ -344,7 +344,8 @@ async def test_a_call_that_is_given_up_before_its_answer_moves_nothing(
         assert given_up.cancelled_caught
         while (await remote.status()).goal_id:  # noqa: ASYNC110 - it brakes first
             await anyio.sleep(0.01)
-        assert not remote._goals._running
+        # The result of a goal that had begun may come after the status.
+        await until(lambda: not remote._goals._running)
 
 
 async def test_a_hand_whose_run_is_cancelled_leaves_the_network(
