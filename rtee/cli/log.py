@@ -205,6 +205,12 @@ def export(
                 f"OUT should be a folder, not '{output}': there is a file for each topic;"
                 f" give --format {output.suffix[1:]}"
             )
+        # Likely a file of some other kind is wanted; "run.2" or an existing "run.d" is a folder.
+        if output.suffix[1:].isalpha() and output.suffix != ".npz" and not output.is_dir():
+            raise LogError(
+                f"OUT ends with '{output.suffix}', which is none of csv, parquet and npz; give a "
+                "file that ends with .npz, or a folder with --format csv or parquet"
+            )
         kind = "npz" if output.suffix == ".npz" else "csv"
     if kind not in list(Format):
         raise LogError(f"--format should be csv, parquet or npz, not '{kind}'")

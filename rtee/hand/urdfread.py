@@ -91,13 +91,20 @@ def _links(root: Element) -> dict[str, UrdfLink]:
             collisions=tuple(_geometry(shape, name) for shape in element.all("collision")),
             visuals=tuple(_geometry(shape, name) for shape in element.all("visual")),
             has_inertial=inertial is not None,
-            mass=mass.number("value") if mass else 0.0,
+            mass=_mass(mass) if mass else 0.0,
             inertia=None if inertial is None else _inertia(inertial),
             friction=_friction(element, for_gazebo.get(name)),
         )
     if not links:
         raise root.error("has no links")
     return links
+
+
+def _mass(element: Element) -> float:
+    mass = element.number("value", most=MOST)
+    if mass < 0.0:
+        raise element.error(f"a mass of {mass:g} kg is negative")
+    return mass
 
 
 def _friction(link: Element, for_gazebo: Element | None) -> float | None:

@@ -19,6 +19,7 @@ from collections.abc import (
     Mapping,
 )
 from concurrent.futures import Future
+from contextlib import AbstractAsyncContextManager
 from functools import partial, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
@@ -224,13 +225,13 @@ class BlockingHand:
     ) -> Iterator[BlockingStream]:
         """Stream set-points for as long as the context lasts; see `RemoteHand.stream`."""
         opened = self._hand.stream(rate, deadline, effort)
-        with self._portal.wrap_async_context_manager(opened) as stream:
+        with _entered(self._portal, opened) as stream:
             yield BlockingStream(self._portal, stream)
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
         """Hold the lease for as long as the context lasts."""
-        with self._portal.wrap_async_context_manager(self._hand.held()):
+        with _entered(self._portal, self._hand.held()):
             yield
 
     start = _starting(RemoteHand.start)
@@ -291,14 +292,30 @@ def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]
     try:
         future: Future[T] = portal.start_task_soon(function)
     except RuntimeError as error:
-        if "not running" not in str(error):  # as when called from the event loop
-            raise
-        raise NoHand("this client has left its hand; connect again") from None
+        raise _left(error) from None
     try:
         return future.result()
     except KeyboardInterrupt:
         future.cancel()
         raise
+
+
+@contextlib.contextmanager
+def _entered(portal: BlockingPortal, opened: AbstractAsyncContextManager[T]) -> Iterator[T]:
+    """Enter an async context for as long as this one lasts; raises `NoHand` like `_wait`."""
+    with contextlib.ExitStack() as stack:
+        try:
+            value = stack.enter_context(portal.wrap_async_context_manager(opened))
+        except RuntimeError as error:
+            raise _left(error) from None
+        yield value
+
+
+def _left(error: RuntimeError) -> RuntimeError | NoHand:
+    """Return the error for a call of a client that has left, or the error itself."""
+    if "not running" not in str(error):  # as when called from the event loop
+        return error
+    return NoHand("this client has left its hand; connect again")
 
 
 def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:

@@ -17,7 +17,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import anyio
 import anyio.to_thread
 
-from rtee.errors import RemoteError
+from rtee.errors import ConfigError, RemoteError
 from rtee.hand.names import safe_name
 from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.action_client import ActionClient
@@ -294,8 +294,11 @@ async def connect(
 
     Raises:
         NoHand: if no such hand runs.
-        ConfigError: if several hands run and none is named.
+        ConfigError: if several hands run and none is named, or an argument is no text.
     """
+    for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
+        if not isinstance(value, str | None):
+            raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
     session, name, way = await open_hand(hand, endpoint, wait, on_wait)
     # The process id and a random part distinguish clients of the same name. The client's own name
     # is cut, so that all fits into the 100 characters of a name.

@@ -131,6 +131,12 @@ WRONG = [
         "the mesh's scale is zero",
         "<mesh",
     ),
+    (
+        "</robot>",
+        '<link name="a"><inertial><mass value="-7"/></inertial></link></robot>',
+        "a mass of -7 kg is negative",
+        "-7",
+    ),
     ('<robot name="gripper">', "<robot><xacro:x/>", "end with .xacro", None),
 ]
 

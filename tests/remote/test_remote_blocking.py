@@ -16,7 +16,7 @@ import rtee
 from rtee.actions.build import StepPlan
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
-from rtee.errors import GoalRejected, NoHand, RequestRejected
+from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote.blocking import BlockingHand
@@ -87,6 +87,22 @@ def test_a_goal_can_be_watched_and_cancelled(served: Served) -> None:
     assert goal.result().cancelled
     remote.close()
     remote.close()
+
+
+def test_who_has_left_the_hand_is_told_to_connect_again(served: Served) -> None:
+    remote = rtee.connect_blocking("small")
+    remote.close()
+    with pytest.raises(NoHand, match="connect again"):
+        remote.status()
+    with pytest.raises(NoHand, match="connect again"), remote.held():
+        pass
+    with pytest.raises(NoHand, match="connect again"), remote.stream():
+        pass
+
+
+def test_what_is_no_name_is_said() -> None:
+    with pytest.raises(ConfigError, match="the hand to connect with should be a text, not 3"):
+        rtee.connect_blocking(3)  # type: ignore[arg-type]
 
 
 def test_all_that_the_other_does_it_does_too() -> None:
