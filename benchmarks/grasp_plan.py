@@ -8,7 +8,8 @@ shaken:
   first place that `rtee try` finds for it;
 - *random*: an action drawn from all of the hand's, the same way.
 
-Run: ``python benchmarks/grasp_plan.py [--hands H …] [--only THING] [--places N]``; prints Markdown.
+Run: ``python benchmarks/grasp_plan.py [--hands H …] [--only THING] [--places N] [--no-trials]``;
+prints Markdown. ``--no-trials`` plans only, and prints the processor time of each plan.
 """
 
 from __future__ import annotations
@@ -74,11 +75,30 @@ def planned(ready: Bench, thing: GraspObject) -> tuple[str, bool, float, float]:
     return first.label, held, *took
 
 
+def planning_times(hands: list[str], things: list[str]) -> None:
+    """Print the processor time that planning takes for each hand and thing [s]."""
+    table = Table("hand", *things)
+    for name in hands:
+        ready = bench(name)
+        times = []
+        for thing in things:
+            target = replace(read_object(str(FOLDER / f"{thing}.stl")), mass=MASSES[thing])
+            began = time.process_time()
+            plan_grasps(ready.hand, ready.library, target)
+            times.append(time.process_time() - began)
+        table.row(name, *(f"{took:.2f}" for took in times))
+
+
 def main() -> None:
     """Print the figures as Markdown."""
     parser = command_line(__doc__, only="", places=3)
     parser.add_argument("--hands", nargs="+", default=list(HANDS), help="names of hands")
+    parser.add_argument("--no-trials", action="store_true", help="time planning only")
     arguments = parser.parse_args()
+    if arguments.no_trials:
+        things = [thing for thing in sorted(MASSES) if arguments.only in thing]
+        planning_times(arguments.hands, things)
+        return
     table = Table(
         "hand", "thing", "first choice", "planned", "stored", "random", "seconds", "processor"
     )
