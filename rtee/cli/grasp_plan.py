@@ -42,7 +42,10 @@ def grasp_plan(
     scale: Annotated[float, typer.Option(help="Brings a mesh to metres, such as 0.001.")] = 1.0,
     top: Annotated[int, typer.Option(min=1, help="How many grasps are shown.")] = 5,
     check: Annotated[
-        bool, typer.Option("--check", help="Try the best ones in simulation (extra sim).")
+        bool,
+        typer.Option(
+            "--check", help="Try the best ones in simulation, and more until one holds (extra sim)."
+        ),
     ] = False,
     save: Annotated[
         str | None,

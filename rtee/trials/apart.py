@@ -50,7 +50,7 @@ class Job:
         friction: Friction between hand and object; ``None``: as usual.
         actions: Names and elements of the actions to be tried; ``None``: plan grasps instead.
         variations: How often each trial is varied.
-        checked: How many of the planned grasps are tried.
+        checked: How many of the planned grasps are tried in any case; further ones until one holds.
     """
 
     folder: str

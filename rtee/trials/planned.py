@@ -82,22 +82,29 @@ def checked(
 ) -> Ranking:
     """Return a ranking whose best plans were tried in dynamics; those that held come first.
 
+    Where none of the best holds, the others are tried, too, until one does: geometry does not see
+    how the fingers push the object while they close.
+
     Args:
         hand: The hand.
         library: Its actions, with those of the plans.
         settings: Its loop's settings.
         thing: The object.
         ranking: The ranking.
-        most: How many of the best plans are tried.
+        most: How many of the best plans are tried in any case.
     """
     plans = list(ranking.plans)
-    for number, plan in enumerate(plans[:most]):
+    held = False
+    for number, plan in enumerate(plans):
+        if number >= most and held:
+            break
         check = check_plan(hand, library, settings, thing, ranking, plan)
         said = (
             f"held in dynamics, slip {check.slip * 1e3:.1f} mm"
             if check.held
             else f"lost in dynamics: {check.reason}"
         )
+        held |= check.held
         plans[number] = dataclasses.replace(plan, check=check, reasons=(*plan.reasons, said))
     plans.sort(key=_said)  # stable: otherwise as ranked
     return dataclasses.replace(ranking, plans=tuple(plans))

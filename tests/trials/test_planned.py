@@ -52,6 +52,8 @@ def test_a_grasp_that_is_lost_is_ranked_last(gripper: Bench) -> None:
     missed = dataclasses.replace(first, pose=tuple(tuple(row) for row in away.tolist()))
     wrong = dataclasses.replace(ranking, plans=(missed, *ranking.plans[1:]))
     found = checked(gripper.hand, gripper.library, gripper.settings, thing, wrong, 1)
+    # The next one is tried, too, since the first was lost, and no other after it holds.
+    assert [plan.check and plan.check.held for plan in found.plans[:2]] == [True, None]
     assert found.plans[-1].check is not None
     assert not found.plans[-1].check.held
     assert "lost in dynamics: it was not grasped" in found.plans[-1].reasons[-1]

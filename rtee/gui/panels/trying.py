@@ -151,7 +151,9 @@ class TryPanel:
             hint="How often each trial is varied: size, mass, place, turn, friction",
         )
         self._checked = gui.add_checkbox(
-            "Try the best", True, hint="After planning: try the best three in simulation"
+            "Try the best",
+            True,
+            hint="After planning: try the best three in simulation, and more until one holds",
         )
         self._buttons = gui.add_button_group(
             "",
