@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rtee.log.recording import Span
 
@@ -75,31 +75,51 @@ def bands_of(spans: Sequence[Span], start: float, end: float) -> tuple[Band, ...
     return tuple(bands)
 
 
+_Text = tuple[float, float, str, str]
+"""Begin and end of what has a name [s], the name and its colour."""
+
+
 def labels_of(
     bands: Sequence[Band], marks: Sequence[tuple[float, str]], start: float, end: float
 ) -> Iterator[Label]:
     """Lay out the names: inner actions below, actions above them, marks on top.
 
-    Each kind has a few lanes; a name that fits into none of them is left out.
+    Each kind has a few lanes. Where there are too many names for them, the longest spans get
+    theirs first.
     """
-    duration = max(end - start, 1e-9)
-    kinds = (
-        [(max(b.span.start, start), b.text, b.colour) for b in bands if b.inner],
-        [(max(b.span.start, start), b.text, b.colour) for b in bands if not b.inner],
-        [(t, text, MARK_COLOUR) for t, text in marks],
+    kinds: tuple[list[_Text], ...] = (
+        [(b.span.start, b.span.end, b.text, b.colour) for b in bands if b.inner],
+        [(b.span.start, b.span.end, b.text, b.colour) for b in bands if not b.inner],
+        [(t, t, text, MARK_COLOUR) for t, text in marks],
     )
     base = 0
     for texts in kinds:
-        free: list[float] = []
-        for t, text, colour in sorted(texts):
-            shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
-            width = (len(shown) + 1) * _CHARACTER * duration
-            at = max(start, min(t, end - width))
-            # First fit: the lowest lane that is free by then.
-            lane = next((k for k, until in enumerate(free) if until <= at), len(free))
-            if lane == _LANES:
-                continue
-            free[lane : lane + 1] = [at + width]  # also one lane more than there are
-            yield Label(at, base + lane, shown, colour)
+        # In the order of time, names take the fewest lanes.
+        labels = _laid_out(sorted(texts), start, end)
+        if len(labels) < len(texts):
+            longest = sorted(texts, key=lambda text: (text[0] - text[1], text))
+            labels = _laid_out(longest, start, end)
+        for label in labels:
+            yield replace(label, lane=base + label.lane)
         # The next kind begins above the lanes of this one.
-        base += len(free)
+        base += max((label.lane + 1 for label in labels), default=0)
+
+
+def _laid_out(texts: Sequence[_Text], start: float, end: float) -> list[Label]:
+    """Return labels, each in the lowest lane where it has room; the others are left out."""
+    duration = max(end - start, 1e-9)
+    labels: list[Label] = []
+    lanes: list[list[tuple[float, float]]] = []  # from where to where each is taken [s]
+    for t, _, text, colour in texts:
+        shown = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
+        width = (len(shown) + 1) * _CHARACTER * duration
+        at = max(start, min(t, end - width))
+        free = (all(at + width <= a or b <= at for a, b in taken) for taken in lanes)
+        lane = next((k for k, is_free in enumerate(free) if is_free), len(lanes))
+        if lane == _LANES:
+            continue
+        if lane == len(lanes):
+            lanes.append([])
+        lanes[lane].append((at, at + width))
+        labels.append(Label(at, lane, shown, colour))
+    return labels

@@ -153,6 +153,15 @@ def test_labels_do_not_overlap(recording: Recording) -> None:
     assert len(places) == len(set(places))
 
 
+def test_the_longest_span_has_its_name(recording: Recording) -> None:
+    span = recording.spans[0]
+    many = [replace(span, name="short", start=i / 50, end=i / 50 + 0.02) for i in range(90)]
+    long = replace(span, name="long", start=0.9, end=1.7)
+    object.__setattr__(crowded := replace(recording), "spans", [*many, long])
+    names = {label.text for label in figure(crowded).labels}
+    assert "long" in names
+
+
 def test_currents_stand_in_for_efforts(recording: Recording) -> None:
     actuators = replace(
         recording.actuator_states, effort=np.full_like(recording.actuator_states.effort, np.nan)
