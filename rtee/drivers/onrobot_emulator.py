@@ -142,13 +142,6 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self.axis.max_effort = self._effort(self._built_up)
         self._busy = self._built_up < 1.0
 
-    def _settle(self) -> None:
-        """Finish a motion as one of an earlier program."""
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance_by(0.1)
-        self.moves = 0
-
     def on_faults(self) -> None:
         """Block the motor while it is stuck."""
         self.axis.stuck = "stuck" in self.faults

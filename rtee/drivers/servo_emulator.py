@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 
 
 class EmulatedServo(Protocol):
@@ -72,19 +72,6 @@ class ServoLine(Emulator, Generic[S]):
         servos = self.servos
         found = [servos[n] for n in numbers if n in servos]
         return [servo for servo in found if now >= servo.silent_until]
-
-    def grip_object(
-        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
-    ) -> None:
-        """Put an object in a servo's way, met at a position [counts of the axis].
-
-        Args:
-            number: The servo's id.
-            position: Where it touches.
-            stiffness: Effort per displacement [effort of the axis per count].
-            closing: Direction in which the servo closes, +1 or -1.
-        """
-        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def power_cycle(self, now: float) -> None:
         """Cut the supply of all servos and bring it back."""

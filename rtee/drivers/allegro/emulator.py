@@ -188,10 +188,6 @@ class AllegroEmulator(Emulator, Grasps):
             if number % (JOINTS // FINGERS)
         ]
 
-    def grip_object(self, joint: int, angle: float, stiffness: float = 8.0) -> None:
-        """Put an object in a joint's way, met at an angle [rad]; stiffness in N·m/rad."""
-        self.joints[joint].obstacle = VirtualObject(angle, stiffness)
-
     # --- time --------------------------------------------------------------------------------
 
     def step(self, now: float) -> list[CanFrame]:

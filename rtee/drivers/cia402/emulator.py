@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
-from rtee.drivers.axis import VirtualObject
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
@@ -80,12 +79,6 @@ class Cia402Emulator(Emulator, Grasps):
         """Return how the drives close."""
         closed = self.properties.closed
         return [Closing(d.axis, 0.0, closed, RATED) for d in self.drives.values()]
-
-    def grip_object(
-        self, node: int, position: float, stiffness: float = 1.0, closing: int = 1
-    ) -> None:
-        """Put an object in a drive's way [counts]; stiffness in 0.1 % of rated torque per count."""
-        self.drives[node].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def step(self, now: float) -> list[CanFrame]:
         """Let time pass; return boot-up, heartbeats and emergencies."""

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, State
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
@@ -162,11 +162,6 @@ class HeriEmulator(Emulator, Grasps):
         made = self.properties
         motors = [motor for board in self.boards for motor in board.motors]
         return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
-
-    def grip_object(self, motor: int, position: float, stiffness: float = 10.0) -> None:
-        """Put an object in a motor's way [rad]; stiffness in A/rad."""
-        board, at = divmod(motor, MOTORS)
-        self.boards[board].motors[at].obstacle = VirtualObject(position, stiffness)
 
     # --- requests of a master ------------------------------------------------------------------
 
