@@ -78,8 +78,7 @@ class AnswerParser:
     def request(self, number: int) -> bytes:
         """Return the frame of the request; from now on, only an answer to this frame is found.
 
-        Args:
-            number: Transaction number; only TCP frames contain it.
+        Only TCP frames contain the transaction number.
         """
         self._request.transaction_id = number
         unit = self._request.dev_id

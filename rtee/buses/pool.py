@@ -163,18 +163,9 @@ class BusPool:
         bitrate: int = 1_000_000,
         emulator: EmulatorFactory | None = None,
     ) -> CanBus:
-        """Return the CAN bus at a channel of a python-can interface, connected.
+        """Return the CAN bus at a channel of a python-can interface, such as ``can0``, connected.
 
-        Args:
-            channel: For example ``can0``.
-            owner: The device that will use the bus, until ``bus.detach(owner)``.
-            interface: Name of a python-can interface.
-            bitrate: Bit rate [bit/s].
-            emulator: Makes the emulator that replaces the node, on a virtual channel.
-
-        Raises:
-            BusBusy: if the channel is open with other settings.
-            BusBroken: if it cannot be opened.
+        Arguments and errors as for `serial`; an emulated node is on a virtual channel.
         """
         from rtee.buses.can import CanBus
 
@@ -204,15 +195,8 @@ class BusPool:
     ) -> ZmqBus:
         """Return the ZeroMQ server at ``tcp://host``, connected in the background.
 
-        Args:
-            address: ``tcp://host``.
-            owner: The device that will use the bus, until ``bus.detach(owner)``.
-            ports: TCP ports at which it publishes, receives commands and answers requests.
-            emulator: Makes the emulator that replaces the server, on this machine.
-
-        Raises:
-            BusBusy: if the server is in use with other ports.
-            BusBroken: if the sockets cannot be opened.
+        ``ports`` are the TCP ports at which it publishes, receives commands and answers requests;
+        other arguments and errors as for `serial`.
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
@@ -227,16 +211,10 @@ class BusPool:
     async def ethercat(
         self, interface: str, *, owner: str, emulator: EmulatorFactory | None = None
     ) -> EthercatBus:
-        """Return the EtherCAT network at a network interface, its slaves pre-operational.
+        """Return the EtherCAT network at an interface such as ``eth1``, its slaves pre-operational.
 
-        Args:
-            interface: For example ``eth1``.
-            owner: The device that will use the bus, until ``bus.detach(owner)``.
-            emulator: Makes the emulator that replaces the slaves, at the level of process data.
-
-        Raises:
-            BusBroken: if the network cannot be opened, or no slave answers.
-            ConfigError: if pysoem is not installed.
+        Emulated slaves are at the level of process data. Raises `BusBroken` if the network cannot
+        be opened or no slave answers, `ConfigError` if pysoem is not installed.
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 

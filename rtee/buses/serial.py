@@ -179,11 +179,7 @@ class SerialBus(Bus):
             self._timer = None
 
     async def send(self, data: bytes, deadline: float = 0.1) -> None:
-        """Send bytes that are not answered.
-
-        Args:
-            data: The bytes.
-            deadline: Longest time to wait for the line [s].
+        """Send bytes that are not answered, waiting for the line for ``deadline`` [s] at most.
 
         Raises:
             BusTimeout: if the line was not free in time.

@@ -24,13 +24,7 @@ from rtee.drivers.onrobot_common import (
 )
 from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
+from rtee.errors import BusError, BusTimeout, FrameError, HandshakeError, NotConnected
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from rtee.buses.modbus_slave import (
-    ILLEGAL_ADDRESS,
-    ILLEGAL_VALUE,
-    Framing,
-    ModbusEmulator,
-    Refused,
-)
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.onrobot_common import FIRMWARE, PRODUCT, SERIAL, SERIAL_COUNT

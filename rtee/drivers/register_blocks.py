@@ -151,11 +151,7 @@ class Blocks(Unhurried):
         return cached
 
     def best_rate(self, sent: int) -> float:
-        """Return the fastest rate of exchanges that the wire and the gripper allow [Hz].
-
-        Args:
-            sent: Registers written in one exchange.
-        """
+        """Return the fastest rate of exchanges that write so many registers [Hz]."""
         # Bytes between address and checksum: function, length, two for each register.
         answer = 2 + 2 * self._count
         if self.combined:

@@ -24,14 +24,7 @@ from rtee.drivers.robotiq_common import (
     RobotiqOptions,
     RobotiqStatus,
 )
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
+from rtee.errors import BusError, BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

@@ -11,20 +11,13 @@ from rtee.errors import BusTimeout, HandshakeError, NotConnected
 
 
 def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[str, str]:
-    """Check a node and read its units; in the worker thread; writes nothing.
+    """Check a node and read its units; return its name and its serial number.
 
-    Args:
-        drive: The node.
-        device: The device's name, for messages.
-        channel: The CAN channel, for messages.
-        mode: Mode of operation that it must support.
-
-    Returns:
-        Its name and its serial number.
+    In the worker thread; writes nothing. Device and channel are named in messages.
 
     Raises:
         NotConnected: if it does not answer.
-        HandshakeError: if it is another device than expected.
+        HandshakeError: if it is another device, or does not support the mode of operation.
         BusError: if the bus fails.
     """
     try:

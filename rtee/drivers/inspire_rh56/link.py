@@ -9,13 +9,7 @@ from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import Unhurried
-from rtee.drivers.inspire_rh56.codec import (
-    OVERHEAD,
-    Command,
-    Frame,
-    ReplyParser,
-    RequestParser,
-)
+from rtee.drivers.inspire_rh56.codec import OVERHEAD, Command, Frame, ReplyParser, RequestParser
 from rtee.errors import BusError
 
 

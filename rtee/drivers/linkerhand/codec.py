@@ -167,11 +167,7 @@ class Version:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Self:
-        """Read it from the version block.
-
-        Raises:
-            LinkerFrameError: if it does not have six registers, or has no valid side.
-        """
+        """Read it from the version block; raises `LinkerFrameError`."""
         if len(registers) != VERSION_COUNT:
             raise LinkerFrameError(f"{len(registers)} registers are not a version block")
         motors, hand, serial, side, software, hardware = registers
@@ -191,11 +187,7 @@ def dotted(version: int) -> str:
 
 
 def checked(registers: Sequence[int], count: int) -> tuple[int, ...]:
-    """Return the values of a table.
-
-    Raises:
-        LinkerFrameError: if their number is wrong, or one is above 255.
-    """
+    """Return the values of a table; raises `LinkerFrameError` for another number, or above 255."""
     if len(registers) != count or not all(0 <= value <= MOST for value in registers):
         raise LinkerFrameError(f"no {count} values of a LinkerHand: {list(registers)}")
     return tuple(registers)

@@ -46,13 +46,6 @@ class Surroundings:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions) -> None:
-        """Look at a model that is going to run.
-
-        Args:
-            model: The compiled model.
-            data: Its state.
-            options: How it is simulated.
-        """
         self._model, self._data = model, data
         self._support = options.support
         self._carrier = int(model.body(CARRIER).id)
@@ -113,11 +106,7 @@ class Surroundings:
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
 
     def watch(self, time: float) -> None:
-        """Let go of a held object that two links have touched for a while.
-
-        Args:
-            time: Simulated time [s].
-        """
+        """Let go of a held object that two links have touched for a while; the time is simulated [s]."""
         elapsed, self._last = time - self._last, time
         if self.unsupported or self._support == "floating":
             return
@@ -168,11 +157,10 @@ class Surroundings:
         return touching
 
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
-        """Return how deep a link would be inside the object [m]; 0 when none touches it.
+        """Return how deep a link would be inside the object at a pose ``(4, 4)`` in the world [m].
 
-        Args:
-            data: A state of the hand, changed by this call; the running one stays as it is.
-            pose: Pose of the object in the world ``(4, 4)``.
+        It is 0 when none touches it. ``data`` is a state of the hand, changed by this call; the
+        running one stays as it is.
         """
         data.qpos[self._qpos : self._qpos + 7] = pose_vector(pose)
         mujoco.mj_kinematics(self._model, data)

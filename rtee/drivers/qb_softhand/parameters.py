@@ -62,11 +62,7 @@ class Parameter:
 
     @classmethod
     def from_bytes(cls, slot: bytes) -> Self:
-        """Read a slot.
-
-        Raises:
-            QbFrameError: if it is not a slot.
-        """
+        """Read a slot; raises `QbFrameError` if it is not a slot."""
         if len(slot) != SLOT or slot[0] not in _FORMS:
             raise QbFrameError("a parameter has fifty bytes and begins with its type")
         form = f">{slot[1]}{_FORMS[slot[0]]}"

@@ -168,11 +168,7 @@ class Status(RobotiqStatus):
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers.
-
-        Raises:
-            FrameError: if bytes are set that this gripper always leaves clear.
-        """
+        """Read it from eight registers; raises `FrameError` for bits that are always clear."""
         data = _unpacked(registers)
         if data[2] & 0xF0 or data[15]:
             raw = bytes(data)

@@ -82,11 +82,7 @@ class Packet:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` holds, complete and without other bytes.
-
-        Raises:
-            SvhFrameError: if it is none.
-        """
+        """Return the packet that ``raw`` is, without other bytes; raises `SvhFrameError`."""
         if len(raw) < _OVERHEAD:
             raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
         sync, index, address, length = _HEADER.unpack_from(raw)

@@ -31,14 +31,7 @@ from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.drivers.schunk_svh.scales import Scales
-from rtee.errors import (
-    BusTimeout,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-)
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 

@@ -17,11 +17,7 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.schunk_svh import codec
-from rtee.drivers.schunk_svh.channels import (
-    channels_for,
-    current_settings,
-    position_settings,
-)
+from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
 
 _ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object

@@ -187,11 +187,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Read a frame.
-
-        Raises:
-            WsgFrameError: if it is none.
-        """
+        """Read a frame; raises `WsgFrameError` if it is none."""
         if len(raw) < _OVERHEAD:
             raise WsgFrameError(f"{len(raw)} bytes are not a frame")
         preamble, command, length = _HEAD.unpack_from(raw)

@@ -26,14 +26,7 @@ from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.drivers.xbot2.options import JointOptions, XBot2Options
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-    suggestion,
-)
+from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected, RteeError, suggestion
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
