@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rtee.buses.can import CanBus
 from rtee.buses.can_guard import frame_of
 from rtee.buses.emulator import CanFrame
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError
+
+if TYPE_CHECKING:
+    from rtee.buses.simulated_can import SimulatedCan
 
 T = TypeVar("T")
 
@@ -25,10 +28,17 @@ class CanopenBus(CanBus):
         network: The ``canopen.Network``.
     """
 
-    def __init__(self, name: str, **settings: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        *,
+        interface: str = "socketcan",
+        bitrate: int = 1_000_000,
+        simulation: SimulatedCan | None = None,
+    ) -> None:
         import canopen
 
-        super().__init__(name, **settings)
+        super().__init__(name, interface=interface, bitrate=bitrate, simulation=simulation)
         self.network: Any = canopen.Network()
         self._worker = Worker(f"sdo {name}")
         self.subscribe(self._notify)

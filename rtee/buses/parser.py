@@ -61,6 +61,11 @@ class FramedParser(ABC, Generic[F]):
     def _decode(self, raw: bytes) -> F:
         """Decode the bytes of a whole frame; raises `ValueError`."""
 
+    @property
+    def pending(self) -> int:
+        """Number of bytes kept of an incomplete frame."""
+        return len(self._buffer)
+
     def reset(self) -> None:
         """Discard the bytes of an incomplete frame."""
         self._buffer.clear()

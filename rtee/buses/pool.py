@@ -163,9 +163,18 @@ class BusPool:
         bitrate: int = 1_000_000,
         emulator: EmulatorFactory | None = None,
     ) -> CanBus:
-        """Return the CAN bus at a channel of a python-can interface, such as ``can0``, connected.
+        """Return the CAN bus at a channel of a python-can interface, connected.
 
-        Arguments and errors as for `serial`; an emulated node is on a virtual channel.
+        Args:
+            channel: For example ``can0``.
+            owner: The device that will use the bus, until ``bus.detach(owner)``.
+            interface: Name of a python-can interface.
+            bitrate: Bit rate [bit/s].
+            emulator: Makes the emulator that replaces the node, on a virtual channel.
+
+        Raises:
+            BusBusy: if the channel is open with other settings.
+            BusBroken: if it cannot be opened.
         """
         from rtee.buses.can import CanBus
 

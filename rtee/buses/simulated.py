@@ -19,7 +19,7 @@ from typing import Any, Self
 
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.faults import Faults
-from rtee.buses.line_model import CanWire, Wire
+from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
@@ -164,31 +164,6 @@ class Simulation(ABC):
             self._tasks.get()()
 
 
-class WiredSimulation(Simulation):
-    """A simulated bus with a model of its wire.
-
-    Attributes:
-        wire: The model: emulators, bit rate, faults.
-    """
-
-    def __init__(self, name: str, wire: Wire | CanWire) -> None:
-        super().__init__(name)
-        self.wire = wire
-        self.emulators = wire.emulators
-
-    @property
-    def faults(self) -> Faults:
-        """Faults of the wire."""
-        return self.wire.faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self.wire.faults = faults
-
-    def _next_due(self) -> float | None:
-        return self.wire.next_due()
-
-
 _LOOK = 0.2
 """Interval at which `call` checks that the simulation's thread is still alive [s]."""
 
@@ -196,7 +171,7 @@ _SPIN = 1e-4
 """Longest time to spin before a message is due [s]: the usual lateness of a sleep."""
 
 
-class SimulatedLine(WiredSimulation):
+class SimulatedLine(Simulation):
     """A byte line over a pty or a TCP port of this machine.
 
     With a timed wire, the thread wakes up before a message is due, earlier by the recent lateness
@@ -204,6 +179,7 @@ class SimulatedLine(WiredSimulation):
     time.
 
     Attributes:
+        wire: Model of the wire: emulators, baud rate, faults.
         strict: Whether a device receives only bytes sent at its baud rate (ptys only).
     """
 
@@ -222,8 +198,10 @@ class SimulatedLine(WiredSimulation):
         scheme: str = "socket",
         strict: bool = False,
     ) -> None:
+        super().__init__(name)
+        self.strict = strict
         network = scheme == "tcp"
-        wire = Wire(
+        self.wire = Wire(
             emulators,
             baudrate=None if line is None or network else float(line.baudrate),
             bits=10.0 if line is None else float(line.bits),
@@ -231,11 +209,18 @@ class SimulatedLine(WiredSimulation):
             timed=wire_time,
             duplex=Duplex.FULL if network else None,
         )
-        super().__init__(name, wire)
-        self.wire: Wire = wire
-        self.strict = strict
+        self.emulators = self.wire.emulators
         self._end: Pty | Tcp = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0
+
+    @property
+    def faults(self) -> Faults:
+        """Faults of the wire."""
+        return self.wire.faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self.wire.faults = faults
 
     @property
     def address(self) -> str:
@@ -260,6 +245,9 @@ class SimulatedLine(WiredSimulation):
         """End the thread and close everything; idempotent."""
         super().close()
         self._end.dispose()
+
+    def _next_due(self) -> float | None:
+        return self.wire.next_due()
 
     def _turn(self, timeout: float | None) -> None:
         for file in self._wait(timeout):

@@ -10,14 +10,15 @@ from typing import Any
 
 from rtee.buses.can_guard import frame_of, message_of, wake
 from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
-from rtee.buses.simulated import WiredSimulation
+from rtee.buses.simulated import Simulation
 
 _POLL = 0.02
 """Longest wait for a frame [s], for calls of other threads: only virtual buses can be woken up."""
 
 
-class SimulatedCan(WiredSimulation):
+class SimulatedCan(Simulation):
     """Nodes on a CAN channel of python-can: ``virtual``, ``udp_multicast`` or a real interface."""
 
     def __init__(
@@ -28,13 +29,23 @@ class SimulatedCan(WiredSimulation):
         channel: str,
         interface: str = "virtual",
         bitrate: int | None = None,
+        faults: Faults | None = None,
     ) -> None:
-        wire = CanWire(emulators, bitrate=bitrate)
-        super().__init__(name, wire)
-        self.wire: CanWire = wire
+        super().__init__(name)
+        self.wire = CanWire(emulators, bitrate=bitrate, faults=faults)
+        self.emulators = self.wire.emulators
         self._channel, self._interface = channel, interface
         self._bus: Any = None
         self.on_unplug: Callable[[], None] | None = None
+
+    @property
+    def faults(self) -> Faults:
+        """Faults of the bus."""
+        return self.wire.faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self.wire.faults = faults
 
     @property
     def address(self) -> str:
@@ -63,6 +74,9 @@ class SimulatedCan(WiredSimulation):
     def _wake(self) -> None:
         super()._wake()
         wake(self._bus)
+
+    def _next_due(self) -> float | None:
+        return self.wire.next_due()
 
     def _turn(self, timeout: float | None) -> None:
         if self._bus is None:

@@ -36,12 +36,9 @@ class Blocks(Unhurried):
     function, so 23 counts as not supported after `_TRIES` attempts without any answer.
 
     Args:
-        bus: The line or connection.
-        unit: The gripper's number on it.
         output: First register of the output block.
         source: First register of the input block.
         count: Registers of the input block.
-        deadline: Longest time of one exchange [s].
         kind: Whether to use function 23.
         function: Function to read the input block with, 3 or 4.
         retries: How often a request is sent again within the deadline.

@@ -42,7 +42,6 @@ class DriveCycle:
 
     Args:
         spec: The device.
-        bus: The network.
         options: The device's options.
 
     Attributes:

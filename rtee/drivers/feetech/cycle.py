@@ -40,8 +40,6 @@ class ServoCycle:
     Args:
         spec: The device.
         options: Its options.
-        joints: The map between servos and actuators.
-        link: The line.
 
     Attributes:
         link: The line.

@@ -65,9 +65,6 @@ class LineProperties:
 class FeetechEmulator(ServoLine[Servo], Grasps):
     """Servos on one line; all receive every request, each answers for itself.
 
-    Args:
-        properties: Properties of the line.
-
     Attributes:
         properties: Properties of the line.
         family: The servos' family.

@@ -65,7 +65,6 @@ class Servo:
     Args:
         family: Its family.
         number: Its id.
-        properties: Its properties.
 
     Attributes:
         properties: Its properties.

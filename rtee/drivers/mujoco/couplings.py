@@ -247,8 +247,8 @@ def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | 
     """Return the torque at each joint ``(k,)`` for a unit of the actuator's; no work is lost.
 
     Unless hand.yaml gives their relation as weights ``(k,)``, a joint gets the more torque the
-    further it turns (its slope), as with pulleys whose radii go with the turns. It is ``None`` where
-    the joints do not move with the actuator.
+    further it turns (its slope), as with pulleys whose radii go with the turns. It is ``None``
+    where the joints do not move with the actuator.
     """
     # Not numpy.linalg.norm, which takes longer than all the rest for so few numbers.
     if weights is None:

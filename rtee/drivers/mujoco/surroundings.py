@@ -106,7 +106,7 @@ class Surroundings:
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
 
     def watch(self, time: float) -> None:
-        """Let go of a held object that two links have touched for a while; the time is simulated [s]."""
+        """Let go of a held object that two links have touched for a while; simulated time [s]."""
         elapsed, self._last = time - self._last, time
         if self.unsupported or self._support == "floating":
             return

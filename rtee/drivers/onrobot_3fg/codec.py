@@ -200,8 +200,6 @@ class Scale:
     Args:
         lower: Position of the actuator at the largest diameter [rad].
         upper: Position of the actuator at the smallest diameter [rad].
-        largest: Largest raw diameter [m].
-        smallest: Smallest raw diameter [m].
         force: Largest force [N].
 
     Attributes:

@@ -177,8 +177,6 @@ class Scale:
         model: The gripper.
         opened: Position of the actuator when fully open [rad | m].
         closed: Position of the actuator when fully closed [rad | m].
-        open_count: gPO when fully open.
-        closed_count: gPO when fully closed.
 
     Attributes:
         open_count: gPO when fully open.

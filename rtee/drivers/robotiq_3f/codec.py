@@ -204,11 +204,8 @@ class Scale:
     Speed and force are those of the fingertips; at the joint they follow by virtual work from the
     stroke.
 
-    Args:
-        position: The joint's angle [rad] by the counts of gPOx and rPRx.
-
     Attributes:
-        position: The same.
+        position: The joint's angle [rad] by the counts of gPOx and rPRx.
         velocity: rSPx to [rad/s].
         effort: rFRx to [N·m].
     """

@@ -101,10 +101,6 @@ class _Reports:
 class WsgLink(Unhurried):
     """Talks to one gripper.
 
-    Args:
-        bus: The connection.
-        deadline: Longest time for one exchange, retries included [s].
-
     Attributes:
         bus: The connection.
         deadline: Longest time for one exchange, retries included [s].
