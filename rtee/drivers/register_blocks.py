@@ -41,7 +41,6 @@ class Blocks(Unhurried):
         count: Registers of the input block.
         kind: Whether to use function 23.
         function: Function to read the input block with, 3 or 4.
-        retries: How often a request is sent again within the deadline.
         refresh: Period at which the gripper refreshes its registers [s].
 
     Attributes:
@@ -61,7 +60,6 @@ class Blocks(Unhurried):
         deadline: float,
         kind: ExchangeKind = "auto",
         function: int = READ_HOLDING,
-        retries: int = 1,
         refresh: float = _REFRESH,
     ) -> None:
         self.bus = bus
@@ -72,7 +70,6 @@ class Blocks(Unhurried):
         self._count = count
         self._kind = kind
         self._function = function
-        self._retries = retries
         self._refresh = refresh
         self._silent = 0  # exchanges with function 23 that got no answer
         self._cached: tuple[tuple[int, ...], float] | None = None
@@ -84,38 +81,19 @@ class Blocks(Unhurried):
 
     async def read(self) -> tuple[int, ...]:
         """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""
-        return await self.bus.read(
-            self.unit,
-            self._source,
-            self._count,
-            deadline=self.deadline,
-            retries=self._retries,
-            function=self._function,
-        )
+        place = self.unit, self._source, self._count
+        return await self.bus.read(*place, deadline=self.deadline, function=self._function)
 
     async def write(self, values: Sequence[int], deadline: float | None = None) -> None:
         """Write the output block, within another deadline [s] if given; errors as for `read`."""
-        await self.bus.write(
-            self.unit,
-            self._output,
-            values,
-            deadline=deadline or self.deadline,
-            retries=self._retries,
-        )
+        await self.bus.write(self.unit, self._output, values, deadline=deadline or self.deadline)
 
     async def exchange(self, values: Sequence[int]) -> tuple[int, ...]:
         """Write the output block and return the input block; errors as for `read`."""
         if self.combined:
             try:
-                block = await self.bus.exchange(
-                    self.unit,
-                    self._output,
-                    values,
-                    self._source,
-                    self._count,
-                    deadline=self.deadline,
-                    retries=self._retries,
-                )
+                places = self.unit, self._output, values, self._source, self._count
+                block = await self.bus.exchange(*places, deadline=self.deadline)
             except ModbusRefusal as refusal:
                 # Exception 1: the gripper does not support the function, so it is not tried again.
                 if self._kind != "auto" or refusal.code != 1:

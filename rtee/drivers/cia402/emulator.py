@@ -13,6 +13,9 @@ from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
+_CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
+"""Error codes of the faults of the first drive."""
+
 
 class Cia402Emulator(Emulator, Grasps):
     """One or several drives on a CAN bus.
@@ -22,12 +25,7 @@ class Cia402Emulator(Emulator, Grasps):
         drives: The drives by node id.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
-        "overcurrent", "over_temperature", "following_error", "silent",
-    }  # fmt: skip
-    _CODES: ClassVar[Mapping[str, int]] = {
-        "overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611,
-    }  # fmt: skip
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 
     def __init__(self, properties: DriveProperties | None = None) -> None:
@@ -54,7 +52,7 @@ class Cia402Emulator(Emulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the first drive (drive faults) or all (the rest)."""
         super().inject(fault)
-        code = self._CODES.get(fault)
+        code = _CODES.get(fault)
         if code is not None:
             first = next(iter(self.drives.values()))
             first.cause = code

@@ -17,6 +17,12 @@ _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 _FRICTION = 25.0  # current to move the free shaft [mA]; no datasheet gives it
 _GAIN = 4.0  # current per position error at standstill [mA/pulse], an assumption
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
+_BOUNDS = {
+    table.GOAL_CURRENT: table.CURRENT_LIMIT,
+    table.GOAL_VELOCITY: table.VELOCITY_LIMIT,
+    table.GOAL_PWM: table.PWM_LIMIT,
+}
+"""Registers that limit the amount of others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,12 +174,8 @@ class Servo:
         return Error.NONE
 
     def _beyond(self, register: Register, value: int) -> bool:
-        if register == table.GOAL_CURRENT:
-            return abs(value) > self.get(table.CURRENT_LIMIT)
-        if register == table.GOAL_VELOCITY:
-            return abs(value) > self.get(table.VELOCITY_LIMIT)
-        if register == table.GOAL_PWM:
-            return abs(value) > self.get(table.PWM_LIMIT)
+        if register in _BOUNDS:
+            return abs(value) > self.get(_BOUNDS[register])
         if register == table.GOAL_POSITION and self.get(table.OPERATING_MODE) == Mode.POSITION:
             return not self.get(table.MIN_POSITION) <= value <= self.get(table.MAX_POSITION)
         return False

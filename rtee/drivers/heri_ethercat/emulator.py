@@ -33,6 +33,9 @@ from rtee.drivers.heri_ethercat.codec import (
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Positive, read_properties
 
+_FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
+"""Faults of the first board that cut its power."""
+
 
 @dataclass(frozen=True, slots=True)
 class BoardProperties:
@@ -146,8 +149,8 @@ class HeriEmulator(Emulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the first board (its faults) or all (the rest)."""
         super().inject(fault)
-        if fault in ("hardware", "encoder"):
-            self.boards[0].fail(Fault.HARDWARE if fault == "hardware" else Fault.ENCODER_1)
+        if fault in _FAULTS:
+            self.boards[0].fail(_FAULTS[fault])
         elif fault == "hot":
             self.boards[0].fault |= Fault.CURRENT_LIMITED
 
@@ -212,7 +215,7 @@ class HeriEmulator(Emulator, Grasps):
             if command.acknowledge:
                 # A fault comes back at once as long as its cause persists, as on the device.
                 board.fault &= ~command.acknowledge
-                for fault, bit in (("hardware", Fault.HARDWARE), ("encoder", Fault.ENCODER_1)):
+                for fault, bit in _FAULTS.items():
                     if fault in self.faults and board is self.boards[0]:
                         board.fault |= bit
             for motor, reference in zip(board.motors, command.positions, strict=True):

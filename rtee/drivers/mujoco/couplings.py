@@ -301,8 +301,9 @@ def _add_springs(
         # With a tendon a joint gets its share of the effort; without one it alone gets all of it,
         # by the leverage of its slope.
         alone = 1.0 / (slope or math.inf) if known.coupling is Following.SPRING else share
-        stiffness = max(abs(alone) * servo.limit / give, _least_stiffness(options, slide))
-        inertia = options.armature * (PRISMATIC if slide else 1.0)
+        unit = PRISMATIC if slide else 1.0
+        stiffness = max(abs(alone) * servo.limit / give, options.passive_stiffness * unit)
+        inertia = options.armature * unit
         tendon = spec.add_tendon(name=coupling_name(follower.joint))
         tendon.wrap_joint(follower.joint, 1.0)
         tendon.wrap_joint(motor, -slope)
@@ -342,7 +343,3 @@ def _moves_nothing(hand: Hand, actuator: str) -> ModelError:
         "each share times how far its joint follows must not be zero",
         path=hand.urdf.path,
     )
-
-
-def _least_stiffness(options: SimOptions, slide: bool) -> float:
-    return options.passive_stiffness * (PRISMATIC if slide else 1.0)

@@ -153,13 +153,8 @@ class Status(RobotiqStatus):
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""
-        state = (
-            self.activated
-            | self.mode << 1
-            | self.going << 3
-            | self.progress << 4
-            | self.motion << 6
-        )
+        state = self.activated | self.mode << 1 | self.going << 3
+        state |= self.progress << 4 | self.motion << 6
         contacts = sum(axis.contact << 2 * i for i, axis in enumerate(self.axes))
         data = [state, contacts, self.fault]
         for axis in self.axes:
