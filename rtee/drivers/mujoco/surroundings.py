@@ -193,13 +193,6 @@ class Surroundings:
         turn = self._data.xmat[self._carrier].reshape(3, 3)
         return np.asarray(turn.T @ (self.pose[:3] - self._data.xpos[self._carrier]))
 
-    def turned_in_hand(self, place: FloatArray) -> float:
-        """Return the angle [rad] between the object and a pose ``(4, 4)`` in the base frame."""
-        now = np.zeros(9)
-        mujoco.mju_quat2Mat(now, self.pose[3:])
-        turn = self.base_pose[:3, :3].T @ now.reshape(3, 3) @ place[:3, :3].T
-        return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-
     @property
     def base_pose(self) -> FloatArray:
         """Pose of the hand's base frame in the world ``(4, 4)``."""
