@@ -59,9 +59,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
 def read_scale(drive: DriveLink, device: str) -> Scale:
     """Return a drive's units from its options or its objects; in the worker thread.
 
-    Raises:
-        HandshakeError: if its objects are inconsistent.
-        BusError: if the bus fails.
+    Raises `HandshakeError` if its objects are inconsistent, and `BusError`.
     """
     given = drive.options
     motor = drive.number(Object.GEAR_RATIO, 1, default=1)

@@ -181,9 +181,7 @@ def refuse(
 ) -> None:
     """Raise the hardware errors of servos whose answer has the alert bit; in the worker thread.
 
-    Raises:
-        DeviceFault: if a servo has a hardware error.
-        BusError: if reading the error fails.
+    Raises `DeviceFault` if a servo has a hardware error, and `BusError`.
     """
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:

@@ -149,9 +149,7 @@ class ServoCycle:
     async def power(self) -> None:
         """Set up the servos without torque and power them at their positions; see `check`.
 
-        Raises:
-            DriverError: if one does not accept a setting.
-            BusError: if the line fails.
+        Raises `DriverError` if one does not accept a setting, and `BusError`.
         """
         # Again, since a power cycle in the meantime has reset the settings.
         await self.find()

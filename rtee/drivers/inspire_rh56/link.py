@@ -48,9 +48,7 @@ class Rh56Link(Unhurried, ABC):
     async def write(self, address: int, data: bytes) -> None:
         """Set registers from ``address`` on.
 
-        Raises:
-            WriteRefused: if the hand did not accept it.
-            BusError: if the exchange failed.
+        Raises `WriteRefused` if the hand did not accept it, and `BusError`.
         """
 
     @abstractmethod

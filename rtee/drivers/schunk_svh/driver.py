@@ -173,9 +173,7 @@ class SchunkSvhDriver(Driver):
     async def home(self) -> None:
         """Find the stops of all channels, one after the other; this moves the fingers.
 
-        Raises:
-            DeviceFault: if a channel does not find its stop.
-            BusError: if an exchange fails.
+        Raises `DeviceFault` if a channel does not find its stop, and `BusError`.
         """
         self._answer = None
         self._health.off()
