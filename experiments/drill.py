@@ -13,6 +13,7 @@ from experiments.common import Outcome, Steps, main, recording, strip
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
+from rtee.drivers.mujoco.surroundings import Surroundings
 from rtee.log.recording import outcome_of
 from rtee.loop.observer import LoopObserver
 from rtee.sample import FloatArray
@@ -197,8 +198,14 @@ def use(
         float(force[trigger > PRESSED].mean()) if trigger[most] > PRESSED else 0.0,
         tuple(float(forces[fingers.index(name)]) for name in HOLDERS),
         1e3 * float(np.linalg.norm(around.position_in_hand - held[0])),
-        float(np.degrees(around.turned_in_hand(start))),
+        float(np.degrees(_turned(around, start))),
     )
+
+
+def _turned(around: Surroundings, place: FloatArray) -> float:
+    """Return the angle [rad] between the object and a pose ``(4, 4)`` in the base frame."""
+    turn = around.base_pose[:3, :3].T @ around.object_frame[:3, :3] @ place[:3, :3].T
+    return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
 
 def _first(time: FloatArray, seen: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> float:

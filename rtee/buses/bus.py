@@ -143,14 +143,7 @@ class Bus(ABC):
         self._cause = cause or "the other end went away"
 
     def _count(self, direction: str, data: bytes, stamp: float, head: bytes = b"") -> None:
-        """Count and trace bytes.
-
-        Args:
-            direction: ``tx`` or ``rx``.
-            data: The bytes.
-            stamp: When they passed, CLOCK_MONOTONIC [s].
-            head: Bytes that the trace shows in front, such as a CAN identifier; not counted.
-        """
+        """Count and trace bytes; the trace also shows ``head``, such as a CAN identifier."""
         if direction == "tx":
             self.counters.bytes_sent += len(data)
         else:

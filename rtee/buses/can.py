@@ -86,9 +86,7 @@ class CanBus(Bus):
             retries: How often the request may be sent again within that time.
 
         Raises:
-            BusTimeout: if no answer came in time.
-            BusBroken: if the bus is broken.
-            BusClosed: if it is closed.
+            BusTimeout: if no answer came in time; other errors as for `send`.
         """
         self.counters.transactions += 1
         end = time.monotonic() + deadline
@@ -130,10 +128,8 @@ class CanBus(Bus):
     ) -> Callable[[], None]:
         """Call ``callback`` with every received frame, or with those of one identifier.
 
-        The callback is called in the event loop and must return at once.
-
-        Returns:
-            A function that ends the subscription.
+        The callback is called in the event loop and must return at once. The result is a function
+        that ends the subscription.
         """
         listeners = self._by_any
         if identifier is not None:

@@ -44,14 +44,10 @@ class CanopenBus(CanBus):
         self.subscribe(self._notify)
 
     async def run(self, function: Callable[[], T], deadline: float) -> T:
-        """Call a blocking function of ``canopen`` (SDO) in the worker thread.
-
-        Args:
-            function: Called without arguments; one at a time.
-            deadline: Longest time to wait for it [s].
+        """Call a blocking function of ``canopen`` (SDO) in the worker thread; one at a time.
 
         Raises:
-            BusTimeout: if the function has not returned in time, or the node did not answer.
+            BusTimeout: if it has not returned within ``deadline`` [s], or the node did not answer.
             BusBroken: if the bus is broken.
             BusClosed: if it is closed.
         """

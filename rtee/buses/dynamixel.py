@@ -106,14 +106,10 @@ class DynamixelBus(Bus):
         self.packets: Any = dynamixel_sdk.PacketHandler(2.0)
 
     async def run(self, function: Callable[[], T], deadline: float) -> T:
-        """Call a blocking function of the SDK in the worker thread.
-
-        Args:
-            function: Called without arguments; one at a time.
-            deadline: Longest time to wait for it [s].
+        """Call a blocking function of the SDK in the worker thread; one at a time.
 
         Raises:
-            BusTimeout: if the function has not returned in time.
+            BusTimeout: if it has not returned within ``deadline`` [s].
             BusBroken: if the link breaks.
             BusClosed: if the bus is closed.
         """

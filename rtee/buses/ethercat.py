@@ -181,14 +181,10 @@ class EthercatBus(Bus):
         self._worker = Worker(f"ethercat {name}")
 
     async def run(self, function: Callable[[Ring], T], deadline: float) -> T:
-        """Call a blocking function with the ring in the worker thread.
-
-        Args:
-            function: The function; one at a time.
-            deadline: Longest time to wait for it [s].
+        """Call a blocking function with the ring in the worker thread; one at a time.
 
         Raises:
-            BusTimeout: if the function has not returned in time.
+            BusTimeout: if it has not returned within ``deadline`` [s].
             BusBroken: if the network breaks.
             BusClosed: if the bus is closed.
         """
@@ -210,12 +206,9 @@ class EthercatBus(Bus):
             raise BusBroken(self.name, str(error)) from error
 
     async def exchange(self, outputs: Sequence[bytes], deadline: float) -> list[bytes]:
-        """Send outputs and return inputs, both by position of the slave.
+        """Send outputs and return inputs, both by position of the slave; errors as for `run`.
 
-        Raises:
-            BusTimeout: if a slave did not take part, or not in time.
-            BusBroken: if the network breaks.
-            BusClosed: if the bus is closed.
+        A slave that did not take part is a `BusTimeout`, too.
         """
         inputs = await self.run(lambda ring: ring.exchange(outputs), deadline)
         self._count("tx", b"".join(outputs), time.monotonic())

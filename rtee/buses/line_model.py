@@ -94,11 +94,12 @@ class Wire(_Schedule[bytes]):
             ``None``: all devices receive.
         bits: Bits on the line per byte.
         faults: Faults of the line.
-        bytes_in: Number of bytes from the host.
-        bytes_out: Number of bytes to the host.
         busy: Total time so far in which a message or a turn-around was in progress [s]. Together
             with the silence that the host keeps, this is the least time that a program needs that
             waits for each answer.
+
+    Args:
+        duplex: Half or full duplex; by default that of the devices.
     """
 
     def __init__(
@@ -111,24 +112,12 @@ class Wire(_Schedule[bytes]):
         timed: bool = True,
         duplex: Duplex | None = None,
     ) -> None:
-        """Make an idle line.
-
-        Args:
-            emulators: The devices on it.
-            baudrate: Bit rate [bit/s]; ``None``: bytes take no time (a network).
-            bits: Bits on the line per byte.
-            faults: Faults of the line.
-            timed: Whether bytes and the turn-around of the devices take time.
-            duplex: Half or full duplex; by default that of the devices.
-        """
         super().__init__(emulators, faults)
         self.timed = timed
         self._duplex = duplex
         self.baudrate = baudrate if timed else None
         self.spoken: int | None = None
         self.bits = bits
-        self.bytes_in = 0
-        self.bytes_out = 0
         self._inward = 0.0
         self._outward = 0.0
         self._counted = 0.0
@@ -143,7 +132,6 @@ class Wire(_Schedule[bytes]):
 
     def receive(self, data: bytes, now: float) -> None:
         """Put bytes of the host on the line; the devices receive them when the last has passed."""
-        self.bytes_in += len(data)
         start = max(now, self._inward)
         # Messages queue up: each begins when the previous one has left the wire.
         end = self._inward = start + wire_time(len(data), self.baudrate, self.bits)
@@ -153,12 +141,6 @@ class Wire(_Schedule[bytes]):
         pieces = self.faults.apply(data) if self.faults.requests else [(0.0, data)]
         for late, piece in pieces:
             self._put(end + late, True, piece)
-
-    def step(self, now: float) -> list[bytes]:
-        """Simulate up to ``now`` and return the messages that have reached the host."""
-        out = super().step(now)
-        self.bytes_out += sum(len(data) for data in out)
-        return out
 
     def reset(self) -> None:
         """Discard all messages in transit: the line was cut."""

@@ -13,7 +13,7 @@ import select
 import socket
 import termios
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -32,6 +32,16 @@ a port causes no noticeable delay."""
 
 _SCHEMES = ("socket", "tcp", "rfc2217", "loop", "spy", "hwgrep", "alt")
 """Schemes of addresses: the first two are opened here, the others by pyserial."""
+
+_DENIED = "no permission; add yourself to the group 'dialout' and log in again"
+_CAUSES: Mapping[int | None, str] = {
+    errno.ENOENT: "there is no such port; is it plugged in? `rtee scan` lists the ports",
+    errno.EACCES: _DENIED,
+    errno.EPERM: _DENIED,
+    errno.ECONNREFUSED: "connection refused; nothing listens there",
+    errno.ENOTTY: "is not a serial port; `rtee scan` lists the ports",
+}
+"""Why a port cannot be opened and what to do, by the system's error number."""
 
 LinkProtocol = Callable[[], asyncio.Protocol]
 
@@ -167,21 +177,10 @@ def explained(name: str, error: OSError | ValueError) -> BusError:
         code = cause.args[0]
     if code in (errno.EAGAIN, errno.EBUSY):
         return BusBusy(name, "another program has it open; `rtee doctor` names it")
-    if code == errno.ENOENT:
-        return BusBroken(
-            name, "there is no such port; is it plugged in? `rtee scan` lists the ports"
-        )
-    if code in (errno.EACCES, errno.EPERM):
-        return BusBroken(
-            name, "no permission; add yourself to the group 'dialout' and log in again"
-        )
-    if code == errno.ECONNREFUSED:
-        return BusBroken(name, "connection refused; nothing listens there")
-    if code == errno.ENOTTY:
-        return BusBroken(name, "is not a serial port; `rtee scan` lists the ports")
+    # First, since the numbers of its errors are not those of `errno`.
     if isinstance(error, socket.gaierror):
         return BusBroken(name, "nobody knows this name; use the IP address")
-    return BusBroken(name, f"cannot be opened: {error}")
+    return BusBroken(name, _CAUSES.get(code, f"cannot be opened: {error}"))
 
 
 async def ended(transport: asyncio.Transport) -> None:

@@ -64,6 +64,11 @@ class ModbusBus(SerialBus):
 
     Attributes:
         rtu: Whether the frames are RTU frames; else TCP frames.
+
+    Args:
+        gap: Silence kept before a request [s]; by default 3.5 characters, see `silence`.
+        behind: How much smaller the transaction number of an answer may be than that of its request
+            (TCP), for devices that count wrongly.
     """
 
     def __init__(
@@ -75,16 +80,6 @@ class ModbusBus(SerialBus):
         gap: float | None = None,
         behind: int = 0,
     ) -> None:
-        """Make a bus that is not connected.
-
-        Args:
-            name: The address as configured.
-            line: Settings of the line.
-            address: Returns the address to connect to; by default ``name``.
-            gap: Silence kept before a request [s]; by default 3.5 characters, see `silence`.
-            behind: How much smaller the transaction number of an answer may be than that of its
-                request (TCP), for devices that count wrongly.
-        """
         self.rtu = not name.startswith("tcp://")
         # Only silence separates RTU frames; TCP frames contain their length.
         usual = silence(line.baudrate, line.bits) if self.rtu else 0.0
@@ -169,14 +164,7 @@ class ModbusBus(SerialBus):
     async def _request(
         self, request: ModbusPDU, head: bytes, deadline: float, retries: int
     ) -> tuple[int, ...]:
-        """Return the registers of the answer to a request.
-
-        Args:
-            request: The request.
-            head: Bytes between the function and the registers of its answer.
-            deadline: Longest time, including retries [s].
-            retries: How often the request may be sent again within that time.
-        """
+        """Return the registers of the answer, which begins with the function and ``head``."""
         parser = AnswerParser(self._framer, request, head, self._behind)
 
         def numbered() -> bytes:

@@ -78,8 +78,7 @@ class AnswerParser:
     def request(self, number: int) -> bytes:
         """Return the frame of the request; from now on, only an answer to this frame is found.
 
-        Args:
-            number: Transaction number; only TCP frames contain it.
+        Only TCP frames contain the transaction number.
         """
         self._request.transaction_id = number
         unit = self._request.dev_id
@@ -132,18 +131,32 @@ class Request:
         return self.header + (len(pdu) + 1).to_bytes(2, "big") + bytes([self.unit]) + pdu
 
 
-class RtuRequests:
+class _Requests:
+    """Finds requests in a stream of bytes.
+
+    Attributes:
+        errors: Number of skipped bytes that belong to no frame of the slave.
+    """
+
+    def __init__(self) -> None:
+        self.errors = 0
+        self._buffer = b""
+
+    def reset(self) -> None:
+        """Forget the bytes of an incomplete request."""
+        self._buffer = b""
+
+
+class RtuRequests(_Requests):
     """Finds the requests to one slave in the bytes of a line; frames for others are skipped.
 
     Attributes:
         unit: Unit number of the slave; broadcasts (0) are found, too.
-        errors: Number of skipped bytes that belong to no frame of this slave.
     """
 
     def __init__(self, unit: int) -> None:
+        super().__init__()
         self.unit = unit
-        self.errors = 0
-        self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
         """Receive bytes and return the requests that they complete."""
@@ -155,10 +168,6 @@ class RtuRequests:
             self.errors += len(self._buffer) - _MOST
             self._buffer = self._buffer[-_MOST:]
         return requests
-
-    def reset(self) -> None:
-        """Forget the bytes of an incomplete request."""
-        self._buffer = b""
 
     def _next(self) -> Request | None:
         data = self._buffer
@@ -173,11 +182,6 @@ class RtuRequests:
                 return Request(data[start], data[start + 1 : end - 2])
         return None
 
-    @property
-    def pending(self) -> int:
-        """Bytes kept of an incomplete request."""
-        return len(self._buffer)
-
 
 def _request_size(data: bytes, start: int) -> int:
     function = data[start + 1]
@@ -190,19 +194,12 @@ def _request_size(data: bytes, start: int) -> int:
     return 0
 
 
-class TcpRequests:
+class TcpRequests(_Requests):
     """Finds requests in the bytes of a Modbus TCP connection.
 
     TCP frames have no checksum. So that garbage does not hide a good frame, the length of a frame
     must fit its function, and data that is exactly one request discards an incomplete one before.
-
-    Attributes:
-        errors: Number of skipped bytes that belong to no frame.
     """
-
-    def __init__(self) -> None:
-        self.errors = 0
-        self._buffer = b""
 
     def feed(self, data: bytes) -> list[Request]:
         """Receive bytes and return the requests that they complete."""
@@ -224,15 +221,6 @@ class TcpRequests:
             frame, self._buffer = self._buffer[:size], self._buffer[size:]
             requests.append(Request(frame[6], frame[7:], frame[:4]))
         return requests
-
-    def reset(self) -> None:
-        """Forget the bytes of an incomplete request."""
-        self._buffer = b""
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept of an incomplete request."""
-        return len(self._buffer)
 
 
 def _network_size(data: bytes) -> int:

@@ -204,15 +204,8 @@ class BusPool:
     ) -> ZmqBus:
         """Return the ZeroMQ server at ``tcp://host``, connected in the background.
 
-        Args:
-            address: ``tcp://host``.
-            owner: The device that will use the bus, until ``bus.detach(owner)``.
-            ports: TCP ports at which it publishes, receives commands and answers requests.
-            emulator: Makes the emulator that replaces the server, on this machine.
-
-        Raises:
-            BusBusy: if the server is in use with other ports.
-            BusBroken: if the sockets cannot be opened.
+        ``ports`` are the TCP ports at which it publishes, receives commands and answers requests;
+        other arguments and errors as for `serial`.
         """
         from rtee.buses.zmq import Endpoints, ZmqBus
 
@@ -227,16 +220,10 @@ class BusPool:
     async def ethercat(
         self, interface: str, *, owner: str, emulator: EmulatorFactory | None = None
     ) -> EthercatBus:
-        """Return the EtherCAT network at a network interface, its slaves pre-operational.
+        """Return the EtherCAT network at an interface such as ``eth1``, its slaves pre-operational.
 
-        Args:
-            interface: For example ``eth1``.
-            owner: The device that will use the bus, until ``bus.detach(owner)``.
-            emulator: Makes the emulator that replaces the slaves, at the level of process data.
-
-        Raises:
-            BusBroken: if the network cannot be opened, or no slave answers.
-            ConfigError: if pysoem is not installed.
+        Emulated slaves are at the level of process data. Raises `BusBroken` if the network cannot
+        be opened or no slave answers, `ConfigError` if pysoem is not installed.
         """
         from rtee.buses.ethercat import EthercatBus, PysoemRing
 

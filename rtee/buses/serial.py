@@ -32,6 +32,9 @@ class SerialBus(Bus):
         gap: Silence kept between the last byte received or sent and the next request [s].
         fresh: Whether bytes received before a request are discarded, for protocols whose answers
             do not identify their request.
+
+    Args:
+        address: Returns the address to connect to; by default ``name``.
     """
 
     def __init__(
@@ -43,15 +46,6 @@ class SerialBus(Bus):
         gap: float = 0.0,
         fresh: bool = False,
     ) -> None:
-        """Make a bus that is not connected.
-
-        Args:
-            name: The address as configured.
-            line: Settings of the line.
-            address: Returns the address to connect to; by default ``name``.
-            gap: See the attribute.
-            fresh: See the attribute.
-        """
         super().__init__(name)
         self.line = line
         self.gap = gap
@@ -185,11 +179,7 @@ class SerialBus(Bus):
             self._timer = None
 
     async def send(self, data: bytes, deadline: float = 0.1) -> None:
-        """Send bytes that are not answered.
-
-        Args:
-            data: The bytes.
-            deadline: Longest time to wait for the line [s].
+        """Send bytes that are not answered, waiting for the line for ``deadline`` [s] at most.
 
         Raises:
             BusTimeout: if the line was not free in time.

@@ -51,9 +51,9 @@ class SimulatedEthercat(Simulation):
         faults: Faults of the wire; a lost or damaged frame does not return.
     """
 
-    def __init__(self, *, name: str = "ethercat", faults: Faults | None = None) -> None:
+    def __init__(self, *, name: str = "ethercat") -> None:
         super().__init__(name)
-        self.faults = faults or Faults()
+        self.faults = Faults()
         self._there = False
 
     @property

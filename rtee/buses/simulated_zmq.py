@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import zmq
 
@@ -14,20 +14,6 @@ from rtee.buses.faults import Faults
 from rtee.buses.simulated import Simulation
 from rtee.buses.zmq import Endpoints
 from rtee.errors import BusBroken
-
-
-class Ports(NamedTuple):
-    """TCP ports of a server.
-
-    Attributes:
-        state: Port at which it publishes states.
-        command: Port at which it receives commands.
-        service: Port at which it answers requests.
-    """
-
-    state: int
-    command: int
-    service: int
 
 
 @runtime_checkable
@@ -46,20 +32,22 @@ class SimulatedZmq(Simulation):
         endpoints: Its addresses; ports that are not given are chosen at the first start and kept.
         faults: Faults of the wire: messages are lost, late or duplicated. Corruption does not
             occur, since TCP detects it.
+
+    Args:
+        ports: Where it publishes states, receives commands and answers requests.
     """
 
     def __init__(
         self,
         *,
         name: str = "zmq",
-        faults: Faults | None = None,
         host: str = "127.0.0.1",
-        ports: Ports | None = None,
+        ports: tuple[int, int, int] | None = None,
     ) -> None:
         super().__init__(name)
         chosen: tuple[int | str, ...] = ports or ("*", "*", "*")
         self.endpoints = Endpoints(*(f"tcp://{host}:{port}" for port in chosen))
-        self.faults = faults or Faults()
+        self.faults = Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []
         self._late: list[tuple[float, Callable[[], None]]] = []

@@ -53,12 +53,7 @@ class ZmqBus(Bus):
         return listen(self._listeners, callback)
 
     def send_now(self, message: bytes) -> None:
-        """Send a command; it replaces a command that is not yet sent.
-
-        Raises:
-            BusBroken: if the link is broken.
-            BusClosed: if it is closed.
-        """
+        """Send a command, in place of one that is not yet sent; raises `BusBroken`, `BusClosed`."""
         self.check()
         self.counters.transactions += 1
         self._count("tx", message, time.monotonic())
@@ -66,12 +61,10 @@ class ZmqBus(Bus):
             self._command.send(message, zmq.NOBLOCK)
 
     async def request(self, message: bytes, deadline: float) -> bytes:
-        """Send a request and return the answer.
+        """Send a request and return the answer; errors as for `send_now`.
 
         Raises:
             BusTimeout: if no answer came within ``deadline`` [s].
-            BusBroken: if the link is broken.
-            BusClosed: if it is closed.
         """
         self.check()
         self.counters.transactions += 1

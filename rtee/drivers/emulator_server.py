@@ -14,7 +14,7 @@ from rtee.buses.faults import Faults
 from rtee.buses.link import Line
 from rtee.buses.simulated import SimulatedLine, Simulation
 from rtee.buses.simulated_can import SimulatedCan
-from rtee.buses.simulated_zmq import Ports, Serves, SimulatedZmq
+from rtee.buses.simulated_zmq import Serves, SimulatedZmq
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.objects import Grasps, ObjectInHand, grasping
 from rtee.errors import ConfigError, RteeError, suggestion
@@ -86,9 +86,9 @@ class Player:
         self.emulator.baudrate = rate = baudrate or self.emulator.baudrate
         self.simulation: Simulation
         if isinstance(self.emulator, Serves):
-            # In the order of the default ports of xbot2_zmq: 5556, 5557, 5558.
+            # States, commands, requests: by default xbot2_zmq has 5556, 5558 and 5557 for them.
             base = tcp or _ZMQ_PORT
-            ports = Ports(state=base, command=base + 2, service=base + 1)
+            ports = (base, base + 2, base + 1)
             self.simulation = SimulatedZmq(name=name, host=host, ports=ports)
             self.simulation.emulators.append(self.emulator)
         elif can is not None:

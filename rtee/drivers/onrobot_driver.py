@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.pool import BusPool
@@ -22,16 +21,9 @@ from rtee.drivers.onrobot_common import (
     serial_number,
     version,
 )
-from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.register_blocks import PATIENT, Blocks, ExchangingDriver
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
-from rtee.sample import ActuatorState
+from rtee.errors import BusError, BusTimeout, FrameError, HandshakeError, NotConnected
 from rtee.types import DeviceSpec, Reference
 
 CONNECTING = 0.5
@@ -43,10 +35,10 @@ _GATEWAY = (0x0A, 0x0B)
 S = TypeVar("S")
 
 
-class OnRobotDriver(BlocksDriver, Generic[S]):
+class OnRobotDriver(ExchangingDriver[S]):
     """An OnRobot gripper on Modbus, with one actuator.
 
-    It needs no activation and no homing, and attaches without writing anything.
+    It needs no activation and no homing.
 
     Attributes:
         MODEL: Its name in messages.
@@ -79,22 +71,6 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
     @abstractmethod
     def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
         """Return what it measures and accepts."""
-
-    @abstractmethod
-    def _refuse(self, status: S) -> None:
-        """Raise the fault that a state reports, if any."""
-
-    @abstractmethod
-    def _measured(self, status: S, stamp: float) -> ActuatorState:
-        """Return a state in SI units."""
-
-    @abstractmethod
-    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
-        """Return the registers to send for a reference; ``None``: nothing."""
-
-    @abstractmethod
-    def _stopping(self) -> Sequence[int]:
-        """Return the registers that end its motion."""
 
     # --- life --------------------------------------------------------------------------------
 
@@ -172,46 +148,10 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
 
     # --- every cycle -------------------------------------------------------------------------
 
-    async def sense(self) -> ActuatorState:
-        """Return the state that came with the last exchange, or read it."""
-        kept = self._last_read()
-        if kept is None:
-            self._note(await self._read())
-        stamp = time.monotonic() if kept is None else kept[1]
-        if self._active:
-            self._refuse(self._status)
-        return self._measured(self._status, stamp)
-
     async def move(self, reference: Reference) -> None:
         """Send a reference in one frame."""
-        if not reference.mask[0]:
-            return
-        registers = self._registers_for(reference)
-        if registers is None:
-            return
-        blocks = self.connection.link
-        # The answer is kept for the next `sense`: one exchange in a cycle instead of two.
-        block = await blocks.exchange(registers)
-        self._note(self._decoded(block))
-        self._accepted()
-        blocks.keep(block)
-
-    def _note(self, status: S) -> None:
-        """Store a state that was read."""
-        self._status = status
-
-    def _accepted(self) -> None:
-        """Note that the gripper has received the last command."""
-
-    def _forget(self) -> None:
-        """Forget the last command."""
-
-    # --- stop and faults ---------------------------------------------------------------------
-
-    async def stop(self) -> None:
-        """End the motion; what is gripped stays gripped."""
-        if await self._insist(self._stopping()):
-            self._forget()
+        if reference.mask[0]:
+            await super().move(reference)
 
     async def recover(self) -> None:
         """Check that the cause of the fault is gone, and stop."""
@@ -219,9 +159,6 @@ class OnRobotDriver(BlocksDriver, Generic[S]):
             self._status = await self._read()
         self._refuse(self._status)
         await self.stop()
-
-    async def _read(self) -> S:
-        return self._decoded(await self.connection.link.read())
 
     def _decoded(self, block: Sequence[int]) -> S:
         status: S = self.STATUS_TYPE.from_registers(block, self._settings.address)

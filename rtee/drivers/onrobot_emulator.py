@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
 
-from rtee.buses.modbus_slave import (
-    ILLEGAL_ADDRESS,
-    ILLEGAL_VALUE,
-    Framing,
-    ModbusEmulator,
-    Refused,
-)
+from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
 from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.onrobot_common import FIRMWARE, PRODUCT, SERIAL, SERIAL_COUNT
@@ -141,13 +135,6 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self._building += dt
         self.axis.max_effort = self._effort(self._built_up)
         self._busy = self._built_up < 1.0
-
-    def _settle(self) -> None:
-        """Finish a motion as one of an earlier program."""
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance_by(0.1)
-        self.moves = 0
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck."""

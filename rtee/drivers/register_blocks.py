@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import time
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
-from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import Unhurried, cycle_deadline
-from rtee.errors import BusError, BusTimeout, DeviceFault
-from rtee.types import DeviceSpec
+from rtee.drivers.gripper import GripperDriver
+from rtee.errors import BusError, BusTimeout
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
+
+S = TypeVar("S")
 
 ExchangeKind = Literal["auto", "combined", "separate"]
 
@@ -36,15 +40,11 @@ class Blocks(Unhurried):
     function, so 23 counts as not supported after `_TRIES` attempts without any answer.
 
     Args:
-        bus: The line or connection.
-        unit: The gripper's number on it.
         output: First register of the output block.
         source: First register of the input block.
         count: Registers of the input block.
-        deadline: Longest time of one exchange [s].
         kind: Whether to use function 23.
         function: Function to read the input block with, 3 or 4.
-        retries: How often a request is sent again within the deadline.
         refresh: Period at which the gripper refreshes its registers [s].
 
     Attributes:
@@ -64,7 +64,6 @@ class Blocks(Unhurried):
         deadline: float,
         kind: ExchangeKind = "auto",
         function: int = READ_HOLDING,
-        retries: int = 1,
         refresh: float = _REFRESH,
     ) -> None:
         self.bus = bus
@@ -75,7 +74,6 @@ class Blocks(Unhurried):
         self._count = count
         self._kind = kind
         self._function = function
-        self._retries = retries
         self._refresh = refresh
         self._silent = 0  # exchanges with function 23 that got no answer
         self._cached: tuple[tuple[int, ...], float] | None = None
@@ -87,38 +85,19 @@ class Blocks(Unhurried):
 
     async def read(self) -> tuple[int, ...]:
         """Return the input block; errors as for `rtee.buses.modbus.ModbusBus.read`."""
-        return await self.bus.read(
-            self.unit,
-            self._source,
-            self._count,
-            deadline=self.deadline,
-            retries=self._retries,
-            function=self._function,
-        )
+        place = self.unit, self._source, self._count
+        return await self.bus.read(*place, deadline=self.deadline, function=self._function)
 
     async def write(self, values: Sequence[int], deadline: float | None = None) -> None:
         """Write the output block, within another deadline [s] if given; errors as for `read`."""
-        await self.bus.write(
-            self.unit,
-            self._output,
-            values,
-            deadline=deadline or self.deadline,
-            retries=self._retries,
-        )
+        await self.bus.write(self.unit, self._output, values, deadline=deadline or self.deadline)
 
     async def exchange(self, values: Sequence[int]) -> tuple[int, ...]:
         """Write the output block and return the input block; errors as for `read`."""
         if self.combined:
             try:
-                block = await self.bus.exchange(
-                    self.unit,
-                    self._output,
-                    values,
-                    self._source,
-                    self._count,
-                    deadline=self.deadline,
-                    retries=self._retries,
-                )
+                places = self.unit, self._output, values, self._source, self._count
+                block = await self.bus.exchange(*places, deadline=self.deadline)
             except ModbusRefusal as refusal:
                 # Exception 1: the gripper does not support the function, so it is not tried again.
                 if self._kind != "auto" or refusal.code != 1:
@@ -151,11 +130,7 @@ class Blocks(Unhurried):
         return cached
 
     def best_rate(self, sent: int) -> float:
-        """Return the fastest rate of exchanges that the wire and the gripper allow [Hz].
-
-        Args:
-            sent: Registers written in one exchange.
-        """
+        """Return the fastest rate of exchanges that write so many registers [Hz]."""
         # Bytes between address and checksum: function, length, two for each register.
         answer = 2 + 2 * self._count
         if self.combined:
@@ -165,13 +140,12 @@ class Blocks(Unhurried):
         return 1.0 / max(once, self._refresh)
 
 
-class BlocksDriver(Driver):
-    """A driver of such a gripper: connection, deadline, newest input block, faults."""
+class BlocksDriver(GripperDriver):
+    """A driver of such a gripper: connection, deadline, newest input block."""
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         self.connection: Connection[Blocks] = Connection(spec)
-        self._active = False
 
     def _pace(self, best: float) -> None:
         """Set the deadline of exchanges in the cycle, for the wire's best rate [Hz]."""
@@ -192,18 +166,75 @@ class BlocksDriver(Driver):
                 return True
         return False
 
-    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
-        """Return a fault, with which the driver becomes inactive."""
-        # An inactive driver only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
-        return DeviceFault(self.spec.name, code, name, hint=hint)
 
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self._active = False
+class ExchangingDriver(BlocksDriver, Generic[S]):
+    """A driver whose cycle is one exchange: it writes a reference and reads the state with it.
 
-    async def close(self) -> None:
-        """Detach from the bus."""
-        self._active = False
-        await super().close()
+    It attaches without writing anything. ``S`` is the type of the gripper's state.
+    """
+
+    _status: S
+
+    @abstractmethod
+    def _decoded(self, block: Sequence[int]) -> S:
+        """Return the state in an input block; raises `FrameError`."""
+
+    @abstractmethod
+    def _refuse(self, status: S) -> None:
+        """Raise the fault that a state reports, if any."""
+
+    @abstractmethod
+    def _measured(self, status: S, stamp: float) -> ActuatorState:
+        """Return a state in SI units."""
+
+    @abstractmethod
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Return the registers to send for a reference; ``None``: nothing."""
+
+    @abstractmethod
+    def _stopping(self) -> Sequence[int]:
+        """Return the registers that end its motion and change nothing else."""
+
+    async def _supervise(self) -> None:
+        """Raise the fault that the newest state of an active gripper reports."""
+        self._refuse(self._status)
+
+    def _note(self, status: S) -> None:
+        """Store a state that was read."""
+        self._status = status
+
+    def _accepted(self) -> None:
+        """Note that the gripper has received the last command."""
+
+    def _forget(self) -> None:
+        """Forget the last command."""
+
+    async def _read(self) -> S:
+        return self._decoded(await self.connection.link.read())
+
+    async def sense(self) -> ActuatorState:
+        """Return the state that came with the last exchange, or read it."""
+        kept = self._last_read()
+        if kept is None:
+            self._note(await self._read())
+        stamp = time.monotonic() if kept is None else kept[1]
+        if self._active:
+            await self._supervise()
+        return self._measured(self._status, stamp)
+
+    async def move(self, reference: Reference) -> None:
+        """Send a reference in one frame, and read the state with it."""
+        blocks = self.connection.link
+        registers = self._registers_for(reference)
+        if registers is None:
+            return
+        # The answer is kept for the next `sense`: one exchange in a cycle instead of two.
+        block = await blocks.exchange(registers)
+        self._note(self._decoded(block))
+        self._accepted()
+        blocks.keep(block)
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if await self._insist(self._stopping()):
+            self._forget()

@@ -16,7 +16,7 @@ from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
-from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.register_blocks import PATIENT, Blocks, ExchangingDriver
 from rtee.drivers.robotiq_common import (
     NOT_ACTIVATED,
     Fault,
@@ -24,16 +24,8 @@ from rtee.drivers.robotiq_common import (
     RobotiqOptions,
     RobotiqStatus,
 )
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
-from rtee.sample import ActuatorState
-from rtee.types import DeviceSpec, Reference
+from rtee.errors import BusError, BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
+from rtee.types import DeviceSpec
 
 _POLL = 0.01
 """Time between two readings of the status while the gripper moves by itself [s]."""
@@ -45,11 +37,10 @@ S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
 
 
-class RobotiqDriver(BlocksDriver, Generic[S, C]):
+class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    It attaches to an active gripper without writing anything: the first write comes with the first
-    reference that differs from where the gripper is.
+    The first write comes with the first reference that differs from where an active gripper is.
 
     Attributes:
         MODEL: Its name in the message when another device answers.
@@ -94,18 +85,6 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
     @abstractmethod
     def _identity(self) -> Mapping[str, str]:
         """Return the identity of the gripper, as shown to users."""
-
-    @abstractmethod
-    def _measured(self, status: S, stamp: float) -> ActuatorState:
-        """Return a status in SI units."""
-
-    @abstractmethod
-    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
-        """Return the registers for a reference, ``None`` while the gripper is there already."""
-
-    @abstractmethod
-    def _stopping(self) -> Sequence[int]:
-        """Return the registers that stop it and change nothing else."""
 
     # --- life --------------------------------------------------------------------------------
 
@@ -235,40 +214,18 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         self._refuse(status)
         return "" if status.ready else "not activated"
 
-    # --- every cycle -------------------------------------------------------------------------
+    async def _supervise(self) -> None:
+        await super()._supervise()
+        if not self._status.ready:
+            # A write with rACT set has begun to activate it, which moves it.
+            await self._insist(self.RESET)
+            name = "lost its activation; was its supply cut?"
+            raise self._gripper_fault(NOT_ACTIVATED, name)
 
-    async def sense(self) -> ActuatorState:
-        """Return the state of the last exchange, or read it."""
-        kept = self._last_read()
-        if kept is None:
-            self._status = await self._read()
-        stamp = time.monotonic() if kept is None else kept[1]
-        status = self._status
-        if self._active:
-            self._refuse(status)
-            if not status.ready:
-                # A write with rACT set has begun to activate it, which moves it.
-                await self._insist(self.RESET)
-                name = "lost its activation; was its supply cut?"
-                raise self._gripper_fault(NOT_ACTIVATED, name)
-        return self._measured(status, stamp)
-
-    async def move(self, reference: Reference) -> None:
-        """Send positions, speeds and forces in one frame, and read the status with it."""
-        blocks = self.connection.link
-        registers = self._registers_for(reference)
-        if registers is None:
-            return
-        block = await blocks.exchange(registers)
-        self._status = self._decoded(block)
-        blocks.keep(block)
+    def _forget(self) -> None:
+        self._sent = None
 
     # --- stop and faults ---------------------------------------------------------------------
-
-    async def stop(self) -> None:
-        """Clear rGTO: the fingers stop where they are, and a grip is kept."""
-        if await self._insist(self._stopping()):
-            self._sent = None
 
     async def recover(self) -> None:
         """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
@@ -308,9 +265,6 @@ class RobotiqDriver(BlocksDriver, Generic[S, C]):
         return (fault.name,) if fault is not None and fault.warning else ()
 
     # --- the wire ----------------------------------------------------------------------------
-
-    async def _read(self) -> S:
-        return self._decoded(await self.connection.link.read())
 
     async def _write(self, registers: Sequence[int]) -> None:
         await self.connection.link.write(registers, PATIENT)

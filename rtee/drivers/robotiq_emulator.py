@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, Rate
 from rtee.drivers.robotiq_common import (
@@ -97,10 +97,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         """Return the command that the output block holds."""
 
     @abstractmethod
-    def _closing(self, force: int) -> RobotiqCommand:
-        """Return the command that closes all fingers with a force [counts]."""
-
-    @abstractmethod
     def _staying(self) -> RobotiqCommand:
         """Return the command to stay, as after an earlier run."""
 
@@ -142,16 +138,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         registers = command.to_registers()
         self.output[: len(registers)] = registers
         self._apply(command)
-
-    def grip_object(self, count: int = 150, stiffness: float = 10.0, force: int = 128) -> None:
-        """Close on an object met at ``count``, as if another program had gripped it before."""
-        for one in self.closings():
-            one.motor.obstacle = VirtualObject(count, stiffness)
-        self._power_up(True)
-        self._order(self._closing(force))
-        for axis in self.axes:
-            # Ten seconds, longer than any closing takes.
-            axis.advance(10.0)
 
     def inject(self, fault: str) -> None:
         """Put a fault into the gripper; most stop it."""

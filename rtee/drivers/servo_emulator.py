@@ -2,44 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Generic, Protocol, TypeVar
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.buses.parser import Parser
+from rtee.drivers.axis import Axis
 
 
-class EmulatedServo(Protocol):
+class EmulatedServo(ABC):
     """One servo of an emulated line.
 
     Attributes:
+        ID: The register of its id.
+        PENDING: The register that tells whether bytes wait for `action`.
         axis: Its shaft.
         silent_until: Time before which it does not answer [s].
+        get: Returns a register's value.
+        set: Sets a register without any check.
     """
 
+    ID: ClassVar[Any]
+    PENDING: ClassVar[Any]
     axis: Axis
-    silent_until: float
+    silent_until: float = -math.inf
+    get: Callable[[Any], int]
+    set: Callable[[Any, int], None]
+    _pending: tuple[int, bytes] | None = None
 
     @property
     def number(self) -> int:
         """Its id."""
-        ...
+        return self.get(self.ID)
 
+    @abstractmethod
     def reboot(self, now: float) -> None:
         """Restart."""
-        ...
 
+    @abstractmethod
     def step(self, now: float) -> None:
         """Let time pass up to ``now`` [s]."""
-        ...
 
+    @abstractmethod
+    def write(self, address: int, data: bytes) -> object:
+        """Write bytes as a host may, and act on them."""
 
-class Resets(Protocol):
-    """A parser of the host's requests."""
+    def hold_back(self, address: int, data: bytes) -> None:
+        """Store bytes to be written by `action`."""
+        self._pending = address, data
+        self.set(self.PENDING, 1)
 
-    def reset(self) -> None:
-        """Forget the bytes of an incomplete frame."""
-        ...
+    def action(self) -> None:
+        """Write the bytes stored by `hold_back`."""
+        if self._pending is not None:
+            (address, data), self._pending = self._pending, None
+            self.set(self.PENDING, 0)
+            self.write(address, data)
 
 
 S = TypeVar("S", bound=EmulatedServo)
@@ -56,7 +76,7 @@ class ServoLine(Emulator, Generic[S]):
         ordered: The servos in the order of the argument.
     """
 
-    def __init__(self, servos: Sequence[S], parser: Resets) -> None:
+    def __init__(self, servos: Sequence[S], parser: Parser[Any]) -> None:
         super().__init__()
         self.ordered = list(servos)
         self._incoming = parser
@@ -72,19 +92,6 @@ class ServoLine(Emulator, Generic[S]):
         servos = self.servos
         found = [servos[n] for n in numbers if n in servos]
         return [servo for servo in found if now >= servo.silent_until]
-
-    def grip_object(
-        self, number: int, position: float, stiffness: float = 5.0, closing: int = 1
-    ) -> None:
-        """Put an object in a servo's way, met at a position [counts of the axis].
-
-        Args:
-            number: The servo's id.
-            position: Where it touches.
-            stiffness: Effort per displacement [effort of the axis per count].
-            closing: Direction in which the servo closes, +1 or -1.
-        """
-        self.servos[number].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def power_cycle(self, now: float) -> None:
         """Cut the supply of all servos and bring it back."""

@@ -41,15 +41,9 @@ class ServoOptions(BaseModel):
 
 
 def check_line(baudrate: int, rates: Collection[int], ids: Sequence[int]) -> None:
-    """Check the options of a line.
+    """Check the options of a line: its rate, its servos' rates [baud], and their ids.
 
-    Args:
-        baudrate: Its rate [baud].
-        rates: Rates that its servos support [baud].
-        ids: Their ids.
-
-    Raises:
-        ValueError: if they do not support the rate, or two have the same id.
+    Raises `ValueError` if they do not support the rate, or two have the same id.
     """
     if baudrate not in rates:
         raise ValueError(f"baudrate is one of {', '.join(str(rate) for rate in rates)}")
@@ -149,11 +143,7 @@ class Calibrated:
 
 
 def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
-    """Return the calibrated servos by actuator.
-
-    Raises:
-        CalibrationError: if the file is missing or is not a calibration of servos.
-    """
+    """Return the calibrated servos by actuator; raises `CalibrationError`."""
 
     def servos_of(stored: Any) -> list[Calibrated]:
         servos = [Calibrated(**entry) for entry in stored["servos"]]
@@ -223,14 +213,7 @@ class CalibratesServos(Driver):
     ) -> list[Calibrated]:
         """Let the user put the hand into its rest posture; set and store the zeros.
 
-        Args:
-            path: File to write.
-            rest: Angles of the rest posture [rad], in the order of the actuators.
-            ready: Called with an instruction for the user; returns when the user has followed it.
-
-        Raises:
-            BusError: if the line fails.
-            ConfigError: if the file cannot be written.
+        Arguments and errors as for `Calibrates.calibrate`.
         """
         # Servos with torque would resist the hand that bends the joints.
         await self.deactivate()

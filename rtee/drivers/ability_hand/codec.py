@@ -96,11 +96,7 @@ def stuffed(frame: bytes) -> bytes:
 
 
 def unstuffed(run: bytes) -> bytes:
-    """Return the frame between two flags.
-
-    Raises:
-        AbilityFrameError: if an escape byte is the last.
-    """
+    """Return the frame between two flags; raises `AbilityFrameError` after an escape at its end."""
     if _ESCAPE not in run:
         return run
     out, flip = bytearray(), 0
@@ -124,11 +120,6 @@ class _Parser(ABC, Generic[F]):
     def __init__(self) -> None:
         self._run = bytearray()
         self.errors = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because a frame may still be completed."""
-        return len(self._run)
 
     def reset(self) -> None:
         """Forget what has come in."""
@@ -187,11 +178,7 @@ class Command:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum.
-
-        Raises:
-            AbilityFrameError: if it is too short, or its set-points are incomplete.
-        """
+        """Read it from a frame without its checksum; raises `AbilityFrameError`."""
         if len(frame) < _LEAST:
             raise AbilityFrameError(f"{len(frame)} bytes are not a command")
         words: tuple[int, ...] = ()
@@ -232,11 +219,7 @@ class Reply:
 
     @classmethod
     def from_frame(cls, frame: bytes) -> Self:
-        """Read it from a frame without its checksum.
-
-        Raises:
-            AbilityFrameError: if an Ability Hand cannot send it.
-        """
+        """Read it from a frame without its checksum; raises `AbilityFrameError`."""
         variant = (frame[0] & 0x0F) + 1 if frame else 0
         with_touch = 1 <= variant < NO_TOUCH
         size = 2 + _PAIRS.size + (_TOUCH if with_touch else _WORDS.size)

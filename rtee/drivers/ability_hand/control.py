@@ -53,14 +53,9 @@ class MotorControl:
     def aim(
         self, motor: int, target: float, feed: float, max_velocity: float, max_effort: float
     ) -> None:
-        """Set the target of one motor.
+        """Set the target [rad] of one motor, which moves at ``feed`` [rad/s].
 
-        Args:
-            motor: Its index in the frames.
-            target: Its target [rad].
-            feed: Velocity of the target [rad/s].
-            max_velocity: Velocity limit, which may be infinite [rad/s].
-            max_effort: Effort limit, which may be infinite [N·m].
+        Its limits of velocity [rad/s] and effort [N·m] may be infinite.
         """
         self.targets[motor] = target
         self._feed[motor] = feed

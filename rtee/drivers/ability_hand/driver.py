@@ -214,11 +214,9 @@ class AbilityHandDriver(Driver):
         return all(way <= _JUMP + fast * elapsed for way, fast in zip(ways, _FASTEST, strict=True))
 
     async def _check(self) -> None:
-        """Check whether the hand left API mode after a silence, and moved by itself since.
+        """Raise `DeviceFault` if the hand left API mode after a silence, and moved by itself since.
 
-        Raises:
-            DeviceFault: if it did; the previous set-points would make it jump back.
-            BusError: if it does not answer.
+        Its previous set-points would make it jump back.
         """
         if self._in_api and time.monotonic() - self._stamp > API_TIME:
             before, self._waiting = self._reply, False

@@ -78,7 +78,6 @@ class AbilityHandEmulator(Emulator, Grasps):
     """The hand.
 
     Args:
-        properties: Its properties.
         baudrate: Rate that its line is set to [baud].
 
     Attributes:

@@ -80,11 +80,7 @@ class AbilityHandOptions(DeviceOptions):
 
 
 def motors_of(spec: DeviceSpec, options: AbilityHandOptions) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its index in `MOTORS`.
-
-    Raises:
-        ConfigError: if an actuator has none, or two have the same.
-    """
+    """Return the motor of each actuator, by its index in `MOTORS`; raises `ConfigError`."""
     return wiring.motors_of(spec, "motors", options.motors, MOTORS, _motor_of)
 
 

@@ -90,12 +90,9 @@ class JointControl:
         self._integral = [0.0] * JOINTS
 
     def receive(self, finger: int, counts: Sequence[int], stamp: float) -> list[list[int]] | None:
-        """Receive one finger's positions; if the set is complete, return the counts of all torques.
+        """Receive the counts of one finger's four joints, with their time of arrival [s].
 
-        Args:
-            finger: The finger, 0 to 3.
-            counts: Positions of its four joints [counts].
-            stamp: When they arrived [s].
+        Returns the counts of all torques if the set is complete.
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
         if pause and self._fresh and not self._parted:

@@ -16,15 +16,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.allegro import codec
-from rtee.drivers.allegro.codec import (
-    FINGERS,
-    JOINTS,
-    SCALES,
-    Command,
-    HandInfo,
-    Periods,
-    Status,
-)
+from rtee.drivers.allegro.codec import FINGERS, JOINTS, SCALES, Command, HandInfo, Periods, Status
 from rtee.drivers.allegro.control import JointControl
 from rtee.drivers.allegro.link import PATIENCE, AllegroLink
 from rtee.drivers.allegro.options import AllegroOptions, wire_order
@@ -32,14 +24,7 @@ from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
-from rtee.errors import (
-    BusError,
-    BusTimeout,
-    DeviceFault,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-)
+from rtee.errors import BusError, BusTimeout, DeviceFault, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 

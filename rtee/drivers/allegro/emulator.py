@@ -37,6 +37,7 @@ not delay the bus."""
 
 _STRONG = 0.7
 """Torque at which the vendor's programs clamp the flexing joints, about [N·m]."""
+_FAULTS = {"over_temperature": Status.OVER_TEMPERATURE, "communication": Status.COMMUNICATION}
 _SERIALS = {
     (4, False): "SAH040AR",
     (4, True): "SAH040AL",
@@ -129,9 +130,7 @@ class AllegroEmulator(Emulator, Grasps):
         frames: Number of frames received, by command.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
-        "over_temperature", "communication", "silent",
-    }  # fmt: skip
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_FAULTS) | {"silent"}
     period = 0.0005
 
     def __init__(self, properties: AllegroProperties | None = None) -> None:
@@ -152,23 +151,17 @@ class AllegroEmulator(Emulator, Grasps):
 
     def power_cycle(self, now: float) -> None:
         """Restart with the motors off, silent until a request."""
-        self.servo = False
         self.periods = Periods()
         self._fault = Status(0)
         self._next = now
         self._torque_at = now
-        for joint in self.joints:
-            joint.torque = 0.0
+        self._off()
 
     def inject(self, fault: str) -> None:
         """Put a fault into the hand; over-temperature and communication switch it off."""
         super().inject(fault)
-        status = {
-            "over_temperature": Status.OVER_TEMPERATURE,
-            "communication": Status.COMMUNICATION,
-        }.get(fault)
-        if status is not None:
-            self._fail(status)
+        if fault in _FAULTS:
+            self._fail(_FAULTS[fault])
 
     def _fail(self, fault: Status) -> None:
         self._fault |= fault
@@ -187,10 +180,6 @@ class AllegroEmulator(Emulator, Grasps):
             for number, joint in enumerate(self.joints)
             if number % (JOINTS // FINGERS)
         ]
-
-    def grip_object(self, joint: int, angle: float, stiffness: float = 8.0) -> None:
-        """Put an object in a joint's way, met at an angle [rad]; stiffness in N·m/rad."""
-        self.joints[joint].obstacle = VirtualObject(angle, stiffness)
 
     # --- time --------------------------------------------------------------------------------
 
@@ -263,13 +252,8 @@ class AllegroEmulator(Emulator, Grasps):
     def _obey(self, command: int, data: bytes, now: float) -> None:
         finger = command - Command.SET_TORQUE
         if command == Command.SYSTEM_ON:
-            self._fault = Status(0)
-            for fault, bit in (
-                ("over_temperature", Status.OVER_TEMPERATURE),
-                ("communication", Status.COMMUNICATION),
-            ):
-                if fault in self.faults:
-                    self._fault |= bit
+            # A fault comes back at once as long as its cause is present.
+            self._fault = Status(sum(bit for fault, bit in _FAULTS.items() if fault in self.faults))
             self.servo = not self._fault
         elif command == Command.SYSTEM_OFF:
             self._off()

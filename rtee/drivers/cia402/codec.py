@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import Enum, IntEnum, IntFlag
 from typing import ClassVar, Self
 
@@ -152,6 +152,10 @@ class Pdo:
             raise CanopenFrameError(f"{cls.FORM.size} bytes expected, not {len(data)}")
         return cls(*cls.FORM.unpack(data))
 
+    def to_bytes(self) -> bytes:
+        """Return the PDO's data."""
+        return self.FORM.pack(*astuple(self))  # type: ignore[call-overload]
+
 
 @dataclass(frozen=True, slots=True)
 class Command(Pdo):
@@ -204,10 +208,6 @@ class Status(Pdo):
         """The drive's state."""
         return State.of(self.statusword)
 
-    def to_bytes(self) -> bytes:
-        """Return the PDO's data."""
-        return self.FORM.pack(self.statusword, self.position, self.mode)
-
 
 @dataclass(frozen=True, slots=True)
 class Motion(Pdo):
@@ -219,10 +219,6 @@ class Motion(Pdo):
     velocity: int
     torque: int
     error: int
-
-    def to_bytes(self) -> bytes:
-        """Return the PDO's data."""
-        return self.FORM.pack(self.velocity, self.torque, self.error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +275,7 @@ def counts_per_rad(increments: int, turns: int, motor: int, shaft: int) -> float
         increments: Encoder increments.
         turns: Motor turns they are counted in.
         motor: Motor turns of the gear.
-        shaft: Shaft turns of the gear.
-
-    Raises:
-        ValueError: if one of them is not positive.
+        shaft: Shaft turns of the gear; raises `ValueError` unless all are positive.
     """
     if min(increments, turns, motor, shaft) <= 0:
         raise ValueError("encoder resolution and gear ratio must be positive")

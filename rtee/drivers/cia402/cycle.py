@@ -42,7 +42,6 @@ class DriveCycle:
 
     Args:
         spec: The device.
-        bus: The network.
         options: The device's options.
 
     Attributes:
@@ -168,9 +167,7 @@ class DriveCycle:
     async def reset_faults(self) -> None:
         """Reset the drives that are in fault; they stay disabled.
 
-        Raises:
-            DeviceFault: if one stays in fault.
-            BusError: if the network fails.
+        Raises `DeviceFault` if one stays in fault, and `BusError`.
         """
         end = time.monotonic() + self._options.enable_timeout
         await self.settle()
@@ -194,9 +191,7 @@ class DriveCycle:
     async def enable(self) -> None:
         """Enable all drives at their positions, one transition of their state machine at a time.
 
-        Raises:
-            DeviceFault: if one is in fault, or is not enabled in time.
-            BusError: if the network fails.
+        Raises `DeviceFault` if one is in fault, or is not enabled in time, and `BusError`.
         """
         end = time.monotonic() + self._options.enable_timeout
         while True:

@@ -86,11 +86,9 @@ class DriveLink:
     # --- SDO -----------------------------------------------------------------------------------
 
     def attach(self, timeout: float, notify: Callable[[], None]) -> None:
-        """Begin to listen to it.
+        """Begin to listen to it; ``notify`` is called when it reports its status or a restart.
 
-        Args:
-            timeout: Longest time for an SDO transfer [s].
-            notify: Called when it reports its status or a restart.
+        An SDO transfer may take ``timeout`` [s].
         """
         import canopen
 

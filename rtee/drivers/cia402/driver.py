@@ -27,13 +27,7 @@ from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    DeviceFault,
-    HandshakeError,
-    RteeError,
-)
+from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, JointKind, Reference
 

@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
-from rtee.drivers.axis import VirtualObject
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
+
+_CODES = {"overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611}
+"""Error codes of the faults of the first drive."""
 
 
 class Cia402Emulator(Emulator, Grasps):
@@ -23,12 +25,7 @@ class Cia402Emulator(Emulator, Grasps):
         drives: The drives by node id.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {
-        "overcurrent", "over_temperature", "following_error", "silent",
-    }  # fmt: skip
-    _CODES: ClassVar[Mapping[str, int]] = {
-        "overcurrent": 0x2310, "over_temperature": 0x4310, "following_error": 0x8611,
-    }  # fmt: skip
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 
     def __init__(self, properties: DriveProperties | None = None) -> None:
@@ -55,7 +52,7 @@ class Cia402Emulator(Emulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the first drive (drive faults) or all (the rest)."""
         super().inject(fault)
-        code = self._CODES.get(fault)
+        code = _CODES.get(fault)
         if code is not None:
             first = next(iter(self.drives.values()))
             first.cause = code
@@ -80,12 +77,6 @@ class Cia402Emulator(Emulator, Grasps):
         """Return how the drives close."""
         closed = self.properties.closed
         return [Closing(d.axis, 0.0, closed, RATED) for d in self.drives.values()]
-
-    def grip_object(
-        self, node: int, position: float, stiffness: float = 1.0, closing: int = 1
-    ) -> None:
-        """Put an object in a drive's way [counts]; stiffness in 0.1 % of rated torque per count."""
-        self.drives[node].axis.obstacle = VirtualObject(position, stiffness, closing)
 
     def step(self, now: float) -> list[CanFrame]:
         """Let time pass; return boot-up, heartbeats and emergencies."""

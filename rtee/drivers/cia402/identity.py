@@ -11,20 +11,13 @@ from rtee.errors import BusTimeout, HandshakeError, NotConnected
 
 
 def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[str, str]:
-    """Check a node and read its units; in the worker thread; writes nothing.
+    """Check a node and read its units; return its name and its serial number.
 
-    Args:
-        drive: The node.
-        device: The device's name, for messages.
-        channel: The CAN channel, for messages.
-        mode: Mode of operation that it must support.
-
-    Returns:
-        Its name and its serial number.
+    In the worker thread; writes nothing. Device and channel are named in messages.
 
     Raises:
         NotConnected: if it does not answer.
-        HandshakeError: if it is another device than expected.
+        HandshakeError: if it is another device, or does not support the mode of operation.
         BusError: if the bus fails.
     """
     try:
@@ -66,9 +59,7 @@ def identify(drive: DriveLink, device: str, channel: str, mode: Mode) -> tuple[s
 def read_scale(drive: DriveLink, device: str) -> Scale:
     """Return a drive's units from its options or its objects; in the worker thread.
 
-    Raises:
-        HandshakeError: if its objects are inconsistent.
-        BusError: if the bus fails.
+    Raises `HandshakeError` if its objects are inconsistent, and `BusError`.
     """
     given = drive.options
     motor = drive.number(Object.GEAR_RATIO, 1, default=1)

@@ -97,14 +97,13 @@ class Node:
         """Add four receive and four transmit PDOs, all empty and disabled."""
         for n in range(_COUNT):
             for base, cob in ((_RECEIVE, RPDO[n]), (_TRANSMIT, TPDO[n])):
+                mapping = base + _MAP + n
                 self.add(base + n, 0, "B", 2, writable=False)
                 self.add(base + n, 1, "I", DISABLED | cob + self.number)
                 self.add(base + n, 2, "B", 255)
-                self.add(base + _MAP + n, 0, "B", 0, changed=self._check_map(base + _MAP + n))
+                self.add(mapping, 0, "B", 0, changed=self._check_map(mapping))
                 for slot in range(1, 9):
-                    self.add(
-                        base + _MAP + n, slot, "I", 0, changed=self._while_empty(base + _MAP + n)
-                    )
+                    self.add(mapping, slot, "I", 0, changed=self._while_empty(mapping))
 
     def _check_map(self, index: int) -> Callable[[int], Abort | None]:
         def check(count: int) -> Abort | None:

@@ -19,11 +19,7 @@ _LIMITS = "/etc/security/limits.d/rtee.conf"
 
 
 def check_machine(root: Path = Path("/")) -> list[Check]:
-    """Check the computer.
-
-    Args:
-        root: Folder with ``sys`` and ``proc``, for tests.
-    """
+    """Check the computer, whose ``sys`` and ``proc`` are below ``root``."""
     return [
         _python(),
         _kernel(root),

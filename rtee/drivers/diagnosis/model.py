@@ -35,11 +35,7 @@ def check_model(name: str) -> list[Check]:
 
 
 def has_devices(name: str) -> bool:
-    """Return whether a hand's hand.yaml describes devices.
-
-    Raises:
-        UserError: for every mistake in its files.
-    """
+    """Return whether a hand's hand.yaml describes devices; raises `UserError`."""
     return bool(load_configured(name)[1].devices)
 
 

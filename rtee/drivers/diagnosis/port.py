@@ -20,11 +20,9 @@ _MASTERS = frozenset({"/dev/ptmx", "/dev/pts/ptmx"})
 
 
 async def check_address(address: str, root: Path = Path("/")) -> list[Check]:
-    """Check a tty or a network address, up to the first obstacle.
+    """Check a tty or a network address, as in the options of a driver, up to the first obstacle.
 
-    Args:
-        address: The address, as in the options of a driver.
-        root: Folder with ``sys`` and ``proc``, for tests.
+    The folders ``sys`` and ``proc`` are below ``root``.
     """
     if "://" in address:
         return [await _network(address)]

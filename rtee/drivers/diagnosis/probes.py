@@ -304,13 +304,7 @@ def feetech(baudrate: int) -> Probe:
     id is read. On a line that carries every rate, servos answer at all of them; they are then
     listed with the rate that they report.
     """
-    from rtee.drivers.feetech.codec import (
-        BROADCAST,
-        LARGEST_ID,
-        Frame,
-        Instruction,
-        ReplyParser,
-    )
+    from rtee.drivers.feetech.codec import BROADCAST, LARGEST_ID, Frame, Instruction, ReplyParser
     from rtee.drivers.feetech.identity import recognise
     from rtee.drivers.feetech.link import FeetechLink
     from rtee.drivers.feetech.table import BAUD_RATE, BAUD_RATES, FAMILIES

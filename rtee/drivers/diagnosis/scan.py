@@ -63,11 +63,7 @@ def serial_ports() -> list[tuple[str, str]]:
 
 
 def serial_probes(units: Sequence[int] | None = None) -> tuple[Probe, ...]:
-    """Return the probes for a serial port, fastest first.
-
-    Args:
-        units: Modbus numbers to probe; by default the usual ones.
-    """
+    """Return the probes for a serial port, fastest first; by default with usual Modbus numbers."""
     return (
         probes.wsg50(),
         probes.svh(),

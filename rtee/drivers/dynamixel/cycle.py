@@ -131,9 +131,7 @@ class ServoCycle:
     def power(self) -> None:
         """Set up the servos without torque and power them at their positions.
 
-        Raises:
-            DeviceFault: if one has a hardware error.
-            BusError: if the line fails.
+        Raises `DeviceFault` if one has a hardware error, and `BusError`.
         """
         link = self.link
         self.check()

@@ -234,7 +234,8 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
             case Instruction.WRITE:
                 error = servo.write(params[0] | params[1] << 8, params[2:])
             case Instruction.REG_WRITE:
-                error = servo.register_write(params[0] | params[1] << 8, params[2:])
+                servo.hold_back(params[0] | params[1] << 8, params[2:])
+                error = Error.NONE
             case Instruction.ACTION:
                 servo.action()
                 error = Error.NONE

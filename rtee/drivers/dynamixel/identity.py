@@ -36,22 +36,13 @@ async def model_at(pool: BusPool, port: str, baudrate: int, number: int) -> Mode
 async def set_id(
     pool: BusPool, port: str, baudrate: int, old: int, new: int, new_baudrate: int | None = None
 ) -> Model:
-    """Store another id in a servo, and another rate; this disables its torque.
+    """Store another id in a servo, and another rate, if given; this disables its torque.
 
-    Args:
-        pool: The buses.
-        port: The servo's port.
-        baudrate: Rate of the line [baud].
-        old: Its present id.
-        new: Its new id, which may be the same.
-        new_baudrate: Its new rate [baud]; ``None``: unchanged.
-
-    Returns:
-        The servo's model.
+    Returns the servo's model. The new id may be the old one.
 
     Raises:
         BusError: if the line fails.
-        ConfigError: if another servo has that id.
+        ConfigError: if another servo has the new id.
         DriverError: if it does not accept the id or the rate.
         NotConnected: if no servo answers to the old id.
     """

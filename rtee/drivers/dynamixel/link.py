@@ -120,19 +120,16 @@ class DynamixelLink:
         self._groups: dict[tuple[int, int], GroupRead] = {}
 
     async def run(self, function: Callable[[], T], deadline: float | None = None) -> T:
-        """Call a function in the worker thread; raises `BusError`.
+        """Call a function that makes exchanges in the worker thread; raises `BusError`.
 
-        Args:
-            function: The function, which may make several exchanges.
-            deadline: Longest time [s]; by default that of two exchanges.
+        Its ``deadline`` [s] is by default that of two exchanges.
         """
         return await self.bus.run(function, deadline or 2.0 * (self._deadline + self.delay))
 
     def repeated(self, attempt: Callable[[], int]) -> None:
         """Repeat an attempt until it succeeds, within deadline and retries; in the worker thread.
 
-        Args:
-            attempt: Makes one exchange and returns the SDK's result.
+        The attempt makes one exchange and returns the SDK's result.
 
         Raises:
             BusTimeout: if there was no answer in time.
@@ -227,16 +224,8 @@ class DynamixelLink:
     ) -> None:
         """Write a register of several servos, and again to those that have not received it.
 
-        Servos do not answer a group write, so the register is read back.
-
-        Args:
-            register: The register.
-            values: Its values, by id.
-            within: Largest accepted difference of the value read back.
-
-        Raises:
-            FrameError: if a servo does not accept its value.
-            BusError: if the line fails.
+        Servos do not answer a group write, so the register is read back, and may differ by
+        ``within``. Raises `FrameError` if a servo does not accept its value, and `BusError`.
         """
         left = dict(values)
         for _ in range(_ATTEMPTS):
@@ -254,11 +243,9 @@ class DynamixelLink:
             )
 
     def write(self, number: int, register: Register, value: int) -> None:
-        """Write a register of one servo and check that it accepts the value.
+        """Write a register of one servo and check the answer.
 
-        Raises:
-            DriverError: if the servo refuses.
-            BusError: if the exchange fails.
+        Raises `DriverError` if the servo refuses the value, and `BusError`.
         """
         data, errors = list(register.pack(value)), [0]
 

@@ -10,6 +10,7 @@ from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error, Hardware
 from rtee.drivers.dynamixel.memory import Memory
 from rtee.drivers.dynamixel.table import Mode, Register
+from rtee.drivers.servo_emulator import EmulatedServo
 
 QUARTER_TURN = table.PULSES / 4.0  # [pulse]
 _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
@@ -17,6 +18,12 @@ _PULSES_PER_COUNT = 0.229 / 60.0 * table.PULSES
 _FRICTION = 25.0  # current to move the free shaft [mA]; no datasheet gives it
 _GAIN = 4.0  # current per position error at standstill [mA/pulse], an assumption
 _POSITION_MODES = (Mode.POSITION, Mode.EXTENDED_POSITION, Mode.CURRENT_BASED_POSITION)
+_BOUNDS = {
+    table.GOAL_CURRENT: table.CURRENT_LIMIT,
+    table.GOAL_VELOCITY: table.VELOCITY_LIMIT,
+    table.GOAL_PWM: table.PWM_LIMIT,
+}
+"""Registers that limit the amount of others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,18 +55,17 @@ class ServoProperties:
     closing: float = QUARTER_TURN
 
 
-class Servo:
-    """A servo's control table and its motor.
+class Servo(EmulatedServo):
+    """A servo's control table and its motor; the axis counts pulses over all turns.
 
     Attributes:
         properties: Its properties.
-        get: Returns a register's value.
-        set: Sets a register without any check.
-        axis: Its shaft, in pulses over all turns.
-        silent_until: Time before which it does not answer [s].
         unplugged: Whether it never answers.
         cause: Hardware errors whose cause persists: they come back after a reboot.
     """
+
+    ID = table.ID
+    PENDING = table.REGISTERED
 
     def __init__(self, number: int, properties: ServoProperties) -> None:
         self.properties = properties
@@ -72,12 +78,10 @@ class Servo:
             friction=_FRICTION,
             resolution=0.5,
         )
-        self.silent_until = -math.inf
         self.unplugged = False
         self.cause = Hardware(0)
         self._memory = Memory()
         self.get, self.set = self._memory.get, self._memory.set
-        self._registered: tuple[int, bytes] | None = None
         self._heard = -math.inf
         self._strained: float | None = None
         self._turn = 0
@@ -89,11 +93,6 @@ class Servo:
         self._start()
 
     # --- memory ----------------------------------------------------------------------------
-
-    @property
-    def number(self) -> int:
-        """Its id."""
-        return self.get(table.ID)
 
     @property
     def alert(self) -> bool:
@@ -168,29 +167,11 @@ class Servo:
         return Error.NONE
 
     def _beyond(self, register: Register, value: int) -> bool:
-        if register == table.GOAL_CURRENT:
-            return abs(value) > self.get(table.CURRENT_LIMIT)
-        if register == table.GOAL_VELOCITY:
-            return abs(value) > self.get(table.VELOCITY_LIMIT)
-        if register == table.GOAL_PWM:
-            return abs(value) > self.get(table.PWM_LIMIT)
+        if register in _BOUNDS:
+            return abs(value) > self.get(_BOUNDS[register])
         if register == table.GOAL_POSITION and self.get(table.OPERATING_MODE) == Mode.POSITION:
             return not self.get(table.MIN_POSITION) <= value <= self.get(table.MAX_POSITION)
         return False
-
-    def register_write(self, address: int, data: bytes) -> Error:
-        """Store bytes to be written by `action`."""
-        self._registered = (address, data)
-        self.set(table.REGISTERED, 1)
-        return Error.NONE
-
-    def action(self) -> None:
-        """Write the bytes stored by `register_write`."""
-        if self._registered is not None:
-            address, data = self._registered
-            self._registered = None
-            self.set(table.REGISTERED, 0)
-            self.write(address, data)
 
     # --- life ------------------------------------------------------------------------------
 
@@ -199,7 +180,7 @@ class Servo:
         self.silent_until = now + self.properties.reboot_time
         self._memory.reset(register for register in table.REGISTERS if not register.eeprom)
         self._memory.reset_windows()
-        self._registered = None
+        self._pending = None
         self._start()
 
     def factory_reset(self, now: float, option: int) -> None:

@@ -139,8 +139,7 @@ def prepare(
         positions: Their present positions, as goals [pulse].
         currents: Their current limits [counts].
 
-    Raises:
-        BusError: if the line fails, or a servo does not accept a value.
+    A value that a servo does not accept raises `BusError`, too.
     """
     mode = MODES[options.mode]
     for number, servo in found.items():
@@ -169,11 +168,7 @@ def prepare(
 
 
 def arm(link: DynamixelLink, seconds: float) -> None:
-    """Set the bus watchdog of all servos, and clear a tripped one; in the worker thread.
-
-    Raises:
-        BusError: if the line fails, or a servo does not accept it.
-    """
+    """Set all bus watchdogs, clear a tripped one; in the worker thread; raises `BusError`."""
     # 0 clears a watchdog that has tripped; any other value is refused until then.
     link.write_confirmed(table.BUS_WATCHDOG, dict.fromkeys(link.ids, 0))
     if seconds > 0.0:
@@ -186,9 +181,7 @@ def refuse(
 ) -> None:
     """Raise the hardware errors of servos whose answer has the alert bit; in the worker thread.
 
-    Raises:
-        DeviceFault: if a servo has a hardware error.
-        BusError: if reading the error fails.
+    Raises `DeviceFault` if a servo has a hardware error, and `BusError`.
     """
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:

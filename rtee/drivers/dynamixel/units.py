@@ -63,18 +63,10 @@ class Scale:
         return round(current / self.current_unit)
 
     def unwrap(self, pulses: float, lower: float, upper: float) -> float:
-        """Choose the turn in which a position lies in a joint's range, or nearest to it.
+        """Choose the turn in which a position [pulse] lies in a range [rad], or nearest to it.
 
         After a power cycle a servo counts within one turn again, so that a joint whose range
-        crosses the wrap may read a whole turn off.
-
-        Args:
-            pulses: The servo's position.
-            lower: Lower limit of the joint [rad].
-            upper: Upper limit of the joint [rad].
-
-        Returns:
-            The distance of the angle from the range [rad]; 0 inside.
+        crosses the wrap may read a whole turn off. Returns the distance from the range [rad].
         """
         self.turn = 0
         step = 2.0 * math.pi / self.gear
@@ -110,8 +102,7 @@ class Scales:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions [rad], velocities [rad/s], efforts [N·m] and currents [A].
 
-        Args:
-            data: The state registers of each servo, by id: current, velocity and position.
+        The data are the state registers by id: current, velocity and position.
         """
         reported = np.frombuffer(b"".join([data[number] for number in self._ids]), _STATE)
         amount = reported["current"]

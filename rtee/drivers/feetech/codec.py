@@ -105,9 +105,7 @@ def sync_read(address: int, size: int, ids: Collection[int]) -> bytes:
 def sync_write(address: int, data: Mapping[int, bytes]) -> list[bytes]:
     """Return the requests that set registers of several servos: one, unless it is too long.
 
-    Args:
-        address: The first register.
-        data: The bytes to write by id, the same number for each servo.
+    The bytes to write are given by id, the same number for each servo.
     """
     if not data:
         return []

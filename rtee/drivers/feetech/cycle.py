@@ -40,8 +40,6 @@ class ServoCycle:
     Args:
         spec: The device.
         options: Its options.
-        joints: The map between servos and actuators.
-        link: The line.
 
     Attributes:
         link: The line.
@@ -119,9 +117,6 @@ class ServoCycle:
     def check(self, states: Sequence[State]) -> None:
         """Check that the servos' limits include their actuators' ranges, and their positions.
 
-        Args:
-            states: The servos' measurements.
-
         Raises:
             CalibrationError: if an actuator is far outside its limits.
             ConfigError: if a servo's limits do not include the actuator's range.
@@ -152,14 +147,9 @@ class ServoCycle:
                 )
 
     async def power(self) -> None:
-        """Set up the servos without torque and power them at their positions.
+        """Set up the servos without torque and power them at their positions; see `check`.
 
-        Raises:
-            CalibrationError: if an actuator is far outside its limits.
-            ConfigError: if a servo's limits do not include the actuator's range.
-            DeviceFault: if one reports a fault, or its torque cannot be enabled.
-            DriverError: if one does not accept a setting.
-            BusError: if the line fails.
+        Raises `DriverError` if one does not accept a setting, and `BusError`.
         """
         # Again, since a power cycle in the meantime has reset the settings.
         await self.find()
@@ -258,12 +248,7 @@ class ServoCycle:
         self._silent = False
 
     async def _check_servo(self, number: int) -> None:
-        """Check that a servo has its torque and its settings.
-
-        Raises:
-            DeviceFault: if it has lost them.
-            BusError: if the line fails.
-        """
+        """Check that a servo has its torque and its settings; raises `DeviceFault`, `BusError`."""
         # Twice, so that a damaged answer is not taken for a servo without torque.
         torque, marked = POWERED, True
         for _ in range(2):
@@ -291,12 +276,7 @@ class ServoCycle:
     def _believe(self, states: Sequence[State], stamp: float) -> None:
         """Refuse positions that servos cannot have reached, unless they are reported twice.
 
-        Args:
-            states: The servos' states.
-            stamp: When they were read, CLOCK_MONOTONIC [s].
-
-        Raises:
-            FrameError: if an answer must have been damaged in spite of its checksum.
+        Raises `FrameError`: an answer must have been damaged in spite of its checksum.
         """
         reported, doubted = [state.position for state in states], self._doubted
         self._doubted = []
@@ -405,11 +385,7 @@ class ServoCycle:
         return 8 if self.family.limits_torque == "share" else 6
 
     async def _write(self, goals: Mapping[int, tuple[int, int, int]]) -> dict[int, int]:
-        """Set goals by the servos' indices: position, speed and torque limit [counts].
-
-        Returns:
-            The positions that were sent, by id.
-        """
+        """Set position, speed and torque limit [counts] of servos; return positions by id."""
         family, data, sent = self.family, {}, {}
         by_current = family.limits_torque == "current"
         for i, (position, speed, torque) in goals.items():

@@ -16,13 +16,7 @@ from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.drivers.feetech import table
-from rtee.drivers.feetech.codec import (
-    BROADCAST,
-    Frame,
-    Instruction,
-    RequestParser,
-    Status,
-)
+from rtee.drivers.feetech.codec import BROADCAST, Frame, Instruction, RequestParser, Status
 from rtee.drivers.feetech.joints import Differential
 from rtee.drivers.feetech.options import DifferentialOptions
 from rtee.drivers.feetech.servo import MIDDLE, Servo, ServoProperties
@@ -70,9 +64,6 @@ class LineProperties:
 
 class FeetechEmulator(ServoLine[Servo], Grasps):
     """Servos on one line; all receive every request, each answers for itself.
-
-    Args:
-        properties: Properties of the line.
 
     Attributes:
         properties: Properties of the line.

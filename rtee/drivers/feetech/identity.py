@@ -45,21 +45,11 @@ async def is_there(pool: BusPool, port: str, baudrate: int, number: int) -> bool
 
 
 async def set_id(pool: BusPool, port: str, baudrate: int, old: int, new: int) -> Model:
-    """Store another id in a servo; this disables its torque.
-
-    Args:
-        pool: The buses.
-        port: The servo's port.
-        baudrate: Rate of the line [baud].
-        old: Its present id.
-        new: Its new id.
-
-    Returns:
-        The servo's model.
+    """Store another id in a servo; this disables its torque. Returns the servo's model.
 
     Raises:
         BusError: if the line fails.
-        ConfigError: if another servo has that id.
+        ConfigError: if another servo has the new id.
         DriverError: if its model is not known, or it does not accept the id.
         NotConnected: if no servo answers to the old id.
     """

@@ -67,12 +67,7 @@ class Differential:
         self._shared = options.tilt_share[0][0], options.tilt_share[-1][0]
 
     def servos(self, flexion: float, tilt: float) -> tuple[float, float]:
-        """Return the servos' angles within their limit [rad]; the tilt is reduced to keep it.
-
-        Args:
-            flexion: Position of the flexion [rad].
-            tilt: Position of the tilt [rad].
-        """
+        """Return the servos' angles [rad] for flexion and tilt [rad], which their limit reduces."""
         (a, b), (c, d) = self._matrix.tolist()
         # The flexion may use the whole range, the tilt the rest.
         most = self.limit / max(abs(a), abs(c), 1e-9)

@@ -91,14 +91,7 @@ class FeetechLink(Unhurried):
     ) -> Mapping[int, Frame]:
         """Return the answers of servos with ``size`` bytes of their registers, by id.
 
-        Args:
-            address: The first register.
-            size: Number of bytes.
-            ids: The servos.
-            together: Whether to send one request for all, which not every family answers.
-
-        Raises:
-            BusError: if one does not answer.
+        ``together`` sends one request for all, which not every family answers; raises `BusError`.
         """
         if not together or len(ids) == 1:
             return {number: await self.read(number, address, size) for number in ids}
@@ -134,17 +127,8 @@ class FeetechLink(Unhurried):
         """Set a register of several servos and read it back; repeat for those without the value.
 
         Servos may be configured to answer only reads, and the answer to a write only confirms that
-        it was received; so the value read back decides.
-
-        Args:
-            register: The register.
-            values: Its value by id.
-
-        Returns:
-            The other values that servos have kept, by id; empty if all have accepted theirs.
-
-        Raises:
-            BusError: if the line fails.
+        it was received; so the value read back decides. Returns the other values that servos have
+        kept, by id; raises `BusError`.
         """
         left, kept = dict(values), dict[int, int]()
         for _ in range(_ATTEMPTS):

@@ -11,6 +11,7 @@ from rtee.drivers.feetech.codec import Status
 from rtee.drivers.feetech.memory import Memory
 from rtee.drivers.feetech.table import FULL, MODELS, Family, Register
 from rtee.drivers.properties import Duration, Positive
+from rtee.drivers.servo_emulator import EmulatedServo
 
 MIDDLE = 2048
 """The present position after it has been declared the middle [counts]."""
@@ -59,22 +60,21 @@ class ServoProperties:
     haste: Positive = 1.0
 
 
-class Servo:
+class Servo(EmulatedServo):
     """A servo's registers and its motor.
 
     Args:
         family: Its family.
         number: Its id.
-        properties: Its properties.
 
     Attributes:
         properties: Its properties.
         axis: Its shaft, in counts of its encoder and 0.1 % of its largest torque.
-        get: Returns a register's value.
-        set: Sets a register without any check.
-        silent_until: Time before which it does not answer [s].
         cause: Errors whose cause persists.
     """
+
+    ID = table.ID
+    PENDING = table.PENDING
 
     def __init__(self, family: Family, number: int, properties: ServoProperties) -> None:
         self.properties = properties
@@ -109,19 +109,12 @@ class Servo:
             friction=_FRICTION,
             resolution=0.5,
         )
-        self.silent_until = -math.inf
         self.cause = Status(0)
         self._latched = Status(0)
         self._strained: float | None = None
-        self._pending: tuple[int, bytes] | None = None
         self._start()
 
     # --- registers -----------------------------------------------------------------------------
-
-    @property
-    def number(self) -> int:
-        """Its id."""
-        return self.get(table.ID)
 
     @property
     def status(self) -> Status:
@@ -163,18 +156,6 @@ class Servo:
             # A goal enables the torque: published programs never do that separately.
             self.set(table.TORQUE, int(not self.status & self.get(table.UNLOAD)))
         self._act()
-
-    def hold_back(self, address: int, data: bytes) -> None:
-        """Store bytes to be written by `action`."""
-        self._pending = address, data
-        self.set(table.PENDING, 1)
-
-    def action(self) -> None:
-        """Write the bytes stored by `hold_back`."""
-        if self._pending is not None:
-            (address, data), self._pending = self._pending, None
-            self.set(table.PENDING, 0)
-            self.write(address, data)
 
     def make_present(self, position: int) -> None:
         """Set the offset so that the present position has a value, and disable the torque."""

@@ -143,18 +143,9 @@ async def prepare(
     options: FeetechOptions,
     found: Mapping[int, Found],
 ) -> None:
-    """Set up servos without torque; the settings are not stored.
+    """Set up servos that were found without torque; the settings are not stored.
 
-    Args:
-        link: The line.
-        family: The servos' family.
-        device: The device's name.
-        options: Their settings.
-        found: The servos without torque, by id.
-
-    Raises:
-        BusError: if the line fails.
-        DriverError: if one does not accept a setting.
+    Raises `DriverError` if one does not accept a setting, and `BusError`.
     """
 
     async def write(register: Register, values: Mapping[int, int]) -> None:
@@ -216,13 +207,7 @@ def _settings(
 
 
 def refuse(device: str, names: Mapping[int, str], statuses: Mapping[int, Status]) -> None:
-    """Raise a `DeviceFault` if servos report errors.
-
-    Args:
-        device: The device's name.
-        names: The servos' names by id.
-        statuses: Their status by id.
-    """
+    """Raise a `DeviceFault` if servos report errors in their status, by id."""
     reported = {number: status for number, status in statuses.items() if status}
     if reported:
         hint = "free the hand and check its supply, then `rtee recover` powers it again"

@@ -240,13 +240,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, family: Family, data: bytes, status: int = 0) -> State:
-        """Read the state from the registers from the present position on.
-
-        Args:
-            family: The servo's family.
-            data: The registers, `Family.state` bytes.
-            status: Status of the reply with these registers.
-        """
+        """Read the `Family.state` registers from the position on, and the reply's status."""
 
         def get(register: Register) -> int:
             return family.unpack(register, data, PRESENT_POSITION.address)

@@ -199,8 +199,7 @@ def order(code: Order) -> bytes:
 def acknowledged(raw: bytes, code: Order) -> bool | None:
     """Return a board's answer to a command: done, refused, or ``None`` while there is none.
 
-    Raises:
-        HeriFrameError: if it is not an acknowledgement.
+    Raises `HeriFrameError` if it is not an acknowledgement.
     """
     if len(raw) < ORDER_SIZE:
         raise HeriFrameError("an acknowledgement has two bytes")

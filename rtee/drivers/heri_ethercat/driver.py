@@ -38,13 +38,7 @@ from rtee.drivers.heri_ethercat.codec import (
 )
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.wiring import numbers_of
-from rtee.errors import (
-    BusTimeout,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    RteeError,
-)
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, RteeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
@@ -160,9 +154,6 @@ class HeriEthercatDriver(Driver):
 
         A board leaves operation if the frames stop for longer than its watchdog, as on a computer
         that is busy for a moment. As long as the motors are not powered, this can be repeated.
-
-        Raises:
-            BusError: if the network fails, or they do not stay in operation.
         """
 
         async def begin() -> None:
@@ -242,9 +233,7 @@ class HeriEthercatDriver(Driver):
     async def _order(self, position: int, code: Order) -> None:
         """Command a board's controller and wait for the acknowledgement, with frames going on.
 
-        Raises:
-            DeviceFault: if it refuses or does not answer.
-            BusError: if the network fails.
+        Raises `DeviceFault` if it refuses or does not answer, and `BusError`.
         """
         bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.ethercat import Slave, State
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
@@ -32,6 +32,9 @@ from rtee.drivers.heri_ethercat.codec import (
 )
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Positive, read_properties
+
+_FAULTS = {"hardware": Fault.HARDWARE, "encoder": Fault.ENCODER_1}
+"""Faults of the first board that cut its power."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +149,8 @@ class HeriEmulator(Emulator, Grasps):
     def inject(self, fault: str) -> None:
         """Put a fault into the first board (its faults) or all (the rest)."""
         super().inject(fault)
-        if fault in ("hardware", "encoder"):
-            self.boards[0].fail(Fault.HARDWARE if fault == "hardware" else Fault.ENCODER_1)
+        if fault in _FAULTS:
+            self.boards[0].fail(_FAULTS[fault])
         elif fault == "hot":
             self.boards[0].fault |= Fault.CURRENT_LIMITED
 
@@ -162,11 +165,6 @@ class HeriEmulator(Emulator, Grasps):
         made = self.properties
         motors = [motor for board in self.boards for motor in board.motors]
         return [Closing(motor, 0.0, made.upper, made.current) for motor in motors]
-
-    def grip_object(self, motor: int, position: float, stiffness: float = 10.0) -> None:
-        """Put an object in a motor's way [rad]; stiffness in A/rad."""
-        board, at = divmod(motor, MOTORS)
-        self.boards[board].motors[at].obstacle = VirtualObject(position, stiffness)
 
     # --- requests of a master ------------------------------------------------------------------
 
@@ -217,7 +215,7 @@ class HeriEmulator(Emulator, Grasps):
             if command.acknowledge:
                 # A fault comes back at once as long as its cause persists, as on the device.
                 board.fault &= ~command.acknowledge
-                for fault, bit in (("hardware", Fault.HARDWARE), ("encoder", Fault.ENCODER_1)):
+                for fault, bit in _FAULTS.items():
                     if fault in self.faults and board is self.boards[0]:
                         board.fault |= bit
             for motor, reference in zip(board.motors, command.positions, strict=True):

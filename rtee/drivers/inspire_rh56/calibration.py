@@ -10,15 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee.buses.retry import patiently
-from rtee.drivers.inspire_rh56.codec import (
-    COUNT,
-    FINGERS,
-    KEEP,
-    Register,
-    Report,
-    State,
-    table,
-)
+from rtee.drivers.inspire_rh56.codec import COUNT, FINGERS, KEEP, Register, Report, State, table
 from rtee.drivers.inspire_rh56.link import Rh56Link
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.errors import CalibrationError
@@ -52,11 +44,7 @@ class ForceZeros:
 
 
 def read_zeros(path: Path, device: str, unit: int) -> tuple[int, ...]:
-    """Return the stored zeros of a hand [g].
-
-    Raises:
-        CalibrationError: if they are missing, of another hand, or no calibration.
-    """
+    """Return the stored zeros of a hand [g]; raises `CalibrationError`."""
 
     def zeros_of(stored: Any) -> ForceZeros:
         zeros = ForceZeros(int(stored["unit"]), tuple(int(g) for g in stored["grams"]))

@@ -152,11 +152,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` holds; the header is not checked.
-
-        Raises:
-            Rh56FrameError: if it is none.
-        """
+        """Return the frame that ``raw`` holds, with any header; raises `Rh56FrameError`."""
         if len(raw) <= OVERHEAD or raw[3] <= _INSIDE or len(raw) != raw[3] + _AROUND:
             raise Rh56FrameError(f"{len(raw)} bytes are not a frame")
         if sum(raw[2:-1]) & 0xFF != raw[-1]:
@@ -187,11 +183,7 @@ class ReplyParser(RequestParser):
 
 
 def words(data: bytes) -> tuple[int, ...]:
-    """Return the six values of a table.
-
-    Raises:
-        Rh56FrameError: if it does not have twelve bytes.
-    """
+    """Return the six values of a table; raises `Rh56FrameError` for another length."""
     if len(data) != WORDS:
         raise Rh56FrameError(f"{len(data)} bytes are not a table of six values")
     return _TABLE.unpack(data)
@@ -224,11 +216,7 @@ class Report:
 
     @classmethod
     def from_bytes(cls, angles: bytes, report: bytes) -> Self:
-        """Read it from the twelve bytes of the angles and the `REPORT` from the forces on.
-
-        Raises:
-            Rh56FrameError: if an RH56 cannot report it.
-        """
+        """Read it from the angles and from the `REPORT`; raises `Rh56FrameError`."""
         if len(report) != REPORT:
             raise Rh56FrameError(f"{len(report)} bytes are not a report")
         where = words(angles)

@@ -390,15 +390,10 @@ class InspireRh56Driver(Driver):
     ) -> ForceZeros:
         """Let the open hand calibrate its force sensors; store their readings afterwards.
 
-        Args:
-            path: File to write.
-            rest: The rest posture, to which the hand moves first [rad].
-            ready: Called with an instruction for the user; returns when the user has followed it.
+        Arguments and errors as for `Calibrates.calibrate`; the hand moves to the rest posture
+        first.
 
         Raises:
-            BusError: if the line fails.
-            CalibrationError: if the sensors read a force although nothing touches the hand.
-            ConfigError: if the file cannot be written.
             DeviceFault: if the hand reports a fault.
         """
         self._check(await patiently(self._measured))

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, Framing, ModbusEmulator, Refused
-from rtee.drivers.axis import VirtualObject
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
     MOST_DATA,
@@ -82,11 +81,6 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         """Return how the motors of fingers and thumb close."""
         most = float(self.memory.properties.most)
         return [Closing(axis, float(OPEN), 0.0, most) for axis in self.memory.axes[:_ROTATOR]]
-
-    def grip_object(self, closure: float = 0.5, stiffness: float = 50.0) -> None:
-        """Put an object between the fingers, met at a closure; stiffness in grams per count."""
-        for closing in self.closings():
-            closing.motor.obstacle = VirtualObject((1.0 - closure) * OPEN, stiffness, -1.0)
 
     def power_cycle(self, now: float) -> None:
         """Restart; the fingers stay where they are."""

@@ -5,17 +5,12 @@ from __future__ import annotations
 import struct
 from abc import ABC, abstractmethod
 
+from rtee.buses.bus import Bus
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import wire_time
 from rtee.drivers.deadlines import Unhurried
-from rtee.drivers.inspire_rh56.codec import (
-    OVERHEAD,
-    Command,
-    Frame,
-    ReplyParser,
-    RequestParser,
-)
+from rtee.drivers.inspire_rh56.codec import OVERHEAD, Command, Frame, ReplyParser, RequestParser
 from rtee.errors import BusError
 
 
@@ -29,14 +24,21 @@ class WriteRefused(BusError):
 class Rh56Link(Unhurried, ABC):
     """Talks to one hand; several may share a line.
 
+    Args:
+        bus: The line.
+        hand: The hand's number on it, over Modbus its Modbus number.
+
     Attributes:
         deadline: Longest time for one exchange, retries included [s].
         retries: How often a request is sent again within that time.
     """
 
-    def __init__(self, deadline: float, retries: int) -> None:
+    def __init__(self, bus: Bus, hand: int, deadline: float, retries: int) -> None:
         self.deadline = deadline
         self.retries = retries
+        self._bus: Bus = bus
+        self._hand = hand
+        self._parser = ReplyParser()
 
     @abstractmethod
     async def read(self, address: int, size: int) -> bytes:
@@ -46,9 +48,7 @@ class Rh56Link(Unhurried, ABC):
     async def write(self, address: int, data: bytes) -> None:
         """Set registers from ``address`` on.
 
-        Raises:
-            WriteRefused: if the hand did not accept it.
-            BusError: if the exchange failed.
+        Raises `WriteRefused` if the hand did not accept it, and `BusError`.
         """
 
     @abstractmethod
@@ -66,20 +66,9 @@ class Rh56Link(Unhurried, ABC):
 
 
 class FrameLink(Rh56Link):
-    """The hand's own frames on a serial line.
+    """The hand's own frames on a serial line."""
 
-    Args:
-        bus: The line.
-        hand: The hand's number on it.
-        deadline: Longest time for one exchange, retries included [s].
-        retries: How often a request is sent again within that time.
-    """
-
-    def __init__(self, bus: SerialBus, hand: int, deadline: float, retries: int) -> None:
-        super().__init__(deadline, retries)
-        self._bus = bus
-        self._hand = hand
-        self._parser = ReplyParser()
+    _bus: SerialBus
 
     async def read(self, address: int, size: int) -> bytes:
         """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
@@ -120,21 +109,15 @@ class FrameLink(Rh56Link):
 
 
 class ModbusLink(Rh56Link):
-    """Modbus RTU or TCP; two bytes make a register, the low one the first of a table.
+    """Modbus RTU or TCP; two bytes make a register, the low one the first of a table."""
 
-    Arguments are those of `FrameLink`; the hand's number is its Modbus number.
-    """
-
-    def __init__(self, bus: ModbusBus, hand: int, deadline: float, retries: int) -> None:
-        super().__init__(deadline, retries)
-        self._bus = bus
-        self._unit = hand
+    _bus: ModbusBus
 
     async def read(self, address: int, size: int) -> bytes:
         """Return ``size`` bytes of registers from ``address`` on; raises `BusError`."""
         count = (size + 1) // 2
         values = await self._bus.read(
-            self._unit, address, count, deadline=self.deadline, retries=self.retries
+            self._hand, address, count, deadline=self.deadline, retries=self.retries
         )
         return struct.pack(f"<{count}H", *values)[:size]
 
@@ -144,7 +127,7 @@ class ModbusLink(Rh56Link):
         padded = data + bytes(len(data) % 2)
         values = struct.unpack(f"<{len(padded) // 2}H", padded)
         await self._bus.write(
-            self._unit, address, values, deadline=self.deadline, retries=self.retries
+            self._hand, address, values, deadline=self.deadline, retries=self.retries
         )
 
     def read_time(self, size: int, turnaround: float) -> float:

@@ -122,11 +122,7 @@ class InspireRh56Options(DeviceOptions):
 
 
 def motors_of(spec: DeviceSpec, options: InspireRh56Options) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its index in `FINGERS`.
-
-    Raises:
-        ConfigError: if an actuator has none, or two have the same.
-    """
+    """Return the motor of each actuator, by its index in `FINGERS`; raises `ConfigError`."""
     return wiring.motors_of(spec, "fingers", options.fingers, FINGERS, _finger_of)
 
 
@@ -145,11 +141,7 @@ def _finger_of(name: str) -> str:
 def scales_of(
     spec: DeviceSpec, options: InspireRh56Options, motors: tuple[int, ...]
 ) -> tuple[Scale, ...]:
-    """Return the scale of each actuator.
-
-    Raises:
-        ConfigError: if an actuator has no limits.
-    """
+    """Return the scale of each actuator; raises `ConfigError` if an actuator has no limits."""
     scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):
         # Written with `not`, so that limits of NaN are refused, too.

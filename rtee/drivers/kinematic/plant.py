@@ -47,13 +47,10 @@ class Plant:
         return from_rest(self.spec.rest, self.spec.farthest, fraction)
 
     def step(self, dt: float, follow: float, full_effort_at: float, *, powered: bool) -> None:
-        """Simulate the motion for a time.
+        """Simulate the motion for a time [s]; without power it stays where it is, without effort.
 
-        Args:
-            dt: The time [s].
-            follow: Fraction of the way to the target that is covered in this time.
-            full_effort_at: Distance to the target that gives full effort at an object [rad | m].
-            powered: Whether the motor is on; else it stays where it is, without effort.
+        It covers the fraction ``follow`` of the way to its target; at an object, a target this far
+        behind it [rad | m] gives full effort.
         """
         before, target = self.position, self.target
         # Most actuators rest in most cycles, and at rest only an object causes effort.

@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, Self
+from typing import ClassVar, Self, TypeVar
 
 from rtee.buses.emulator import CanFrame
+
+T = TypeVar("T")
 
 RIGHT, LEFT = 0x27, 0x28
 """Modbus number, and identifier on CAN, of a right and of a left hand."""
@@ -86,25 +88,18 @@ class Model:
         return len(self.motors)
 
 
+def _by_table(*values: T) -> Mapping[Table, T]:
+    """Return a value for each table: positions, torques, speeds, temperatures, faults."""
+    return dict(zip(Table, values, strict=True))
+
+
 O6 = Model(
     "O6",
     ("thumb_bend", "thumb_yaw", "index", "middle", "ring", "little"),
     ((0.0, 0.58), (0.0, 1.36), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60), (0.0, 1.60)),
-    {
-        Table.POSITION: 0,
-        Table.TORQUE: 6,
-        Table.SPEED: 12,
-        Table.TEMPERATURE: 18,
-        Table.FAULT: 24,
-    },
+    _by_table(0, 6, 12, 18, 24),
     30,
-    {
-        Table.POSITION: ((0x01, 6),),
-        Table.TORQUE: ((0x02, 6),),
-        Table.SPEED: ((0x05, 6),),
-        Table.TEMPERATURE: ((0x33, 6),),
-        Table.FAULT: ((0x35, 6),),
-    },
+    _by_table(*(((code, 6),) for code in (0x01, 0x02, 0x05, 0x33, 0x35))),
     spacing=0.030,
     joint_write=True,
 )
@@ -120,22 +115,13 @@ L10 = Model(
         (0.0, 0.75), (0.0, 1.43), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62), (0.0, 1.62),
         (0.21, -0.26), (0.21, 0.0), (0.34, 0.0), (-0.52, 1.01),
     ),
-    {
-        Table.POSITION: 0,
-        Table.TORQUE: 10,
-        Table.SPEED: 20,
-        Table.TEMPERATURE: 40,
-        Table.FAULT: 50,
-    },
+    _by_table(0, 10, 20, 40, 50),
     158,
-    {
+    _by_table(
         # The SDK sends the second part of the positions first.
-        Table.POSITION: ((0x01, 6), (0x04, 4)),
-        Table.TORQUE: ((0x02, 5), (0x03, 5)),
-        Table.SPEED: ((0x05, 5), (0x06, 5)),
-        Table.TEMPERATURE: ((0x33, 5), (0x34, 5)),
-        Table.FAULT: ((0x35, 5), (0x36, 5)),
-    },
+        ((0x01, 6), (0x04, 4)),
+        *(((code, 5), (code + 1, 5)) for code in (0x02, 0x05, 0x33, 0x35)),
+    ),
     spacing=0.005,
     joint_write=False,
 )  # fmt: skip
@@ -167,11 +153,7 @@ class Version:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int]) -> Self:
-        """Read it from the version block.
-
-        Raises:
-            LinkerFrameError: if it does not have six registers, or has no valid side.
-        """
+        """Read it from the version block; raises `LinkerFrameError`."""
         if len(registers) != VERSION_COUNT:
             raise LinkerFrameError(f"{len(registers)} registers are not a version block")
         motors, hand, serial, side, software, hardware = registers
@@ -191,11 +173,7 @@ def dotted(version: int) -> str:
 
 
 def checked(registers: Sequence[int], count: int) -> tuple[int, ...]:
-    """Return the values of a table.
-
-    Raises:
-        LinkerFrameError: if their number is wrong, or one is above 255.
-    """
+    """Return the values of a table; raises `LinkerFrameError` for another number, or above 255."""
     if len(registers) != count or not all(0 <= value <= MOST for value in registers):
         raise LinkerFrameError(f"no {count} values of a LinkerHand: {list(registers)}")
     return tuple(registers)

@@ -20,15 +20,7 @@ from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
-from rtee.drivers.linkerhand.codec import (
-    BAUDRATE,
-    FAULT_NAMES,
-    MOST,
-    Fault,
-    Table,
-    Version,
-    dotted,
-)
+from rtee.drivers.linkerhand.codec import BAUDRATE, FAULT_NAMES, MOST, Fault, Table, Version, dotted
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
 from rtee.drivers.linkerhand.options import LinkerHandOptions, motors_of, scales_of
 from rtee.drivers.options import read_options

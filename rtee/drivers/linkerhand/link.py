@@ -6,8 +6,9 @@ import asyncio
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from rtee.buses.bus import Bus
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
@@ -26,6 +27,7 @@ class LinkerLink(Unhurried, ABC):
     """Talks to one hand.
 
     Args:
+        bus: The line or bus.
         model: The kind of hand.
         unit: Its number.
         deadline: Longest time for one exchange, retries included [s].
@@ -36,8 +38,9 @@ class LinkerLink(Unhurried, ABC):
     PATIENCE: ClassVar[float] = 1.0
 
     def __init__(
-        self, model: Model, unit: int, deadline: float, retries: int, spacing: float
+        self, bus: Bus, model: Model, unit: int, deadline: float, retries: int, spacing: float
     ) -> None:
+        self._bus: Bus = bus
         self.model = model
         self.unit = unit
         self.deadline = deadline
@@ -66,26 +69,16 @@ class LinkerLink(Unhurried, ABC):
 
 
 class ModbusLink(LinkerLink):
-    """Modbus RTU on RS-485; several hands may share a line.
+    """Modbus RTU on RS-485; several hands may share a line."""
 
-    Arguments are the line and those of `LinkerLink`.
-    """
+    _bus: ModbusBus
 
-    def __init__(
-        self,
-        bus: ModbusBus,
-        model: Model,
-        unit: int,
-        deadline: float,
-        retries: int,
-        spacing: float,
-    ) -> None:
-        super().__init__(model, unit, deadline, retries, spacing)
-        self._bus = bus
+    def __init__(self, bus: ModbusBus, *hand: Any) -> None:
+        super().__init__(bus, *hand)
         self._both = True
         # An emulated line without wire time needs no silence, either.
         if bus.gap:
-            bus.gap = max(bus.gap, spacing)
+            bus.gap = max(bus.gap, self._spacing)
 
     async def version(self) -> Version | None:
         """Return the hand's version block; raises `BusError`."""
@@ -149,12 +142,9 @@ class ModbusLink(LinkerLink):
             await self._write(table, tables[table])
 
     async def _write(self, table: Table, values: Sequence[int]) -> None:
+        first = self.model.registers[table]
         await self._bus.write(
-            self.unit,
-            self.model.registers[table],
-            values,
-            deadline=self.deadline,
-            retries=self.retries,
+            self.unit, first, values, deadline=self.deadline, retries=self.retries
         )
 
     def cycle_time(self) -> float:
@@ -167,17 +157,10 @@ class ModbusLink(LinkerLink):
 
 
 class CanLink(LinkerLink):
-    """Classic CAN with 11-bit identifiers; other nodes may share the bus.
+    """Classic CAN with 11-bit identifiers; other nodes may share the bus."""
 
-    Arguments are the bus and those of `LinkerLink`.
-    """
-
-    def __init__(
-        self, bus: CanBus, model: Model, unit: int, deadline: float, retries: int, spacing: float
-    ) -> None:
-        super().__init__(model, unit, deadline, retries, spacing)
-        self._bus = bus
-        self._sent = 0.0
+    _bus: CanBus
+    _sent = 0.0  # time of the last frame
 
     async def version(self) -> Version | None:
         """Return ``None``: the version block on CAN is not published."""

@@ -89,11 +89,7 @@ class LinkerHandOptions(DeviceOptions):
 
 
 def motors_of(spec: DeviceSpec, options: LinkerHandOptions) -> tuple[int, ...]:
-    """Return the motor of each actuator, by its index in the tables.
-
-    Raises:
-        ConfigError: if an actuator has none, or two have the same.
-    """
+    """Return the motor of each actuator, by its index in the tables; raises `ConfigError`."""
     return wiring.motors_of(spec, "motors", options.motors, options.kind.motors, _motor_of)
 
 
@@ -113,8 +109,7 @@ def scales_of(
 ) -> tuple[LinearScale, ...]:
     """Return the scale of each actuator's position.
 
-    Raises:
-        ConfigError: if a motor's range is empty, or does not overlap its actuator's.
+    Raises `ConfigError` if a motor's range is empty, or does not overlap its actuator's.
     """
     scales = []
     for actuator, motor in zip(spec.actuators, motors, strict=True):

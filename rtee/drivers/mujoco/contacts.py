@@ -68,12 +68,7 @@ def configure(option: mujoco.MjOption) -> None:
 
 
 def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
-    """Give a shape the contact of all shapes.
-
-    Args:
-        geom: The shape.
-        friction: Its coefficient of sliding friction.
-    """
+    """Give a shape the contact of all shapes, with a coefficient of sliding friction."""
     geom.solref = [TIME_CONSTANT, 1.0]
     geom.solimp = IMPEDANCE
     geom.condim = DIMENSIONS
@@ -85,9 +80,6 @@ def make_object(geom: mujoco.MjsGeom) -> None:
 
     MuJoCo takes the larger friction of two shapes, so the coefficient of a pair is that of what
     touches the object.
-
-    Args:
-        geom: The shape.
     """
     make_hard(geom, friction=0.0)
     # Only the object has a skin, so two links of the hand do not feel each other at a distance.
@@ -104,12 +96,7 @@ def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
 
 
 def hand_friction(asked: float | None, *, tip: bool) -> float:
-    """Return the friction of a link of the hand.
-
-    Args:
-        asked: What was asked for the hand; ``None``: nothing.
-        tip: It is a fingertip.
-    """
+    """Return the friction of a link of the hand: what was asked, else what is usual."""
     if asked is not None:
         return asked
     return PAD_FRICTION if tip else LINK_FRICTION

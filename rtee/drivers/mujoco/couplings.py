@@ -76,14 +76,9 @@ class Polynomial:
 
 
 def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ...], float]:
-    """Fit a polynomial to a coupling over an actuator's range.
+    """Fit a polynomial to a coupling over an actuator's range [rad | m].
 
     Chebyshev nodes make the least-squares fit nearly minimax.
-
-    Args:
-        coupling: How the joint follows its actuator.
-        lower: Lower limit of the actuator [rad | m].
-        upper: Upper limit of the actuator [rad | m].
 
     Returns:
         Coefficients ``c₀ … c₄`` and the largest deviation [rad | m] on a dense grid.
@@ -120,9 +115,7 @@ def coupling_name(joint: str) -> str:
 def tendon_name(actuator: str, finger: str = "") -> str:
     """Return the name of the tendon, and the equality, that shares an actuator's effort.
 
-    Args:
-        actuator: The actuator.
-        finger: The finger among whose joints it is shared; empty: among all.
+    It is shared among the joints of a finger, or among all.
     """
     return f"tendon/{actuator}/{finger}" if finger else f"tendon/{actuator}"
 
@@ -240,11 +233,9 @@ def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | None:
-    """Return the relation of the torques at some joints that hand.yaml gives ``(k,)``, if it does.
+    """Return the relation of the torques at joints that hand.yaml gives ``(k,)``, if it does.
 
-    Args:
-        known: The actuator's dynamics.
-        of: The joints, by their numbers among those that ``known`` lists; all unless given.
+    The joints are given by their numbers among those that ``known`` lists; all unless given.
     """
     if known.shares is None:
         return None
@@ -253,17 +244,11 @@ def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | N
 
 
 def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | None:
-    """Return the torque at each joint for a unit of the actuator's; no work is lost.
+    """Return the torque at each joint ``(k,)`` for a unit of the actuator's; no work is lost.
 
-    Unless hand.yaml gives their relation, a joint gets the more torque the further it turns, as
-    with pulleys whose radii go with the turns.
-
-    Args:
-        slopes: How far each joint follows ``(k,)``.
-        weights: Their relation ``(k,)``, if it is given.
-
-    Returns:
-        The shares ``(k,)``; ``None`` where the joints do not move with the actuator.
+    Unless hand.yaml gives their relation as weights ``(k,)``, a joint gets the more torque the
+    further it turns (its slope), as with pulleys whose radii go with the turns. It is ``None``
+    where the joints do not move with the actuator.
     """
     # Not numpy.linalg.norm, which takes longer than all the rest for so few numbers.
     if weights is None:
@@ -316,8 +301,9 @@ def _add_springs(
         # With a tendon a joint gets its share of the effort; without one it alone gets all of it,
         # by the leverage of its slope.
         alone = 1.0 / (slope or math.inf) if known.coupling is Following.SPRING else share
-        stiffness = max(abs(alone) * servo.limit / give, _least_stiffness(options, slide))
-        inertia = options.armature * (PRISMATIC if slide else 1.0)
+        unit = PRISMATIC if slide else 1.0
+        stiffness = max(abs(alone) * servo.limit / give, options.passive_stiffness * unit)
+        inertia = options.armature * unit
         tendon = spec.add_tendon(name=coupling_name(follower.joint))
         tendon.wrap_joint(follower.joint, 1.0)
         tendon.wrap_joint(motor, -slope)
@@ -357,7 +343,3 @@ def _moves_nothing(hand: Hand, actuator: str) -> ModelError:
         "each share times how far its joint follows must not be zero",
         path=hand.urdf.path,
     )
-
-
-def _least_stiffness(options: SimOptions, slide: bool) -> float:
-    return options.passive_stiffness * (PRISMATIC if slide else 1.0)

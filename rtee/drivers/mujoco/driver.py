@@ -94,11 +94,7 @@ class MujocoDriver(Driver):
 
     @property
     def simulation(self) -> Simulation:
-        """The running simulation.
-
-        Raises:
-            NotConnected: before `configure`.
-        """
+        """The running simulation; raises `NotConnected` before `configure`."""
         if self._simulation is None:
             raise NotConnected(self.spec.name, "the simulation has not been started")
         return self._simulation

@@ -20,12 +20,6 @@ class FingerForces:
     """
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
-        """Look the links up.
-
-        Args:
-            model: The compiled model.
-            hand: The hand in it.
-        """
         tips = [finger.tip for finger in hand.fingers]
         owners: dict[str, set[int]] = {}
         for index, finger in enumerate(hand.fingers):
@@ -49,11 +43,7 @@ class FingerForces:
                 self._belongs[index, row] = link == tip or (row >= self._tips and alone)
 
     def read(self, data: mujoco.MjData) -> FloatArray:
-        """Return the sum of the forces on the links of each finger ``(fingers,)`` [N].
-
-        Args:
-            data: The state of the model.
-        """
+        """Return the sum of the forces on the links of each finger ``(fingers,)`` [N]."""
         felt = self._felt(data) if data.ncon else []
         sizes = np.zeros(self._rows)
         if felt:

@@ -17,13 +17,7 @@ from rtee.drivers.mujoco.contacts import (
     make_pair_hard,
     time_step,
 )
-from rtee.drivers.mujoco.couplings import (
-    add_couplings,
-    add_locks,
-    motor_joint,
-    on_spring,
-    reach,
-)
+from rtee.drivers.mujoco.couplings import add_couplings, add_locks, motor_joint, on_spring, reach
 from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.pairs import LINK, leave_pairs_out, pair_friction, rest_position
 from rtee.drivers.mujoco.servos import PRISMATIC, Servo, add_motor, servo_of
@@ -128,14 +122,9 @@ def add_shape(
     name: str,
     triangles: Callable[[], tuple[FloatArray, np.ndarray[tuple[int, int], np.dtype[np.int64]]]],
 ) -> mujoco.MjsGeom:
-    """Add a shape of a link to its body.
+    """Add a shape of a link to its body, by a name.
 
-    Args:
-        spec: The model.
-        body: The link's body.
-        shape: The shape.
-        name: Its name in the model.
-        triangles: Gives the vertices and faces of a mesh in the link's frame.
+    ``triangles`` gives the vertices and faces of a mesh in the link's frame.
     """
     geom = body.add_geom(name=name, pos=shape.xyz, quat=quaternion(shape.rpy))
     match shape.kind:
@@ -221,11 +210,9 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
 
 
 def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeom]) -> bool:
-    """Give a body the mass of its link and how that is distributed.
+    """Give a body the mass of its link, distributed as in the URDF; return whether that can be.
 
-    Returns:
-        Whether the distribution is that of the URDF; where that is missing, or no rigid body can
-        have it, it follows from the shapes.
+    Where that is missing, or no rigid body can have it, it follows from the shapes.
     """
     given = link.inertia
     if given is not None:
@@ -317,13 +304,7 @@ def _add_links(
 
 
 def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData) -> None:
-    """Make the springs of passive joints strong enough for the weight of their links.
-
-    Args:
-        spec: The model.
-        hand: The hand.
-        data: It at rest.
-    """
+    """Make the springs of passive joints strong enough for the weight of their links at rest."""
     model = data.model
     gravity = float(np.linalg.norm(model.opt.gravity))
     for joint in hand.joints:
@@ -347,12 +328,7 @@ def _hold_passive_joints_up(spec: mujoco.MjSpec, hand: Hand, data: mujoco.MjData
 def compiled(
     spec: mujoco.MjSpec, hand: Hand, object_file: tuple[str, Path] | None = None
 ) -> mujoco.MjModel:
-    """Compile a model.
-
-    Args:
-        spec: The model.
-        hand: The hand in it.
-        object_file: Name in the model and file of the object's mesh, if it has one.
+    """Compile the model of a hand, and of an object with a mesh of a name in the model from a file.
 
     Raises:
         ModelError: if MuJoCo refuses it, with what it says: of a mesh without volume, for example.
@@ -371,13 +347,7 @@ def compiled(
 
 
 def copied(built: Built, hand: Hand, friction: float | None) -> Built:
-    """Return a copy of a hand's model, with another friction.
-
-    Args:
-        built: The model.
-        hand: The hand.
-        friction: As in the options; ``None``: what is usual.
-    """
+    """Return a copy of a hand's model, with another friction, as in the options."""
     spec = built.spec.copy()
     tips = {finger.tip for finger in hand.fingers}
     for link in hand.urdf.links:

@@ -40,16 +40,15 @@ def add_object(
     mass: float,
     pose: FloatArray,
 ) -> mujoco.MjsBody:
-    """Add a free object to a model; the friction of a pair is that of what touches the object.
+    """Add a free object to a model and return its body.
+
+    The friction of a pair is that of what touches the object.
 
     Args:
         spec: The model.
         shape: What it looks like.
         mass: Its mass [kg].
         pose: Where it is ``(4, 4)``, in the world's frame.
-
-    Returns:
-        Its body.
     """
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())

@@ -31,11 +31,8 @@ def leave_pairs_out(
         resting: It at rest, with the contacts of all pairs of links.
         touch: Says whether two links touch at rest on their exact geometry.
 
-    Returns:
-        What was left out for contact at rest, one sentence each.
-
-    Raises:
-        ModelError: if links of two fingers are deep inside each other at rest.
+    Returns what was left out for contact at rest, one sentence each. Raises `ModelError` if links
+    of two fingers are deep inside each other at rest.
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
     left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}
@@ -121,13 +118,10 @@ def _exclude_touching_at_rest(
     touch: Callable[[str, str], bool],
     left_out: set[frozenset[str]],
 ) -> list[str]:
-    """Exclude pairs that touch at rest, as the extraction does.
+    """Exclude pairs that touch at rest, as the extraction does; raises `ModelError`.
 
     MuJoCo takes the convex hulls of meshes. Where only the hulls touch at rest and not the links,
     the pair is excluded too, and noted.
-
-    Raises:
-        ModelError: if links of two fingers are deep inside each other at rest.
     """
     model = data.model
     finger = _finger_of(hand)
@@ -174,10 +168,7 @@ def rest_position(
 ) -> FloatArray:
     """Return generalised positions ``(nq,)`` with all but the hand as modelled.
 
-    Args:
-        model: The model.
-        hand: The hand.
-        posture: Its actuator positions ``(n,)`` [rad | m]; at rest unless given.
+    The hand is at actuator positions ``(n,)`` [rad | m], at rest unless given.
     """
     u = hand.rest if posture is None else posture
     position = model.qpos0.copy()

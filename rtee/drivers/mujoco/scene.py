@@ -153,10 +153,7 @@ def add_table(spec: mujoco.MjSpec, height: float) -> None:
 def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float]) -> None:
     """Add a container, open at the top, on a table.
 
-    Args:
-        spec: The scene.
-        height: Of the table's top [m].
-        middle: Of the container, x and y in the world [m].
+    The table's top is at a height [m], the container's middle at x and y in the world [m].
     """
     half = 0.5 * np.array(CONTAINER_SIZE)
     thin = 0.5 * _WALL
@@ -193,11 +190,8 @@ def _clear_of_palm(
         place: The pose ``(4, 4)`` of the object in the hand's base frame.
         mount: The pose ``(4, 4)`` of that frame in the world.
 
-    Returns:
-        The first such place along the hand's reach; the same place where there is none near.
-
-    Raises:
-        ConfigError: if the object's mesh cannot be used.
+    Returns the first such place along the hand's reach, or the same where there is none near;
+    raises `ConfigError` if the object's mesh cannot be used.
     """
     probe = spec.copy()
     add_object(probe, shape, mass=1.0, pose=mount @ place)

@@ -108,12 +108,8 @@ def describe(
 ) -> ObjectDescription | None:
     """Return what the object of a model looks like; ``None`` if it has none.
 
-    Parts that move, such as a drill's trigger, are where they are now.
-
-    Args:
-        model: The compiled model.
-        data: A state of it, with its poses computed.
-        options: How it is simulated.
+    Parts that move, such as a drill's trigger, are where they are in the state, whose poses have
+    been computed.
     """
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
     if body < 0:

@@ -37,6 +37,9 @@ class Simulation:
         notes: What was assumed about the hand, one sentence each.
         object_description: What the object looks like, if there is one.
         taxels: The touch sensors.
+
+    Args:
+        period: Time one `advance` takes [s].
     """
 
     def __init__(
@@ -49,17 +52,6 @@ class Simulation:
         servos: Mapping[str, Servo],
         notes: Sequence[str] = (),
     ) -> None:
-        """Start at rest.
-
-        Args:
-            model: The compiled model.
-            hand: The hand in it.
-            options: How it is simulated.
-            actuators: The actuators that are read and commanded, in order.
-            period: Time one `advance` takes [s].
-            servos: The motors of its actuators.
-            notes: What was assumed about the hand.
-        """
         # Else MuJoCo writes what it notices to a file in the present folder.
         mujoco.set_mju_user_warning(log.warning)
         self.model = model
@@ -264,11 +256,9 @@ class Simulation:
         self.model.actuator_biasprm[self._motor] = on * self._bias
 
     def set_gain(self, name: str, value: float) -> None:
-        """Set one gain: ``kp.ACTUATOR`` [N·m/rad], ``ki.…`` [N·m/(rad·s)] or ``kd.…`` [N·m·s/rad].
+        """Set a gain: ``kp.ACTUATOR`` [N·m/rad], ``ki.…`` [N·m/(rad·s)] or ``kd.…`` [N·m·s/rad].
 
-        Raises:
-            KeyError: if there is no such gain.
-            ValueError: if the value is negative or not finite.
+        Raises `KeyError` for an unknown one, `ValueError` for a negative or infinite value.
         """
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f"gain '{name}' must be zero or more, not {value:g}")

@@ -46,13 +46,6 @@ class Surroundings:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions) -> None:
-        """Look at a model that is going to run.
-
-        Args:
-            model: The compiled model.
-            data: Its state.
-            options: How it is simulated.
-        """
         self._model, self._data = model, data
         self._support = options.support
         self._carrier = int(model.body(CARRIER).id)
@@ -113,11 +106,7 @@ class Surroundings:
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
 
     def watch(self, time: float) -> None:
-        """Let go of a held object that two links have touched for a while.
-
-        Args:
-            time: Simulated time [s].
-        """
+        """Let go of a held object that two links have touched for a while; simulated time [s]."""
         elapsed, self._last = time - self._last, time
         if self.unsupported or self._support == "floating":
             return
@@ -168,11 +157,10 @@ class Surroundings:
         return touching
 
     def depth_at(self, data: mujoco.MjData, pose: FloatArray) -> float:
-        """Return how deep a link would be inside the object [m]; 0 when none touches it.
+        """Return how deep a link would be inside the object at a pose ``(4, 4)`` in the world [m].
 
-        Args:
-            data: A state of the hand, changed by this call; the running one stays as it is.
-            pose: Pose of the object in the world ``(4, 4)``.
+        It is 0 when none touches it. ``data`` is a state of the hand, changed by this call; the
+        running one stays as it is.
         """
         data.qpos[self._qpos : self._qpos + 7] = pose_vector(pose)
         mujoco.mj_kinematics(self._model, data)
@@ -204,13 +192,6 @@ class Surroundings:
         """Position of the object's origin in the hand's base frame ``(3,)`` [m]."""
         turn = self._data.xmat[self._carrier].reshape(3, 3)
         return np.asarray(turn.T @ (self.pose[:3] - self._data.xpos[self._carrier]))
-
-    def turned_in_hand(self, place: FloatArray) -> float:
-        """Return the angle [rad] between the object and a pose ``(4, 4)`` in the base frame."""
-        now = np.zeros(9)
-        mujoco.mju_quat2Mat(now, self.pose[3:])
-        turn = self.base_pose[:3, :3].T @ now.reshape(3, 3) @ place[:3, :3].T
-        return float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
 
     @property
     def base_pose(self) -> FloatArray:

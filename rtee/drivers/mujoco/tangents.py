@@ -94,11 +94,7 @@ class _Tangents:
             self._curves.append((motor, _Curves(list(own))))
 
     def at(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return offsets and slopes ``(k,)``.
-
-        Args:
-            position: Generalised positions of the model ``(nq,)``.
-        """
+        """Return offsets and slopes ``(k,)`` at generalised positions ``(nq,)``."""
         offsets: list[float] = []
         slopes: list[float] = []
         for motor, curves in self._curves:
@@ -110,12 +106,6 @@ class Couplings:
     """Keeps the couplings of a running model along the transmission's curves."""
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
-        """Look the couplings of a compiled model up.
-
-        Args:
-            model: The compiled model.
-            hand: The hand in it.
-        """
         # Sorted by their actuators, so that each position is looked up once.
         every = sorted(followers(hand), key=lambda f: hand.actuator_index(f.actuator.name))
         springs = [f for f in every if f.elastic]
@@ -147,11 +137,7 @@ class Couplings:
         self._lengthspring = model.tendon_lengthspring
 
     def renew(self, position: FloatArray) -> None:
-        """Set every coupling to the tangent of its curve.
-
-        Args:
-            position: Generalised positions of the model ``(nq,)``.
-        """
+        """Set every coupling to the tangent of its curve at generalised positions ``(nq,)``."""
         if self._curved is not None:
             offsets, slopes = self._curved.at(position)
             self._eq_data[self._equalities, 0] = offsets

@@ -53,13 +53,6 @@ class Taxels:
     """
 
     def __init__(self, model: mujoco.MjModel, hand: Hand, options: SimOptions) -> None:
-        """Find out where the taxels are.
-
-        Args:
-            model: The compiled model.
-            hand: The hand in it.
-            options: Which sensors there are.
-        """
         self.sensors = _sensors(model, hand, options.touch)
         self._body = [int(model.body(LINK + sensor.link).id) for sensor in self.sensors]
         self._bodies = np.array(sorted(set(self._body)), dtype=np.intp)
@@ -67,11 +60,7 @@ class Taxels:
         self._of_geom = np.array(model.geom_bodyid, dtype=np.intp)
 
     def read(self, data: mujoco.MjData) -> FloatArray:
-        """Return the normal forces on all taxels ``(n,)`` [N].
-
-        Args:
-            data: The state of the model.
-        """
+        """Return the normal forces on all taxels ``(n,)`` [N]."""
         values = [np.zeros(sensor.taxels) for sensor in self.sensors]
         if data.ncon:
             contact = data.contact
@@ -95,15 +84,9 @@ class Taxels:
         normal: FloatArray,
         force: float,
     ) -> None:
-        """Share the force of a contact among the taxels of the links that it presses on.
+        """Add the force of a contact [N] to the values of the taxels on which it presses [N].
 
-        Args:
-            data: The state of the model.
-            values: The forces of the taxels by sensor, to which it is added [N].
-            bodies: The two bodies.
-            point: Where it is in the world [m].
-            normal: From the first body to the second, in the world.
-            force: How hard it presses [N].
+        It acts at a point in the world [m], along the normal from the first to the second body.
         """
         for number, sensor in enumerate(self.sensors):
             body = self._body[number]
@@ -161,17 +144,10 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
 
 
 def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
-    """Return in which direction a fingertip moves when the finger bends, in the tip's frame.
+    """Return the direction in which a fingertip moves when its finger bends, in the tip's frame.
 
-    That is what its pad faces, half-way to where its actuators are farthest from rest.
-
-    Args:
-        hand: The hand.
-        finger: The finger, with a tip.
-        middle: Middle of the tip in its frame ``(3,)`` [m].
-
-    Returns:
-        A unit vector ``(3,)``.
+    That is what its pad faces, half-way to where its actuators are farthest from rest: a unit
+    vector ``(3,)``, given the middle of the tip in its frame ``(3,)`` [m].
     """
     assert finger.tip is not None  # noqa: S101 - narrows the type
     sideways = abduction(hand, finger)
@@ -194,11 +170,8 @@ def _on_pad(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where the taxels of a grid on a fingertip are, and the normals, ``(n, 3)`` each.
 
-    Args:
-        corners: The tip's surface as triangles ``(t, 3, 3)`` in its frame [m].
-        hand: The hand.
-        finger: The finger.
-        grid: Rows along the pad's longer side, columns along the other.
+    The tip's surface is given as triangles ``(t, 3, 3)`` in its frame [m], the grid as rows along
+    the pad's longer side and columns along the other.
     """
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     facing = pad_direction(hand, finger, 0.5 * (low + high))
@@ -268,12 +241,7 @@ def _first_hit(
 
 
 def _surface_of(model: mujoco.MjModel, body: str) -> FloatArray:
-    """Return the shapes of a body as triangles ``(t, 3, 3)`` [m] in the body's frame.
-
-    Args:
-        model: The compiled model.
-        body: The body's name.
-    """
+    """Return the shapes of a body as triangles ``(t, 3, 3)`` [m] in the body's frame."""
     number = int(model.body(body).id)
     triangles = [np.zeros((0, 3, 3))]
     for geom in np.flatnonzero(model.geom_bodyid == number).tolist():

@@ -78,11 +78,7 @@ class Command:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from four registers.
-
-        Raises:
-            FrameError: if grip type or control has no such value.
-        """
+        """Read it from four registers; raises `FrameError` for unknown values."""
         try:
             return cls(registers[0], registers[1], GripType(registers[2]), Control(registers[3]))
         except ValueError as error:
@@ -118,11 +114,7 @@ class Status:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from four registers.
-
-        Raises:
-            FrameError: if reserved bits are set.
-        """
+        """Read it from four registers; raises `FrameError` if reserved bits are set."""
         bits, raw, offset, force = registers[:4]
         if bits & _RESERVED:
             raise FrameError(bus, f"no status of a 3FG: {bits:#06x}", bits.to_bytes(2, "big"))
@@ -208,8 +200,6 @@ class Scale:
     Args:
         lower: Position of the actuator at the largest diameter [rad].
         upper: Position of the actuator at the smallest diameter [rad].
-        largest: Largest raw diameter [m].
-        smallest: Smallest raw diameter [m].
         force: Largest force [N].
 
     Attributes:

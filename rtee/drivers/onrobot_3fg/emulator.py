@@ -12,7 +12,7 @@ from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_VALUE, Refused
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_3fg.codec import Control, Fingers, GripType, Status
 from rtee.drivers.onrobot_common import PRODUCT
@@ -136,13 +136,6 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         opened, closed = self._ends
         tips = 2.0 * self.fingers.offset * (1.0 if self.properties.grip == "external" else -1.0)
         return (width + tips - opened) / (closed - opened)
-
-    def grip_object(self, diameter: float = 0.08, force: int = 500, stiffness: float = 4e4) -> None:
-        """Grip an object of a diameter, as if another program had done so before."""
-        self.axis.obstacle = VirtualObject(diameter, stiffness, closing=-1.0)
-        self._targets = [force, round(self.properties.smallest * 1e4), 0, Control.GRIP]
-        self._start(Control.GRIP)
-        self._settle()
 
     # --- registers -------------------------------------------------------------------------------
 

@@ -120,11 +120,7 @@ class Command:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read a command from three registers.
-
-        Raises:
-            FrameError: if the third register has an unknown value.
-        """
+        """Read a command from three registers; raises `FrameError` if the third is unknown."""
         try:
             return cls(registers[0], registers[1], Control(registers[2]))
         except ValueError as error:
@@ -161,11 +157,7 @@ class Status:
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read a state from two registers.
-
-        Raises:
-            FrameError: if bits without a meaning are set.
-        """
+        """Read a state from two registers; raises `FrameError` if reserved bits are set."""
         width, bits = registers[:2]
         # Set reserved bits mean that these are not the registers of an RG.
         if bits & _RESERVED:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self
 
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing
 from rtee.drivers.onrobot_common import PRODUCT, PRODUCTS, TARGETS, TENTH_MM, signed
 from rtee.drivers.onrobot_emulator import (
@@ -150,20 +150,6 @@ class OnRobotRGEmulator(OnRobotEmulator):
             return -1.0
         angle = self.model.angle(width + 2.0 * self.properties.fingertip)
         return (angle - self._opened) / (self._closed - self._opened)
-
-    def grip_object(self, width: float = 0.06, force: int = 200, stiffness: float = 1e4) -> None:
-        """Grip an object, as if another program had done so before.
-
-        Args:
-            width: Width of the object [m].
-            force: Value of the force register [0.1 N].
-            stiffness: Stiffness of the object [N/rad of the links].
-        """
-        angle = self.model.angle(width + 2.0 * self.properties.fingertip)
-        self.axis.obstacle = VirtualObject(angle, stiffness, closing=-1.0)
-        self._targets = [force, 0, Control.GRIP]
-        self._start(0.0)
-        self._settle()
 
     def on_faults(self) -> None:
         """Push the safety switches and block the motor, according to the faults."""

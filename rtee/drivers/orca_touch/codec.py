@@ -258,11 +258,7 @@ class AnswerParser(FramedParser[Answer]):
 
 
 def connected(data: bytes) -> tuple[str, ...]:
-    """Return the fingers whose tips are connected.
-
-    Raises:
-        OrcaFrameError: if it has another length, or names slots that do not exist.
-    """
+    """Return the fingers whose tips are connected; raises `OrcaFrameError` for unknown slots."""
     known = bytearray(CONNECTED_SIZE)
     for byte, bit in _SLOTS.values():
         known[byte] |= 1 << bit
@@ -297,12 +293,7 @@ def counts_bytes(counts: Mapping[str, int]) -> bytes:
 
 
 def data_size(content: Content, counts: Sequence[int]) -> int:
-    """Return the bytes of data of a frame.
-
-    Args:
-        content: What is in it.
-        counts: Taxels of each connected finger.
-    """
+    """Return the bytes of data of a frame with a content, of fingers with so many taxels."""
     resultants = _RESULTANT * len(counts) if content & Content.RESULTANTS else 0
     return resultants + (_TAXEL * sum(counts) if content & Content.TAXELS else 0)
 
@@ -322,15 +313,9 @@ class Forces:
 
     @classmethod
     def from_bytes(cls, data: bytes, content: Content, counts: Sequence[int]) -> Self:
-        """Read the data of a frame.
+        """Read the data of a frame with a content, of fingers with so many taxels.
 
-        Args:
-            data: The data.
-            content: What is in it.
-            counts: Taxels of each connected finger.
-
-        Raises:
-            OrcaFrameError: if it has another length.
+        Raises `OrcaFrameError` if it has another length.
         """
         if len(data) != data_size(content, counts):
             raise OrcaFrameError(f"{len(data)} bytes are not the data of {len(counts)} fingertips")

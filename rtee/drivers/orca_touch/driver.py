@@ -35,13 +35,7 @@ from rtee.drivers.orca_touch.codec import (
     Request,
     Stream,
 )
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-)
+from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError, NotConnected
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -227,11 +221,7 @@ class OrcaTouchDriver(Driver):
     # --- every cycle -------------------------------------------------------------------------
 
     async def sense(self) -> ActuatorState:
-        """Return the newest reading; starts the stream again where it has stopped.
-
-        Raises:
-            BusTimeout: if it cannot be started.
-        """
+        """Return the newest reading; a stream that has stopped is started again."""
         bus = self.connection.link
         bus.check()
         now = time.monotonic()

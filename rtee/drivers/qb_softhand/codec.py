@@ -79,11 +79,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the frame that ``raw`` holds, complete and without other bytes.
-
-        Raises:
-            QbFrameError: if it is none.
-        """
+        """Return the frame that ``raw`` is, without other bytes; raises `QbFrameError`."""
         if len(raw) < _SHORTEST + OVERHEAD or raw[:2] != HEADER:
             raise QbFrameError("a frame begins with 3A 3A and has at least six bytes")
         if not _SHORTEST <= raw[3] <= LONGEST or len(raw) != raw[3] + OVERHEAD:

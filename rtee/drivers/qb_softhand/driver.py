@@ -214,10 +214,11 @@ class QbSoftHandDriver(Driver):
         end = time.monotonic() + _ACTIVATION
         while not await self._all_active():
             if time.monotonic() > end:
-                raise DeviceFault(
-                    self.spec.name, INACTIVE, "motors inactive", hint="is the supply high enough?"
-                )
+                raise self._inactive("is the supply high enough?")
             await asyncio.sleep(0.01)
+
+    def _inactive(self, hint: str) -> DeviceFault:
+        return DeviceFault(self.spec.name, INACTIVE, "motors inactive", hint=hint)
 
     async def _measured(self) -> tuple[float, ...]:
         least = 1 if self.options.motors == 1 else 3
@@ -257,12 +258,7 @@ class QbSoftHandDriver(Driver):
 
     async def _check(self) -> None:
         if not await self._all_active():
-            raise DeviceFault(
-                self.spec.name,
-                INACTIVE,
-                "motors inactive",
-                hint="was the supply low, or the line silent too long? `rtee recover`",
-            )
+            raise self._inactive("was the supply low, or the line silent too long? `rtee recover`")
 
     async def move(self, reference: Reference) -> None:
         """Send the references of the motors; the hand does not answer."""

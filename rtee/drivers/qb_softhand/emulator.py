@@ -13,7 +13,7 @@ from operator import xor
 from typing import Any, ClassVar, Literal, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, read_properties
 from rtee.drivers.qb_softhand import codec
@@ -147,11 +147,6 @@ class QbSoftHandEmulator(Emulator, Grasps):
         """Return how the motors close the fingers."""
         made = self.options
         return [Closing(axis, 0.0, made.limit, made.current_limit_ma) for axis in self.axes]
-
-    def grip_object(self, closure: float, stiffness: float = 1.0) -> None:
-        """Put an object between the fingers, met at a closure; stiffness in mA per tick."""
-        for axis in self.axes:
-            axis.obstacle = VirtualObject(closure * self.options.limit, stiffness)
 
     def _activate(self, mask: int) -> None:
         for index, axis in enumerate(self.axes):

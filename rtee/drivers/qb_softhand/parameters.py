@@ -54,19 +54,12 @@ class Parameter:
         form = _FORMS[self.kind]
         values = [v if form in "fd" else int(v) for v in self.values]
         body = struct.pack(f">{len(values)}{form}", *values)
-        slot = bytes([self.kind, len(values)]) + body
-        return slot.ljust(SLOT, b"\x00")[:SLOT] if not self.label else self._labelled(slot)
-
-    def _labelled(self, slot: bytes) -> bytes:
-        return (slot + self.label.encode("ascii", "replace")).ljust(SLOT, b"\x00")[:SLOT]
+        slot = bytes([self.kind, len(values)]) + body + self.label.encode("ascii", "replace")
+        return slot.ljust(SLOT, b"\x00")[:SLOT]
 
     @classmethod
     def from_bytes(cls, slot: bytes) -> Self:
-        """Read a slot.
-
-        Raises:
-            QbFrameError: if it is not a slot.
-        """
+        """Read a slot; raises `QbFrameError` if it is not a slot."""
         if len(slot) != SLOT or slot[0] not in _FORMS:
             raise QbFrameError("a parameter has fifty bytes and begins with its type")
         form = f">{slot[1]}{_FORMS[slot[0]]}"
@@ -92,11 +85,6 @@ class ListParser:
         self._device = device
         self._buffer = bytearray()
         self.errors = 0
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept because the list may still be completed."""
-        return len(self._buffer)
 
     def reset(self) -> None:
         """Forget what has come in."""

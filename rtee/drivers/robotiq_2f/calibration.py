@@ -33,11 +33,7 @@ class EndStops:
 
 
 def checked(stops: EndStops, device: str) -> EndStops:
-    """Return a calibration unchanged.
-
-    Raises:
-        CalibrationError: if the gripper cannot have moved over its whole range.
-    """
+    """Return a calibration; raises `CalibrationError` if it does not cover the whole range."""
     travel = stops.closed_count - stops.open_count
     if travel < _LEAST_RANGE:
         raise CalibrationError(
@@ -49,11 +45,7 @@ def checked(stops: EndStops, device: str) -> EndStops:
 
 
 def read_end_stops(path: Path, device: str, model: str, unit: int) -> EndStops:
-    """Return the stored calibration of a gripper.
-
-    Raises:
-        CalibrationError: if it is missing, of another gripper, or no calibration.
-    """
+    """Return the stored calibration of a gripper; raises `CalibrationError`."""
     stops = read_calibration_file(path, device, lambda stored: EndStops(**stored))
     if (stops.model, stops.unit) != (model, unit):
         raise CalibrationError(

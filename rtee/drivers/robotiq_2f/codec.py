@@ -148,11 +148,7 @@ class Status(RobotiqStatus):
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from three registers.
-
-        Raises:
-            FrameError: if bits are set that this gripper always leaves clear.
-        """
+        """Read it from three registers; raises `FrameError` for bits that are always clear."""
         state = registers[0] >> 8
         if registers[0] & 0xFF or state & 0x06:
             raw = b"".join(r.to_bytes(2, "big") for r in registers)
@@ -181,8 +177,6 @@ class Scale:
         model: The gripper.
         opened: Position of the actuator when fully open [rad | m].
         closed: Position of the actuator when fully closed [rad | m].
-        open_count: gPO when fully open.
-        closed_count: gPO when fully closed.
 
     Attributes:
         open_count: gPO when fully open.

@@ -14,21 +14,8 @@ from rtee.capabilities import GripForce
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
-from rtee.drivers.robotiq_2f.calibration import (
-    EndStops,
-    checked,
-    read_end_stops,
-    write_end_stops,
-)
-from rtee.drivers.robotiq_2f.codec import (
-    COUNT,
-    FAULTS,
-    MODELS,
-    Command,
-    Grasp,
-    Scale,
-    Status,
-)
+from rtee.drivers.robotiq_2f.calibration import EndStops, checked, read_end_stops, write_end_stops
+from rtee.drivers.robotiq_2f.codec import COUNT, FAULTS, MODELS, Command, Grasp, Scale, Status
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.wiring import only_actuator
@@ -221,15 +208,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     ) -> EndStops:
         """Close and open the gripper fully, gently, and store the counts where it ends.
 
-        Args:
-            path: File to write.
-            rest: Not needed here.
-            ready: Called with an instruction for the user; returns when the user has followed it.
-
-        Raises:
-            BusError: if the line fails.
-            CalibrationError: if the fingers did not go all the way.
-            ConfigError: if the file cannot be written.
+        Arguments and errors as for `Calibrates.calibrate`; the rest posture is not needed.
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
         self.connection.link.deadline = PATIENT

@@ -109,10 +109,6 @@ class Robotiq2FEmulator(RobotiqEmulator):
         """Return how far the fingers are closed at a width [m]."""
         return 1.0 - width / self.model.stroke
 
-    def grip_object(self, count: int = 180, stiffness: float = 20.0, force: int = 128) -> None:
-        """Close on an object met at ``count``, as if another program had gripped it before."""
-        super().grip_object(count, stiffness, force)
-
     # --- registers ---------------------------------------------------------------------------
 
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
@@ -136,9 +132,6 @@ class Robotiq2FEmulator(RobotiqEmulator):
 
     def _command(self) -> Command:
         return Command.from_registers(self.output)
-
-    def _closing(self, force: int) -> Command:
-        return Command(activate=True, go=True, position=255, speed=255, force=force)
 
     def _staying(self) -> Command:
         here = round(self.axis.position)

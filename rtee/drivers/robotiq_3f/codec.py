@@ -153,13 +153,8 @@ class Status(RobotiqStatus):
 
     def to_registers(self) -> tuple[int, ...]:
         """Return the eight registers."""
-        state = (
-            self.activated
-            | self.mode << 1
-            | self.going << 3
-            | self.progress << 4
-            | self.motion << 6
-        )
+        state = self.activated | self.mode << 1 | self.going << 3
+        state |= self.progress << 4 | self.motion << 6
         contacts = sum(axis.contact << 2 * i for i, axis in enumerate(self.axes))
         data = [state, contacts, self.fault]
         for axis in self.axes:
@@ -168,11 +163,7 @@ class Status(RobotiqStatus):
 
     @classmethod
     def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers.
-
-        Raises:
-            FrameError: if bytes are set that this gripper always leaves clear.
-        """
+        """Read it from eight registers; raises `FrameError` for bits that are always clear."""
         data = _unpacked(registers)
         if data[2] & 0xF0 or data[15]:
             raw = bytes(data)
@@ -208,11 +199,8 @@ class Scale:
     Speed and force are those of the fingertips; at the joint they follow by virtual work from the
     stroke.
 
-    Args:
-        position: The joint's angle [rad] by the counts of gPOx and rPRx.
-
     Attributes:
-        position: The same.
+        position: The joint's angle [rad] by the counts of gPOx and rPRx.
         velocity: rSPx to [rad/s].
         effort: rFRx to [N·m].
     """

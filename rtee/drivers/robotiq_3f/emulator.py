@@ -100,10 +100,6 @@ class Robotiq3FEmulator(RobotiqEmulator):
     def _command(self) -> Command:
         return Command.from_registers(self.output)
 
-    def _closing(self, force: int) -> Command:
-        axes = (Request(255, 255, force), Request(), Request(), Request())
-        return Command(activate=True, go=True, axes=axes)
-
     def _staying(self) -> Command:
         a, b, c, scissor = (Request(round(axis.position), 255, 255) for axis in self.axes)
         return Command(activate=True, go=True, axes=(a, b, c, scissor))

@@ -38,8 +38,7 @@ class Robotiq3FOptions(RobotiqOptions):
 def roles_of(spec: DeviceSpec, options: Robotiq3FOptions) -> tuple[Role, ...]:
     """Return what each actuator drives: as configured, else guessed from the names.
 
-    Raises:
-        ConfigError: if two actuators drive the same motor, or a name is none of the device's.
+    Raises `ConfigError` if two drive the same motor, or a name is none of the device's.
     """
     names = [actuator.name for actuator in spec.actuators]
     key = f"devices.{spec.name}.options.roles"

@@ -225,11 +225,7 @@ class Input:
 
     @classmethod
     def from_registers(cls, words: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers.
-
-        Raises:
-            FrameError: if they are not an image of such a gripper.
-        """
+        """Read it from eight registers; raises `FrameError` for another number of them."""
         data = data_of(words)
         if len(data) != _INPUT.size:
             raise FrameError(bus, f"{len(data)} bytes are not an image of an EGU or EGK", data)

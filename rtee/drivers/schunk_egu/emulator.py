@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, ILLEGAL_VALUE, ModbusEmulator, Refused
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.schunk_egu.codec import (
@@ -158,23 +158,6 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     def closure_at(self, width: float) -> float:
         """Return how far the fingers are closed at a width [m]; each moves by half of it."""
         return 1.0 - 1e3 * width / 2.0 / self.properties.stroke
-
-    def grip_object(self, position: float = 15.0, stiffness: float = 200.0) -> None:
-        """Grip an object, as if another program had done so before.
-
-        Args:
-            position: Position of a finger when it meets the object [mm].
-            stiffness: Stiffness of the object [N/mm].
-        """
-        self._start(True)
-        # At least 5 mm open, so that the fingers close on the object.
-        self.axis.position = max(self.axis.position, position + 5.0)
-        self.axis.obstacle = VirtualObject(position, stiffness, closing=-1.0)
-        self._obey(Output(Control.RUN | Control.GRIP, force=50))
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance_by(0.1)
-        self.moves = 0
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck; an error stops it."""

@@ -153,11 +153,7 @@ def current_settings(channel: int) -> CurrentSettings:
 
 
 def channel_of(actuator: str) -> int:
-    """Return the channel whose name is an actuator's name after any prefix.
-
-    Raises:
-        KeyError: if the actuator's name ends with no channel's name.
-    """
+    """Return the channel whose name ends an actuator's name; raises `KeyError`."""
     for channel in CHANNELS:
         if actuator == channel.name or actuator.endswith(f"_{channel.name}"):
             return channel.index

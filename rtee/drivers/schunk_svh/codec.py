@@ -82,11 +82,7 @@ class Packet:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Return the packet that ``raw`` holds, complete and without other bytes.
-
-        Raises:
-            SvhFrameError: if it is none.
-        """
+        """Return the packet that ``raw`` is, without other bytes; raises `SvhFrameError`."""
         if len(raw) < _OVERHEAD:
             raise SvhFrameError(f"{len(raw)} bytes are too few for a packet")
         sync, index, address, length = _HEADER.unpack_from(raw)
@@ -125,7 +121,6 @@ class Parser(FramedParser[Packet]):
 _FEEDBACK = struct.Struct("<ih")
 _FEEDBACK_ALL = struct.Struct("<9i9h")
 _TARGETS = struct.Struct("<9i")
-_STATE = struct.Struct("<6H")
 _ENCODERS = struct.Struct("<9I")
 _FIRMWARE = struct.Struct("<4sHH48s")
 
@@ -179,10 +174,11 @@ class FeedbackAll:
         )
 
 
-class Settings:
-    """Base class of the ten settings of a controller, the fields of a dataclass in their order.
+class Fields:
+    """Base class of data that are the fields of a dataclass in their order.
 
     Attributes:
+        FORM: Their layout; by default that of the ten settings of a controller.
         WHAT: Their name in messages.
     """
 
@@ -193,16 +189,16 @@ class Settings:
 
     @classmethod
     def from_bytes(cls, packet: Packet) -> Self:
-        """Read the settings from an answer; raises `SvhFrameError`."""
+        """Read them from an answer; raises `SvhFrameError`."""
         return cls(*_unpack(cls.FORM, packet, cls.WHAT))
 
     def to_bytes(self) -> bytes:
-        """Return the data of the settings."""
+        """Return their bytes."""
         return self.FORM.pack(*astuple(self))  # type: ignore[call-overload]
 
 
 @dataclass(frozen=True, slots=True)
-class PositionSettings(Settings):
+class PositionSettings(Fields):
     """The position controller of one channel.
 
     Attributes:
@@ -233,7 +229,7 @@ class PositionSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentSettings(Settings):
+class CurrentSettings(Fields):
     """The current controller of one channel.
 
     Attributes:
@@ -264,7 +260,7 @@ class CurrentSettings(Settings):
 
 
 @dataclass(frozen=True, slots=True)
-class ControllerState:
+class ControllerState(Fields):
     """Power stages and controllers of the whole hand.
 
     Attributes:
@@ -276,6 +272,8 @@ class ControllerState:
         current_control: 1 if the current controllers run.
     """
 
+    FORM: ClassVar[struct.Struct] = struct.Struct("<6H")
+    WHAT = "the controller state"
     CLEAR: ClassVar[int] = 0x1F  # clears all latched bits
     SUPPLY: ClassVar[int] = 0x0200  # bit of the 12 V supply in both PWM words
 
@@ -290,18 +288,6 @@ class ControllerState:
     def enabled(self) -> int:
         """Bit mask of the channels that are powered."""
         return self.pwm_reset & self.pwm_active & 0x1FF
-
-    @classmethod
-    def from_bytes(cls, packet: Packet) -> Self:
-        """Read the state from an answer; raises `SvhFrameError`."""
-        return cls(*_unpack(_STATE, packet, "the controller state"))
-
-    def to_bytes(self) -> bytes:
-        """Return the data of the state."""
-        return _STATE.pack(
-            self.pwm_fault, self.pwm_otw, self.pwm_reset, self.pwm_active,
-            self.position_control, self.current_control,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,14 +31,7 @@ from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.drivers.schunk_svh.scales import Scales
-from rtee.errors import (
-    BusTimeout,
-    DeviceFault,
-    FrameError,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-)
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -180,9 +173,7 @@ class SchunkSvhDriver(Driver):
     async def home(self) -> None:
         """Find the stops of all channels, one after the other; this moves the fingers.
 
-        Raises:
-            DeviceFault: if a channel does not find its stop.
-            BusError: if an exchange fails.
+        Raises `DeviceFault` if a channel does not find its stop, and `BusError`.
         """
         self._answer = None
         self._health.off()

@@ -13,15 +13,11 @@ from dataclasses import astuple, dataclass, replace
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Duplex, Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.schunk_svh import codec
-from rtee.drivers.schunk_svh.channels import (
-    channels_for,
-    current_settings,
-    position_settings,
-)
+from rtee.drivers.schunk_svh.channels import channels_for, current_settings, position_settings
 from rtee.drivers.schunk_svh.codec import Command, ControllerState, Packet, Parser, SvhFrameError
 
 _ASIDE = ("Thumb_Opposition", "Finger_Spread")  # channels that do not close on an object
@@ -185,13 +181,6 @@ class SchunkSvhEmulator(Emulator, Grasps):
         """Return the position of a channel at a closure [ticks]."""
         spec = self.table[channel]
         return spec.zero(self.stop_of(channel)) + closure * spec.range / spec.rad_per_tick
-
-    def grip_object(self, channel: int, closure: float, stiffness: float = 0.5) -> None:
-        """Put an object in the way of a channel, met at a closure; stiffness in mA per tick."""
-        spec = self.table[channel]
-        self.channels[channel].axis.obstacle = VirtualObject(
-            self._at(channel, closure), stiffness, -spec.direction
-        )
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; the hand sends nothing without a request."""

@@ -47,13 +47,8 @@ async def home(
 ) -> int:
     """Move a channel slowly to its stop, then off the stop; leave it disabled.
 
-    Returns:
-        The position of the stop [ticks].
-
-    Raises:
-        DeviceFault: if it does not move for ``timeout`` [s] without reaching its stop, or does not
-            come back from it.
-        BusError: if an exchange fails.
+    Returns the position of the stop [ticks]. Raises `DeviceFault` if it does not move for
+    ``timeout`` [s] without reaching its stop, or does not come back from it; and `BusError`.
     """
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
     await link.set_position_settings(channel.index, slow)

@@ -45,16 +45,8 @@ class Limits:
     ) -> None:
         """Read the controllers' settings from the built-in table or from the device.
 
-        Args:
-            link: The hand.
-            name: The device's name.
-            channels: The channels in use.
-            options: Changes to the settings, by the channel's name.
-            device: Whether to read them from the device.
-
-        Raises:
-            HandshakeError: if the device has none.
-            BusError: if an exchange fails.
+        The options change settings by the channel's name. Raises `HandshakeError` if the device has
+        no settings, and `BusError`.
         """
         self._settled = None
         for channel in channels:
@@ -95,11 +87,8 @@ class Limits:
     ) -> set[int]:
         """Send limits that have changed, a few at a time, as each takes an exchange.
 
-        Returns:
-            Channels whose limits are still to be sent; they must not get a new target yet.
-
-        Raises:
-            BusError: if an exchange fails.
+        Returns the channels whose limits are still to be sent, which must not get a new target yet;
+        raises `BusError`.
         """
         # If an exchange below fails, the limits must not count as sent in the next cycle.
         self._settled = None

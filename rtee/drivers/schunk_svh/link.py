@@ -40,11 +40,7 @@ class SvhLink:
     def exchange(
         self, command: Command, channel: int = 0, data: bytes = b""
     ) -> Coroutine[Any, Any, Packet]:
-        """Send one packet and return the reply, when awaited.
-
-        Raises:
-            BusError: if the exchange fails.
-        """
+        """Send one packet and return the reply, when awaited; raises `BusError`."""
         # 0 to 254, as the vendor's library counts.
         self._index = (self._index + 1) % 255
         request = Packet(command, channel, data, self._index)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from rtee.drivers.schunk_svh.channels import HOMING_ORDER, Channel
 from rtee.drivers.schunk_svh.codec import ControllerState
@@ -33,29 +33,17 @@ async def disable(link: SvhLink) -> None:
     await link.set_state(ControllerState(_CLEAR, _CLEAR))
 
 
-async def enable(link: SvhLink, channels: Sequence[int], *, already: int = 0) -> ControllerState:
-    """Enable channels one after the other, and return the hand's state.
-
-    Args:
-        link: The hand.
-        channels: The channels, in any order.
-        already: Mask of the channels that are enabled and stay so.
-    """
+async def enable(link: SvhLink, channels: Collection[int]) -> ControllerState:
+    """Enable channels one after the other, and return the hand's state."""
     # The vendor's steps: clear the latches, switch the 12 V on, start the controllers.
-    if not already:
-        await link.set_state(ControllerState(_CLEAR, _CLEAR))
+    for step in ((), (_SUPPLY, _SUPPLY), (_SUPPLY, _SUPPLY, 1, 1)):
+        await link.set_state(ControllerState(_CLEAR, _CLEAR, *step))
         await asyncio.sleep(_SETTLING)
-        await link.set_state(ControllerState(_CLEAR, _CLEAR, _SUPPLY, _SUPPLY))
-        await asyncio.sleep(_SETTLING)
-        await link.set_state(ControllerState(_CLEAR, _CLEAR, _SUPPLY, _SUPPLY, 1, 1))
-        await asyncio.sleep(_SETTLING)
-    mask = already
-    state = ControllerState()
+    on, state = _SUPPLY, ControllerState()
     for channel in HOMING_ORDER:
         if channel in channels:
             # One at a time, in the order that keeps fingers from colliding.
-            mask |= 1 << channel
-            on = _SUPPLY | mask
+            on |= 1 << channel
             state = await link.set_state(ControllerState(_CLEAR, _CLEAR, on, on, 1, 1))
     return state if state.enabled else await link.state()
 

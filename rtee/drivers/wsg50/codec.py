@@ -7,6 +7,7 @@ frames. Numbers are little-endian, lengths in mm, forces in N.
 from __future__ import annotations
 
 import struct
+from binascii import crc_hqx
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar, Self
@@ -26,10 +27,8 @@ _LONGEST = 256
 """Bytes of the longest payload that is accepted: the device's tag is a text of any length."""
 _STATUS = 2
 """Bytes of the status that every answer's payload begins with."""
-_POLYNOMIAL = 0x1021
-"""Polynomial of CRC-16-CCITT."""
 _ACKNOWLEDGE = b"ack"  # payload that clears a fast stop
-_RELATIVE, _STOP_ON_BLOCK = 0x01, 0x02  # flags of a pre-position
+_STOP_ON_BLOCK = 0x02  # flag of a pre-position; 1: the width is relative
 
 
 class WsgFrameError(ValueError):
@@ -143,17 +142,7 @@ class Grasping(IntEnum):
     ERROR = 7
 
 
-def _table() -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        value = byte << 8
-        for _ in range(8):
-            value = value << 1 ^ (_POLYNOMIAL if value & 0x8000 else 0)
-        table.append(value & 0xFFFF)
-    return tuple(table)
-
-
-_TABLE = _table()
+_TABLE = tuple(crc_hqx(bytes([byte]), 0) for byte in range(256))
 
 
 def crc(data: bytes) -> int:
@@ -187,11 +176,7 @@ class Frame:
 
     @classmethod
     def from_bytes(cls, raw: bytes) -> Self:
-        """Read a frame.
-
-        Raises:
-            WsgFrameError: if it is none.
-        """
+        """Read a frame; raises `WsgFrameError` if it is none."""
         if len(raw) < _OVERHEAD:
             raise WsgFrameError(f"{len(raw)} bytes are not a frame")
         preamble, command, length = _HEAD.unpack_from(raw)
@@ -241,10 +226,9 @@ def home(direction: int = 0) -> Frame:
     return Frame(Command.HOME, bytes([direction]))
 
 
-def move(width: float, speed: float, *, stop_on_block: bool, relative: bool = False) -> Frame:
+def move(width: float, speed: float, *, stop_on_block: bool) -> Frame:
     """Return the request to go to a width [mm] at a speed [mm/s]."""
-    flags = relative * _RELATIVE | stop_on_block * _STOP_ON_BLOCK
-    return Frame(Command.MOVE, struct.pack("<Bff", flags, width, speed))
+    return Frame(Command.MOVE, struct.pack("<Bff", stop_on_block * _STOP_ON_BLOCK, width, speed))
 
 
 def grasp(width: float, speed: float) -> Frame:

@@ -13,10 +13,10 @@ from pydantic import BaseModel, Field
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
-from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
+from rtee.drivers.gripper import GripperDriver
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.step_follower import Order, Settle, StepFollower
@@ -99,7 +99,7 @@ class Wsg50Options(DeviceOptions):
     rate: float = Field(20.0, gt=0.0, description="exchanges per second; faster may upset it")
 
 
-class Wsg50Driver(Driver):
+class Wsg50Driver(GripperDriver):
     """A WSG 50.
 
     A motion is one command, and another is refused until it has ended. So references are followed
@@ -116,7 +116,6 @@ class Wsg50Driver(Driver):
         self.connection: Connection[WsgLink] = Connection(spec)
         self._follower = StepFollower(options.settle, options.step * 1e3, _SAME, _REACHED)
         self._report = Report()
-        self._active = False
         self._home_asked = False
         self._moving_to: float | None = None
         self._force = float("nan")
@@ -344,19 +343,8 @@ class Wsg50Driver(Driver):
     def _unreferenced(self) -> DeviceFault:
         return self._fault(_NOT_REFERENCED, "not homed", _HOME)
 
-    def _fault(self, code: int, name: str, hint: str) -> DeviceFault:
-        # An inactive driver only reads, so that the fault is raised once and not in every cycle.
-        self._active = False
-        return DeviceFault(self.spec.name, code, name, hint=hint)
-
-    async def deactivate(self) -> None:
-        """Stop; a grip is kept."""
-        await self.stop()
-        self._active = False
-
     async def close(self) -> None:
         """Announce the end of the connection, else the gripper may fast-stop, and detach."""
-        self._active = False
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
                 await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)

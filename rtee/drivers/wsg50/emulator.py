@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Duration, Positive, read_properties
 from rtee.drivers.wsg50.codec import (
@@ -183,21 +183,6 @@ class Wsg50Emulator(Emulator, Grasps):
     def closure_at(self, width: float) -> float:
         """Return how far the fingers are closed at a width [m]."""
         return 1.0 - 1e3 * width / self.limits.stroke
-
-    def grip_object(self, width: float = 50.0, stiffness: float = 200.0) -> None:
-        """Grasp an object, as if another program had done so before.
-
-        Args:
-            width: Of the object [mm].
-            stiffness: Of the object [N/mm].
-        """
-        self._referenced = True
-        self.axis.obstacle = VirtualObject(width, stiffness, closing=-1.0)
-        self._begin(Command.GRASP, (width, 100.0))
-        # Ten seconds, long enough to arrive and to build up the whole force.
-        for _ in range(100):
-            self._advance(0.1)
-        self.moves = 0
 
     # --- the wire ----------------------------------------------------------------------------
 

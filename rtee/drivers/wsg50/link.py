@@ -101,10 +101,6 @@ class _Reports:
 class WsgLink(Unhurried):
     """Talks to one gripper.
 
-    Args:
-        bus: The connection.
-        deadline: Longest time for one exchange, retries included [s].
-
     Attributes:
         bus: The connection.
         deadline: Longest time for one exchange, retries included [s].
@@ -123,15 +119,9 @@ class WsgLink(Unhurried):
         return await self.bus.transact(self._requests, self._reports, self.deadline)
 
     async def ask(self, request: Frame, *, retries: int = 1) -> Frame:
-        """Send a request and return its answer, the first one of a motion.
+        """Send a request, up to ``retries`` times again; return the answer, the first of a motion.
 
-        Args:
-            request: The request.
-            retries: How often it may be sent again within the deadline.
-
-        Raises:
-            WsgRefusal: if the gripper refuses it.
-            BusError: if the exchange failed.
+        Raises `WsgRefusal` if the gripper refuses it, and `BusError`.
         """
         answer = await self.bus.transact(
             request.to_bytes(),
@@ -148,9 +138,7 @@ class WsgLink(Unhurried):
     async def begin(self, request: Frame) -> bool:
         """Begin a motion; return whether the gripper accepts it: not while another is under way.
 
-        Raises:
-            WsgRefusal: if it refuses for another reason.
-            BusError: if the exchange failed.
+        Raises `WsgRefusal` if it refuses for another reason, and `BusError`.
         """
         try:
             # Sent once: if only the answer was lost, the motion has begun and shows in the state.

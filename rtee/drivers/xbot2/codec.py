@@ -12,12 +12,7 @@ from typing import Any, Self
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from rtee.drivers.xbot2.messages import (
-    GenericRxMsg,
-    JointCommand,
-    XBot2FrameError,
-    read,
-)
+from rtee.drivers.xbot2.messages import GenericRxMsg, JointCommand, XBot2FrameError, read
 from rtee.hand.yamlfile import yaml_reader
 
 STATE_PORT, SERVICE_PORT, COMMAND_PORT = 5556, 5557, 5558  # xbot2_zmq's default ports
@@ -56,11 +51,7 @@ class State:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self | None:
-        """Read a published message; ``None`` if it has no joint state.
-
-        Raises:
-            XBot2FrameError: if it cannot be read, or the lengths of its lists differ.
-        """
+        """Read a published message; ``None`` without a joint state; raises `XBot2FrameError`."""
         message = read(GenericRxMsg, data)
         if not message.HasField("js"):
             return None
@@ -123,11 +114,7 @@ class Command:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a command.
-
-        Raises:
-            XBot2FrameError: if it cannot be read, or the lengths of its lists differ.
-        """
+        """Read a command; raises `XBot2FrameError`."""
         message = read(JointCommand, data)
         n = len(message.name)
         for values in (message.posRef, message.torRef, message.ctrl):
@@ -172,11 +159,7 @@ def read_yaml(raw: bytes) -> Mapping[str, Any]:
 
 
 def joint_names(raw: bytes) -> tuple[str, ...]:
-    """Return the joints in the answer to a request ``joint_names``.
-
-    Raises:
-        XBot2FrameError: if it has none, or is a refusal.
-    """
+    """Return the joints in an answer to ``joint_names``; raises `XBot2FrameError`."""
     found = read_yaml(raw)
     data = found.get("data")
     if not found.get("success"):

@@ -26,14 +26,7 @@ from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.drivers.xbot2.options import JointOptions, XBot2Options
-from rtee.errors import (
-    BusTimeout,
-    ConfigError,
-    HandshakeError,
-    NotConnected,
-    RteeError,
-    suggestion,
-)
+from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected, RteeError, suggestion
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
@@ -220,10 +213,8 @@ class XBot2Driver(Driver):
                 # After a smaller limit, the full effort has to be sent, too.
                 if limit < most or math.isfinite(self._limits[i]):
                     self._limits[i] = max(min(limit, most), 0.0)
-        if self.options.control != "effort":
-            self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
-            return
-        pushed = [self._effort(i, reference) for i in chosen]
+        by_effort = self.options.control == "effort"
+        pushed = [self._effort(i, reference) if by_effort else None for i in chosen]
         if all(effort is None for effort in pushed):
             self._send_positions(chosen, [float(reference.position[i]) for i in chosen])
             return
@@ -268,14 +259,13 @@ class XBot2Driver(Driver):
             for i, position in zip(chosen, positions, strict=True)
         )
         limits = [self._limits[i] for i in chosen]
-        limited = [math.isfinite(limit) for limit in limits]
-        efforts = tuple(
-            limit if given else 0.0 for limit, given in zip(limits, limited, strict=True)
-        )
+        efforts = tuple(limit if math.isfinite(limit) else 0.0 for limit in limits)
         control = tuple(
-            Control.POSITION | Control.EFFORT if given else Control.POSITION for given in limited
+            Control.POSITION | (Control.EFFORT if math.isfinite(limit) else Control(0))
+            for limit in limits
         )
-        command = Command(names, raw, efforts if any(limited) else (), control)
+        limited = any(math.isfinite(limit) for limit in limits)
+        command = Command(names, raw, efforts if limited else (), control)
         self.connection.link.send_now(command.to_bytes())
 
     async def stop(self) -> None:

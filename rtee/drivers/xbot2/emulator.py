@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import Axis, VirtualObject
+from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Positive, read_properties
 from rtee.drivers.xbot2 import codec
@@ -106,10 +106,6 @@ class XBot2Emulator(Emulator, Grasps):
         """Return how the joints close."""
         made = self.properties
         return [Closing(axis, made.lower, made.upper, made.effort) for axis in self.axes.values()]
-
-    def grip_object(self, joint: str, position: float, stiffness: float = 200.0) -> None:
-        """Put an object in a joint's way, met at a position."""
-        self.axes[joint].obstacle = VirtualObject(position, stiffness)
 
     def step(self, now: float) -> list[bytes]:
         """Let time pass; return the state that is published."""

@@ -65,8 +65,6 @@ def _message(name: str) -> type[Any]:
     return found
 
 
-JointState = _message("JointState")
-"""State of the joints; lists in the order of ``jointNames``."""
 JointCommand = _message("JointCommand")
 """Command of some joints; lists in the order of ``name``."""
 GenericRxMsg = _message("GenericRxMsg")

@@ -26,6 +26,7 @@ from rtee.drivers.allegro.emulator import AllegroEmulator, AllegroProperties
 from rtee.drivers.allegro.options import AllegroOptions
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
 
 # --- frames --------------------------------------------------------------------------------------
@@ -276,7 +277,7 @@ async def test_activation_holds_the_measured_pose_and_closing_switches_off() -> 
 async def test_an_object_is_pressed_with_the_effort_limit() -> None:
     async with BusPool() as pool, connected(pool, device(kp=3.0)) as made:
         await made.activate()
-        hand(pool).grip_object(1, 0.6)
+        obstruct(hand(pool).joints[1], 0.6, 8.0)
         goal = (await patiently(made.sense)).position.copy()
         goal[1] = 1.4
         limit = np.full(16, 0.2)

@@ -24,6 +24,7 @@ from rtee.drivers.cia402.emulated_drive import DriveProperties
 from rtee.drivers.cia402.emulator import Cia402Emulator
 from rtee.errors import BusTimeout, ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
 
 COUNTS = 4096 / (2 * np.pi)
@@ -99,7 +100,7 @@ async def test_every_new_set_point_is_taken_in_profile_mode() -> None:
 async def test_limits_go_before_the_position_and_an_object_is_held_with_them() -> None:
     async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
-        drives(pool).grip_object(5, 0.5 * COUNTS, stiffness=2.0)
+        obstruct(drives(pool).drives[5].axis, 0.5 * COUNTS, 2.0)
         sent: list[int] = []
         pool.buses[0].trace = lambda _, way, data, __: (
             sent.append(int.from_bytes(data[:4], "big")) if way == "tx" else None
@@ -137,7 +138,7 @@ async def test_what_is_held_is_not_dropped_by_attaching(mode: str) -> None:
     async with BusPool() as pool:
         async with connected(pool, device(mode=mode)) as first:
             await first.activate()
-            drives(pool).grip_object(5, 0.5 * COUNTS, stiffness=2.0)
+            obstruct(drives(pool).drives[5].axis, 0.5 * COUNTS, 2.0)
             await settle(first, [1.0], max_effort=np.array([0.2]))
         axis = drives(pool).drives[5].axis
         effort, target = axis.effort, axis.target

@@ -6,6 +6,7 @@ from typing import Any
 
 from rtee.drivers.dynamixel import table
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.objects import obstruct
 
 NAMES = ("j0", "j1", "j2")
 
@@ -14,7 +15,7 @@ def held(emulator: Any) -> None:
     for number, servo in emulator.servos.items():
         servo.write(table.OPERATING_MODE.address, b"\x05")
         servo.write(table.TORQUE.address, b"\x01")
-        emulator.grip_object(number, 2060.0, stiffness=50.0)
+        obstruct(emulator.servos[number].axis, 2060.0, 50.0)
         servo.write(table.GOAL_POSITION.address, (2200).to_bytes(4, "little"))
         servo.axis.advance(1.0)
         assert servo.axis.effort > 100.0

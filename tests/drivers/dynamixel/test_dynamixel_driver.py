@@ -29,6 +29,7 @@ from rtee.errors import (
     NotConnected,
 )
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting, lose
 
 pytestmark = pytest.mark.anyio
@@ -167,7 +168,7 @@ async def test_limits_are_written_before_the_position_and_only_when_they_change(
 async def test_an_object_is_held_with_the_effort_limit() -> None:
     async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
         await made.activate()
-        line(pool).grip_object(0, 2048 + 300, stiffness=5.0)
+        obstruct(line(pool).servos[0].axis, 2048 + 300, 5.0)
         limit = np.array([0.15])
         end = time.monotonic() + 5.0
         state = await made.sense()

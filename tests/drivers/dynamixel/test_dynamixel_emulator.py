@@ -14,6 +14,7 @@ from rtee.drivers.dynamixel.codec import ALERT, Error, Hardware
 from rtee.drivers.dynamixel.emulator import DynamixelEmulator, LineProperties
 from rtee.drivers.dynamixel.servo import ServoProperties
 from rtee.drivers.dynamixel.table import Mode
+from tests.drivers.objects import obstruct
 
 
 def crc(data: bytes) -> int:
@@ -113,7 +114,7 @@ def test_moves_with_its_profile_velocity_and_torque_takes_the_pose_for_goal() ->
 
 def test_an_object_is_squeezed_with_no_more_than_the_goal_current() -> None:
     master = line()
-    master.emulator.grip_object(1, 2500.0, stiffness=2.0)
+    obstruct(master.emulator.servos[1].axis, 2500.0, 2.0)
     for register, value in ((table.OPERATING_MODE, 5), (table.TORQUE, 1)):
         assert master.write(1, register, value) == 0
     assert master.write(1, table.GOAL_CURRENT, 200) == 0
@@ -185,7 +186,7 @@ def test_return_delay_and_latency_make_the_turnaround() -> None:
 
 def test_overload_takes_the_torque_and_only_a_reboot_clears_it() -> None:
     master = line(overload_time=0.5, reboot_time=0.4)
-    master.emulator.grip_object(1, 2100.0, stiffness=50.0)
+    obstruct(master.emulator.servos[1].axis, 2100.0, 50.0)
     assert master.write(1, table.TORQUE, 1) == 0
     assert master.write(1, table.GOAL_POSITION, 4000) == 0
     for _ in range(20):

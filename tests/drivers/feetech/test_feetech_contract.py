@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.table import FULL
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.objects import obstruct
 
 NAMES = ("j0", "j1", "j2")
 TORQUE = 2.0  # of the servos at their stall [N·m]
@@ -39,7 +40,7 @@ def held(emulator: Any) -> None:
     for servo in emulator.ordered:
         counts = emulator.family.counts / 4096
         here = float(servo.axis.position)
-        emulator.grip_object(servo.number, here + 12.0 * counts, stiffness=50.0 / counts)
+        obstruct(servo.axis, here + 12.0 * counts, 50.0 / counts)
         goal = round(here + 150.0 * counts)
         servo.write(table.GOAL_POSITION.address, emulator.family.pack(table.GOAL_POSITION, goal))
         servo.write(table.TORQUE.address, b"\x01")

@@ -31,6 +31,7 @@ from rtee.sample import ActuatorState
 from rtee.testing import DeviceCase, Session, actuator
 from rtee.types import Reference
 from tests.drivers.feetech.test_feetech_contract import CASE, DIFFERENTIAL, NAMES, PAIRED, TORQUE
+from tests.drivers.objects import obstruct
 from tests.drivers.use import lose
 
 pytestmark = pytest.mark.anyio
@@ -402,7 +403,7 @@ async def test_what_the_servos_measure_is_told_in_si_units() -> None:
     async with Session(case(emulator={"servo": {"voltage": 7.4}})) as session:
         await session.start()
         session.wire.call(
-            lambda: [session.emulator.grip_object(n, 2100.0, stiffness=50.0) for n in (1, 2, 3)]
+            lambda: [obstruct(session.emulator.servos[n].axis, 2100.0, 50.0) for n in (1, 2, 3)]
         )
         goal = Reference.at([1.0] * 3, max_effort=[0.5] * 3)
         with anyio.fail_after(10.0):
@@ -530,7 +531,7 @@ async def test_velocities_and_efforts_go_through_the_differential() -> None:
         assert speeds == [978, 978]
         assert torques == [250, 250]
         # Pushing only with the first servo: half a bend, half a tilt.
-        session.wire.call(lambda: session.emulator.grip_object(1, 2100.0, stiffness=50.0))
+        session.wire.call(lambda: obstruct(session.emulator.servos[1].axis, 2100.0, 50.0))
         with anyio.fail_after(10.0):
             state = await session.cycle(asked)
             while state is None or state.effort[0] < 0.4 or abs(state.velocity[0]) > 1e-6:
@@ -610,7 +611,7 @@ async def test_what_is_wrong_is_named(fault: str, code: int, words: str) -> None
 async def test_an_overload_by_pushing_on_is_recovered_from() -> None:
     async with Session(case(emulator={"servo": {"haste": 1.0}})) as session:
         await session.start()
-        session.wire.call(lambda: session.emulator.grip_object(2, 2100.0, stiffness=50.0))
+        session.wire.call(lambda: obstruct(session.emulator.servos[2].axis, 2100.0, 50.0))
         goal = Reference.at([1.0] * 3)
         assert (await fault_of(session, goal)).name == "overload in servo 2 (j1)"
         assert session.emulator.ordered[1].get(table.TORQUE) == 0

@@ -13,6 +13,7 @@ from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
 from rtee.drivers.feetech.servo import ServoProperties
 from rtee.drivers.feetech.table import FAMILIES, Register
 from rtee.errors import ConfigError
+from tests.drivers.objects import obstruct
 
 
 def line(family: str = "sts", ids: tuple[int, ...] = (1,), **properties: Any) -> FeetechEmulator:
@@ -190,7 +191,7 @@ def test_a_speed_mode_turns_on_and_on() -> None:
 def test_a_servo_that_pushes_on_switches_off(family: str, after: float) -> None:
     servos = line(family)
     servo = servos.ordered[0]
-    servos.grip_object(1, servo.axis.position + 10, stiffness=100.0)
+    obstruct(servo.axis, servo.axis.position + 10, 100.0)
     write(servos, 1, table.GOAL_POSITION, round(servo.axis.position) + 400)
     for step in range(1, 12):
         servos.step(step * 0.05)
@@ -207,7 +208,7 @@ def test_a_servo_that_pushes_on_switches_off(family: str, after: float) -> None:
 def test_an_overload_leaves_the_protective_torque_where_its_mask_keeps_it_on() -> None:
     servos = line("sts", servo={"unload": 0})
     servo = servos.ordered[0]
-    servos.grip_object(1, 2060.0, stiffness=50.0)
+    obstruct(servos.servos[1].axis, 2060.0, 50.0)
     write(servos, 1, table.GOAL_POSITION, 2400)
     for step in range(1, 60):
         servos.step(step * 0.05)
@@ -217,7 +218,7 @@ def test_an_overload_leaves_the_protective_torque_where_its_mask_keeps_it_on() -
 
 def test_a_smaller_torque_is_no_overload() -> None:
     servos = line("sts")
-    servos.grip_object(1, 2060.0, stiffness=50.0)
+    obstruct(servos.servos[1].axis, 2060.0, 50.0)
     write(servos, 1, table.TORQUE_LIMIT, 750)
     write(servos, 1, table.GOAL_POSITION, 2400)
     for step in range(1, 100):

@@ -23,6 +23,7 @@ from rtee.drivers.heri_ethercat.driver import HeriEthercatDriver
 from rtee.drivers.heri_ethercat.emulator import HeriEmulator
 from rtee.errors import BusBroken, BusTimeout, ConfigError, DeviceFault, HandshakeError
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
 
 NAMES = ("motor_finger1", "motor_finger2", "motor_finger3", "motor_thumb")
@@ -167,7 +168,7 @@ async def test_activation_does_not_jump_and_pressures_are_told() -> None:
         await made.activate()
         await anyio.sleep(0.05)
         assert (await made.sense()).position == pytest.approx([0.3] * 4, abs=1e-3)
-        hand(pool).grip_object(1, 0.8)
+        obstruct(hand(pool).boards[0].motors[1], 0.8, 10.0)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[1] < 0.995 and time.monotonic() < end:
@@ -204,8 +205,8 @@ async def test_the_torque_reference_of_a_board_is_the_smaller_limit_of_its_motor
             return take(outputs, now)
 
         hand(pool).cycle = heard  # type: ignore[method-assign]
-        hand(pool).grip_object(0, 0.5)
-        hand(pool).grip_object(3, 0.5)
+        obstruct(hand(pool).boards[0].motors[0], 0.5, 10.0)
+        obstruct(hand(pool).boards[1].motors[1], 0.5, 10.0)
         there = [1.0, 0.3, 0.3, 1.0]
 
         async def push(limits: list[float]) -> np.ndarray:

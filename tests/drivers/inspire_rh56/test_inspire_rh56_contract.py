@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from rtee.drivers.inspire_rh56.codec import Register, table
 from rtee.drivers.inspire_rh56.scales import FORCES
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.objects import place_in_rh56
 
 ACTUATORS = (
     actuator("thumb_proximal_yaw_joint", 0.0, 1.308, effort=0.6),
@@ -23,7 +24,7 @@ ORDER = ("little", "ring", "middle", "index", "thumb_bend", "thumb_rotate")
 
 def held(emulator: Any) -> None:
     """Have the hand press on something halfway, as another program may have left it."""
-    emulator.grip_object()
+    place_in_rh56(emulator)
     emulator.memory.write(Register.FORCE_SET, table([400] * 6))
     emulator.memory.write(Register.ANGLE_SET, table([200] * 5 + [1000]))
     emulator.memory.advance(2.0)

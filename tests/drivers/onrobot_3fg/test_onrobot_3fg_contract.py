@@ -14,6 +14,7 @@ from rtee.drivers.onrobot_3fg.codec import Scale
 from rtee.errors import HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import Reference
+from tests.drivers.objects import close_onrobot_3fg
 
 SCALE = Scale(0.0, 2.9)
 
@@ -26,7 +27,7 @@ TCP = DeviceCase(
     driver="onrobot_3fg",
     actuators=(actuator("robot_onrobot_3fg15_finger_joint1", 0.0, 2.9, effort=10.0),),
     options={"host": "192.0.2.1", "emulator": {"haste": 8.0}, "settle": 0.02},
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=close_onrobot_3fg,
     commands=lambda emulator: emulator.moves,
     efforts=with_an_object,
     max_efforts=[4.0],

@@ -14,6 +14,7 @@ from rtee.drivers.onrobot_rg.driver import OnRobotRGDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import Reference
+from tests.drivers.objects import close_onrobot_rg
 from tests.drivers.use import cycled
 
 RG2 = MODELS["rg2"]
@@ -24,7 +25,7 @@ TCP = DeviceCase(
     driver="onrobot_rg",
     actuators=(FINGER,),
     options={"host": "192.0.2.1", "emulator": {"haste": 8.0}, "settle": 0.02},
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=close_onrobot_rg,
     commands=lambda emulator: emulator.moves,
     efforts=lambda emulator: [SCALE.effort.to_si(emulator.begun)],
     max_efforts=[1.5],

@@ -6,10 +6,11 @@ from typing import Any
 
 from rtee.drivers.qb_softhand.codec import Command
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.objects import obstruct
 
 
 def held(emulator: Any) -> None:
-    emulator.grip_object(0.3)
+    obstruct(emulator.axes[0], 0.3 * emulator.options.limit, 1.0)
     emulator._activate(3)
     emulator.axes[0].target = 12_000.0
     emulator.axes[0].advance(1.0)

@@ -18,6 +18,7 @@ from rtee.drivers.qb_softhand.driver import QbSoftHandDriver
 from rtee.drivers.qb_softhand.emulator import QbOptions, QbSoftHandEmulator
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
 
 ONE = ("qbhand_synergy_joint",)
@@ -113,7 +114,7 @@ async def test_the_limit_the_hand_tells_is_its_scale() -> None:
 async def test_an_object_shows_in_current_and_effort() -> None:
     async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
         await made.activate()
-        hand(pool).grip_object(0.4, stiffness=3.0)
+        obstruct(hand(pool).axes[0], 0.4 * hand(pool).options.limit, 3.0)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[0] < 1.495 and time.monotonic() < end:

@@ -11,17 +11,23 @@ import pytest
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.axis import VirtualObject
-from rtee.drivers.robotiq_2f.codec import MODELS, Scale
+from rtee.drivers.robotiq_2f.codec import MODELS, Command, Scale
 from rtee.drivers.robotiq_2f.driver import Robotiq2FDriver
 from rtee.errors import BusError, ConfigError, DeviceFault, NotConnected
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
+from tests.drivers.objects import close_robotiq
 
 SCALE = Scale(MODELS["2f_85"], 0.0, 0.82)
 
 
 def begun_with(emulator: Any) -> list[float]:
     return [SCALE.effort.to_si(emulator.begun.force)]
+
+
+def closed_on_something(emulator: Any) -> None:
+    command = Command(activate=True, go=True, position=255, speed=255, force=128)
+    close_robotiq(emulator, command, 180, 20.0)
 
 
 RTU = DeviceCase(
@@ -32,7 +38,7 @@ RTU = DeviceCase(
         "home": "on_connect",
         "emulator": {"haste": 8.0, "activation_time": 0.2},
     },
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=closed_on_something,
     commands=lambda emulator: emulator.moves,
     efforts=begun_with,
     max_efforts=[12.0],
@@ -183,7 +189,7 @@ async def test_closing_on_an_object_is_a_grasp_and_on_nothing_is_none() -> None:
 
 async def test_a_held_object_stays_held_when_asked_to_stay() -> None:
     async with Session(RTU) as session:
-        await session.before(lambda emulator: emulator.grip_object())  # type: ignore[attr-defined]
+        await session.before(closed_on_something)
         state = await session.start()
         assert state.grasped == (True,)
         effort = session.emulator.axis.effort

@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 
 from rtee.buses.pool import BusPool
-from rtee.drivers.robotiq_3f.codec import SCALES, Mode
+from rtee.drivers.robotiq_3f.codec import SCALES, Command, Mode, Request
 from rtee.drivers.robotiq_3f.driver import Robotiq3FDriver
 from rtee.errors import ConfigError, DeviceFault
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
+from tests.drivers.objects import close_robotiq
 
 FINGERS = actuator("finger_1_joint_1", 0.0495, 1.2218, effort=8.0)
 SCISSOR = actuator("palm_finger_1_joint", -0.1784, 0.192, effort=8.0, rest=0.0)
@@ -23,6 +24,11 @@ def efforts(emulator: Any) -> list[float]:
     return [SCALES[name].effort.to_si(axis.force) for name, axis in axes]
 
 
+def closed_on_something(emulator: Any) -> None:
+    axes = (Request(255, 255, 128), Request(), Request(), Request())
+    close_robotiq(emulator, Command(activate=True, go=True, axes=axes), 150, 10.0)
+
+
 CASE = DeviceCase(
     driver="robotiq_3f",
     actuators=(FINGERS, SCISSOR),
@@ -31,7 +37,7 @@ CASE = DeviceCase(
         "home": "on_connect",
         "emulator": {"activation_time": 0.2, "haste": 8.0},
     },
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=closed_on_something,
     commands=lambda emulator: emulator.moves,
     efforts=efforts,
     max_efforts=[5.0, 12.0],
@@ -94,7 +100,7 @@ async def test_nothing_moves_before_it_is_asked_for() -> None:
 async def test_another_mode_is_not_taken_unasked() -> None:
     options = {**CASE.options, "home": "on_demand", "mode": "pinch"}
     async with Session(replace(CASE, actuators=(FINGERS,), options=options)) as session:
-        await session.before(lambda emulator: emulator.grip_object())  # type: ignore[attr-defined]
+        await session.before(closed_on_something)
         await session.connect()
         with pytest.raises(DeviceFault, match="in mode 'basic', not 'pinch'"):
             await session.driver.activate()

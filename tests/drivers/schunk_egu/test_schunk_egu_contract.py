@@ -14,6 +14,7 @@ from rtee.drivers.schunk_egu.driver import SchunkEguDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind
+from tests.drivers.objects import close_schunk_egu
 from tests.drivers.use import cycled
 
 FINGER = actuator(
@@ -23,7 +24,7 @@ CASE = DeviceCase(
     driver="schunk_egu",
     actuators=(FINGER,),
     options={"settle": 0.02, "emulator": {"haste": 8.0, "watch": 5.0}},
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=close_schunk_egu,
     commands=lambda emulator: emulator.moves,
     # Two newtons at one finger's joint are one at the fingertips; the largest force is 150 N.
     efforts=lambda emulator: [2.0 * 1.5 * emulator.begun],
@@ -75,7 +76,7 @@ async def test_a_grip_is_stopped_where_the_reference_is() -> None:
 
 async def test_what_is_gripped_is_released_before_it_opens() -> None:
     async with Session(CASE) as session:
-        await session.before(lambda emulator: emulator.grip_object())
+        await session.before(close_schunk_egu)
         state = await session.start()
         assert state.grasped == (True,)
         assert session.near(await session.reach([0.005]), [0.005])

@@ -22,6 +22,7 @@ from rtee.drivers.schunk_svh.driver import SchunkSvhDriver
 from rtee.drivers.schunk_svh.emulator import SchunkSvhEmulator
 from rtee.errors import ConfigError, DeviceFault, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 
 PORT = "/dev/svh"
 MOTION = {Command.SET_CONTROL_COMMAND, Command.SET_CONTROL_COMMAND_ALL}
@@ -62,6 +63,12 @@ async def driver(pool: BusPool, spec: DeviceSpec) -> AsyncIterator[SchunkSvhDriv
     finally:
         await made.close()
         await made.close()
+
+
+def put(emulator: SchunkSvhEmulator, channel: int, closure: float, stiffness: float) -> None:
+    """Put an object in the way of a channel, met at a closure; stiffness in mA per tick."""
+    spec, contact = emulator.table[channel], emulator._at(channel, closure)
+    obstruct(emulator.channels[channel].axis, contact, stiffness, -spec.direction)
 
 
 def hand(pool: BusPool) -> SchunkSvhEmulator:
@@ -125,7 +132,7 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
             await first.activate()
             held = await settle(first, np.array([0.4, 0.3]))
         axis = hand(pool).channels[7].axis
-        hand(pool).grip_object(7, held[1] / 0.98)
+        put(hand(pool), 7, held[1] / 0.98, 0.5)
         axis.target = -1e5
         axis.advance(1.0)
         held[1] = 0.98 * hand(pool).closure(7)
@@ -219,7 +226,7 @@ async def test_feels_an_object_and_holds_it() -> None:
     async with BusPool(wire_time=False) as pool, driver(pool, device(["Ring_Finger"])) as made:
         await made.configure()
         await made.activate()
-        hand(pool).grip_object(6, 0.5, stiffness=2.0)
+        put(hand(pool), 6, 0.5, 2.0)
         end = time.monotonic() + 5.0
         state = await made.sense()
         while state.current[0] > -0.299 and time.monotonic() < end:

@@ -14,6 +14,7 @@ from rtee.drivers.wsg50.driver import Wsg50Driver
 from rtee.errors import CommandRejected, ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
 from rtee.types import JointKind, Reference
+from tests.drivers.objects import close_wsg50
 from tests.drivers.use import cycled
 
 FINGER = actuator(
@@ -31,7 +32,7 @@ CASE = DeviceCase(
         "rate": 100.0,
         "emulator": {"haste": 8.0},
     },
-    grip_object=lambda emulator: emulator.grip_object(),
+    grip_object=close_wsg50,
     commands=lambda emulator: emulator.moves,
     # Both fingers move: a newton at the fingertips is two at one finger's joint.
     efforts=lambda emulator: [2.0 * emulator.begun],
@@ -73,7 +74,7 @@ async def test_what_blocks_a_motion_is_grasped_with_the_force_asked_for() -> Non
 
 async def test_what_is_held_is_released_before_it_opens() -> None:
     async with Session(CASE) as session:
-        await session.before(lambda emulator: emulator.grip_object())
+        await session.before(close_wsg50)
         state = await session.start()
         assert state.grasped == (True,)
         assert session.near(await session.reach([0.005]), [0.005])
@@ -219,7 +220,7 @@ def test_options_are_checked() -> None:
 async def test_a_stop_right_behind_a_release_is_sent() -> None:
     case = replace(CASE, options={**CASE.options, "emulator": {"haste": 1.0}})
     async with Session(case) as session:
-        await session.before(lambda emulator: emulator.grip_object())
+        await session.before(close_wsg50)
         assert (await session.start()).grasped == (True,)
         begun = session.emulator.moves
         while session.emulator.moves == begun:

@@ -24,6 +24,7 @@ from rtee.drivers.xbot2.emulator import ServerProperties, XBot2Emulator
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
 from rtee.types import ActuatorSpec, DeviceSpec, JointKind, Reference
+from tests.drivers.objects import obstruct
 from tests.drivers.use import connecting
 
 SHEET = bytes.fromhex(
@@ -145,7 +146,7 @@ async def test_a_closure_and_a_state_in_rad_are_mapped() -> None:
 @pytest.mark.anyio
 async def test_effort_control_closes_with_the_limit_and_then_stays() -> None:
     async with BusPool() as pool, connected(pool, device("a", "b", control="effort")) as made:
-        server(pool).grip_object("a", 0.5, stiffness=100.0)
+        obstruct(server(pool).axes["a"], 0.5, 100.0)
         limit = np.array([4.0, 3.0])
         for _ in range(80):
             await made.sense()
@@ -182,7 +183,7 @@ async def test_limited_control_sends_the_limit_beside_the_position() -> None:
             return feed(data, now)
 
         server(pool).feed = heard  # type: ignore[method-assign]
-        server(pool).grip_object("a", 0.5, stiffness=100.0)
+        obstruct(server(pool).axes["a"], 0.5, 100.0)
 
         async def push(*limits: float) -> np.ndarray:
             for _ in range(80):
@@ -223,7 +224,7 @@ async def test_a_joint_that_holds_goes_on_holding_while_another_moves() -> None:
     spec = device("thumb", "index")
     async with BusPool() as pool:
         async with connected(pool, spec) as first:
-            server(pool).grip_object("thumb", 0.5)
+            obstruct(server(pool).axes["thumb"], 0.5, 200.0)
             thumb = server(pool).axes["thumb"]
             with anyio.fail_after(5.0):
                 while (await first.sense()).position[0] < 0.5 or not thumb.blocked:

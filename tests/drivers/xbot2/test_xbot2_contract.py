@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from tests.drivers.objects import obstruct
 
 
 class TestXBot2(DriverContract):
@@ -12,7 +13,7 @@ class TestXBot2(DriverContract):
         driver="xbot2",
         actuators=(actuator("claw", 0.0, 1.0), actuator("other", 0.0, 1.0)),
         options={"emulator": {"rate": 500.0, "speed": 10.0}, "deadline": 1.0, "rate": 50.0},
-        grip_object=lambda emulator: emulator.grip_object("claw", 0.15),
+        grip_object=lambda emulator: obstruct(emulator.axes["claw"], 0.15, 200.0),
         commands=lambda emulator: emulator.commands,
         homes=False,
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
