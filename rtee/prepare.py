@@ -179,10 +179,6 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
 
     A device that is homed already does not move; the others do.
 
-    Args:
-        hand: The hand's name.
-        specs: Its devices.
-
     Raises:
         ConfigError: if none of them is ever homed.
     """

@@ -52,10 +52,6 @@ PRIMITIVES: Final = "primitives"
 class ActionFiles:
     """The stored actions of one hand.
 
-    Args:
-        hand: The hand.
-        folder: The folder.
-
     Attributes:
         folder: The folder.
     """
@@ -314,11 +310,6 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
 
     The same primitives give the same text. Keeps people's comments in the files, and deletes files
     of kinds without primitives.
-
-    Args:
-        folder: The hand's folder of actions.
-        hand: The hand.
-        primitives: All its primitives.
 
     Raises:
         ActionError: if an existing file cannot be read.

@@ -131,12 +131,7 @@ class Opening:
         return float(np.interp(intensity, self.intensity, self.angle))
 
     def strongest(self, hand: Hand, intensity: float) -> float:
-        """Return the force that the effort limits allow at an intensity [N], by virtual work.
-
-        Args:
-            hand: The hand.
-            intensity: The intensity.
-        """
+        """Return the force that the effort limits allow at an intensity [N], by virtual work."""
         levers = {name: abs(lever) for name, lever in self.levers_at(intensity).items()}
         most = max(levers.values())
         # A lever is the effort for one newton, so that the weakest actuator limits the force.

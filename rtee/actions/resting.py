@@ -27,10 +27,6 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     Needs no shapes. The rest posture is a pinch if a stored pinch of two fingers lies at it, its
     evidence says that the tips touch there or nearly do, and the motion that moves the tips
     farthest past each other is along the contact normal.
-
-    Args:
-        hand: The hand.
-        primitives: Its stored primitives.
     """
     at_rest = (p for p in primitives if p.kind.pinch and _is_at_rest(hand, p))
     ways = [(p, _opened(hand, p)) for p in at_rest]

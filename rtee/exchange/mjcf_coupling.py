@@ -61,11 +61,7 @@ class _Group:
 
 
 def motion_of(model: mujoco.MjModel, path: object) -> Motion:
-    """Return how the joints of a model move.
-
-    Args:
-        model: The model, whose joints are hinges and slides.
-        path: Its file, for messages.
+    """Return how the joints of a model move, which are hinges and slides.
 
     Raises:
         ModelError: The couplings leave a number of degrees of freedom other than that of the

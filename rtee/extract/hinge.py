@@ -118,10 +118,6 @@ def clip_jaws(
     The parts returned are farther from the axis than the middle between this distance and the end
     of the shorter tip.
 
-    Args:
-        first: The shapes of one tip.
-        second: The shapes of the other one.
-
     Returns:
         The clipped shapes of both tips; empty if nothing is left.
     """

@@ -123,10 +123,6 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
     If two sides of tips oppose each other, the opening is the least distance between a tip of one
     side and a tip of the other. If tips close from more than two sides, it is the diameter of the
     smallest ball that touches all of them.
-
-    Args:
-        geometry: The hand's geometry.
-        action: The action.
     """
     if isinstance(action, Timed):
         return None

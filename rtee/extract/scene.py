@@ -192,10 +192,6 @@ class Scene:
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
         """Return the derivative of the distance of two links.
 
-        Args:
-            pair: The links.
-            space: The space.
-
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].
         """
@@ -206,10 +202,6 @@ class Scene:
 
     def gradient(self, terms: Sequence[tuple[LinkPair, float]], space: Space) -> FloatArray:
         """Return the derivative of a weighted sum of distances.
-
-        Args:
-            terms: Pairs of links and their weights.
-            space: The space.
 
         Returns:
             The derivative by the coordinates of the space ``(k,)`` [m].

@@ -89,19 +89,12 @@ def fingerprint(folder: Path) -> str:
     """Return a hash of the hand's model, configuration and actions, as 16 hexadecimal digits.
 
     It does not depend on meshes.
-
-    Args:
-        folder: The hand's folder.
     """
     return _digest(folder, [*_model(folder), *(folder / "actions").rglob("*.yaml")])
 
 
 def model_fingerprint(folder: Path) -> str:
-    """Return the same of the model, the configuration and the primitives, without other actions.
-
-    Args:
-        folder: The hand's folder.
-    """
+    """Return the same of the model, the configuration and the primitives, without other actions."""
     return _digest(folder, [*_model(folder), *(folder / "actions/primitives").rglob("*.yaml")])
 
 

@@ -125,10 +125,6 @@ def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
     with collision geometry; its base is the link where it separates from the other branches. Ends
     that are fixed to one another are one finger.
 
-    Args:
-        urdf: The hand's URDF.
-        moved: Names of the joints that an actuator moves.
-
     Returns:
         The fingers, in the tree's order.
     """
@@ -198,10 +194,6 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
 
     The words are the usual ones (``index``), the prefixes of the Shadow Hand (``ff``), or numbers
     (``finger_1``, ``f1``). They are used only if every finger has one and all are different.
-
-    Args:
-        ends: The last link of each finger.
-        urdf: The hand's URDF.
 
     Returns:
         The name of each finger, and the reason for it.

@@ -149,9 +149,6 @@ class JointFrames:
     A revolute joint rotates its child link, a prismatic one translates it. Both are linear in a few
     numbers per joint, so that NumPy computes all joints at once.
 
-    Args:
-        hand: The hand.
-
     Attributes:
         moving: Parent and child link of every moving joint, in the order of ``hand.joints``.
         fixed: Parent and child link of every fixed joint.

@@ -222,10 +222,6 @@ def without_linkages(
 ) -> tuple[tuple[Finger, ...], list[str]]:
     """Leave out the fingers whose tip always touches another finger: they are parts of a linkage.
 
-    Args:
-        hand: A hand whose fingers were found from the tree.
-        pairs: Its pairs of touching links.
-
     Returns:
         The remaining fingers, with new names, and a sentence for each one left out.
     """

@@ -299,12 +299,7 @@ class Devices:
 
 
 def device_forces(hand: Hand, devices: Iterable[Supervisor]) -> DeviceForces:
-    """Return which efforts and forces devices can limit; any thread may call it.
-
-    Args:
-        hand: The hand.
-        devices: Its devices.
-    """
+    """Return which efforts and forces devices can limit; any thread may call it."""
     names = hand.actuator_names
     refused: dict[int, str] = {}
     grips: dict[int, GripForce] = {}

@@ -54,10 +54,6 @@ class Plausibility:
 
     Every actuator has an allowance of travel, which grows with time at `MARGIN` times the velocity
     limit and is reduced by each measured step. So measurements may be sparse, late or bunched.
-
-    Args:
-        actuators: The hand's actuators.
-        report: Called with events.
     """
 
     def __init__(

@@ -96,10 +96,6 @@ class ThermalChange:
 class Thermal:
     """Evaluates the temperatures of a hand's actuators; pure.
 
-    Args:
-        settings: The thresholds.
-        size: Number of actuators.
-
     Attributes:
         level: Level of each actuator.
         factor: Factor on each actuator's effort limit, 0.1 to 1.

@@ -290,12 +290,6 @@ def _best(
 def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: float) -> FloatArray:
     """Return the pose ``(4, 4)`` of a hand's grasp in its base frame, as `GripperPose` has it.
 
-    Args:
-        tips: The hand's fingertips.
-        action: The action.
-        opening: Its opening.
-        intensity: How far the hand is closed.
-
     Raises:
         ConfigError: if the tips meet at the base frame's origin: they reach in no direction.
     """

@@ -107,9 +107,6 @@ class HandPoses:
 class Postures:
     """Computes where the shapes of a hand are.
 
-    Args:
-        geometry: The hand's geometry.
-
     Attributes:
         radii: Radii of the shapes' bounding balls ``(n,)`` [m].
         halves: Half extents of their bounding boxes, along their own axes ``(n, 3)`` [m].

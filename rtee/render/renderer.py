@@ -159,13 +159,7 @@ class _GBuffer:
 
 
 class Renderer:
-    """Renders one picture.
-
-    Args:
-        caster: Ray caster of the mesh.
-        camera: The camera.
-        shading: Colours and light.
-    """
+    """Renders one picture."""
 
     def __init__(self, caster: RayCaster, camera: Camera, shading: Shading) -> None:
         self.caster = caster

@@ -97,13 +97,7 @@ class Places:
     """Finds places for the object of a simulation; moves only a copy of its state."""
 
     def __init__(self, simulation: Simulation, hand: Hand, action: Action) -> None:
-        """Prepare for an action.
-
-        Args:
-            simulation: The hand with its object and carrier.
-            hand: The hand.
-            action: What is to grasp the object.
-        """
+        """Prepare for an action."""
         self._simulation, self._hand = simulation, hand
         self._model = simulation.model
         self._data = mujoco.MjData(self._model)

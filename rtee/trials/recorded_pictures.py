@@ -44,10 +44,6 @@ _THICK: Final = 0.006
 def write_pictures(recording: Recording, path: Path) -> bool:
     """Write a strip of pictures, before the first action and at the end of each.
 
-    Args:
-        recording: The recording.
-        path: The file.
-
     Returns:
         Whether there is an object to be seen; without one no file is written.
 

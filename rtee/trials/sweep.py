@@ -168,9 +168,6 @@ def end_with(leash: Connection) -> None:
     """End this process as soon as the other end of a pipe is closed, whatever it is doing.
 
     That end closes when the process that holds it is killed, too.
-
-    Args:
-        leash: This end of the pipe.
     """
 
     def watch() -> None:

@@ -353,12 +353,7 @@ class _Varied:
         return TrialRun(headless, self._trial, place)
 
     def good(self, here: _Tried, best: _Tried | None) -> bool:
-        """Return whether a place is good enough for no other one to be tried.
-
-        Args:
-            here: The place.
-            best: The best one so far.
-        """
+        """Return whether a place is good enough for no other one to be tried."""
         self.choose(here, _FIRST, best)
         if not here.result.held or here.lost:
             return False
