@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
 from rtee.hand.files import make_folder, write_atomically
 from rtee.hand.names import safe_name
-from rtee.hand.tessellation import sphere
+from rtee.hand.tessellation import binary_stl, sphere
 from rtee.sample import FloatArray
 
 Faces = NDArray[np.signedinteger[Any]]
@@ -392,7 +391,7 @@ class _Writer:
     def _mesh_file(self, name: str, vertices: FloatArray, faces: Faces) -> str:
         place = f"meshes/{name}.stl"
         make_folder(self._folder / "meshes")
-        write_atomically(self._folder / place, _stl(vertices[faces]))
+        write_atomically(self._folder / place, binary_stl(vertices[faces]))
         return f"<mesh filename={quoteattr(place)}/>"
 
     def passive(self) -> tuple[str, ...] | None:
@@ -450,11 +449,3 @@ def _number(value: float) -> str:
 
 def _numbers(values: Sequence[float] | FloatArray) -> str:
     return " ".join(_number(value) for value in values)
-
-
-def _stl(triangles: FloatArray) -> bytes:
-    """Return triangles ``(n, 3, 3)`` [m] as a binary STL; readers compute the normals."""
-    records = [
-        struct.pack("<12fH", 0, 0, 0, *corners, 0) for corners in triangles.reshape(-1, 9).tolist()
-    ]
-    return b"\0" * 80 + struct.pack("<I", len(records)) + b"".join(records)

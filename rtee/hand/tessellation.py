@@ -1,4 +1,4 @@
-"""Boxes, spheres and cylinders as triangles."""
+"""Boxes, spheres and cylinders as triangles, and triangles as a file."""
 
 from __future__ import annotations
 
@@ -69,6 +69,14 @@ def subdivided(corners: FloatArray, longest: float) -> FloatArray:
         middle = (a + b) / 2.0
         pieces = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
         corners = np.concatenate([corners[~long], *pieces])
+
+
+def binary_stl(corners: FloatArray) -> bytes:
+    """Return triangles ``(t, 3, 3)`` [m] as a binary STL file; readers compute the normals."""
+    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    triangles = np.zeros(len(corners), dtype=record)
+    triangles["corners"] = corners
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
 
 
 def _revolve(profile: list[tuple[float, float]]) -> Triangles:

@@ -17,6 +17,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
+from rtee.hand.tessellation import binary_stl
 from rtee.loop.settings import LoopSettings
 from rtee.object_shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
@@ -171,21 +172,7 @@ def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
     if piece.kind in NUMBERS:
         return ObjectShape(piece.kind, piece.size)
     path = folder / f"piece-{number}.stl"
-    path.write_bytes(_stl(piece))
-    return ObjectShape("mesh", path=path)
-
-
-def _stl(piece: Piece) -> bytes:
-    """Return the hull of a piece as a binary STL file; MuJoCo makes the hull of its corners."""
-    points = piece.points
-    count = len(points)
     # Any triangles that hold all points will do, since MuJoCo takes the corners alone.
-    corners = points[
-        np.stack(
-            [np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1
-        )
-    ]
-    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    triangles = np.zeros(count, dtype=record)
-    triangles["corners"] = corners
-    return bytes(80) + count.to_bytes(4, "little") + triangles.tobytes()
+    corners = np.stack([np.roll(piece.points, -i, axis=0) for i in range(3)], axis=1)
+    path.write_bytes(binary_stl(corners))
+    return ObjectShape("mesh", path=path)
