@@ -65,16 +65,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class PreparedHand:
-    """A hand that was read and checked, before any device is opened.
-
-    Attributes:
-        hand: The hand.
-        config: Its hand.yaml.
-        folder: The folder of hand.yaml.
-        library: Its grasping actions.
-        settings: The loop's settings.
-        devices: Its devices.
-    """
+    """A hand that was read and checked, before any device is opened."""
 
     hand: Hand
     config: HandConfig

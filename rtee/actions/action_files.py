@@ -50,11 +50,7 @@ PRIMITIVES: Final = "primitives"
 
 
 class ActionFiles:
-    """The stored actions of one hand.
-
-    Attributes:
-        folder: The folder.
-    """
+    """The stored actions of one hand."""
 
     def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand

@@ -19,7 +19,7 @@ from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
 from rtee.hand.files import make_folder, write_atomically
-from rtee.hand.names import safe_name
+from rtee.hand.names import free_name, safe_name
 from rtee.hand.tessellation import binary_stl, sphere
 from rtee.sample import FloatArray
 
@@ -90,7 +90,10 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
         model = source.spec.compile()
     try:
         with listening(notes):
-            motion = motion_of(model, source.path)
+            motion = motion_of(model)
+    except ModelError as error:
+        error.path = source.path
+        raise
     except np.linalg.LinAlgError:
         raise ModelError(
             "the numbers of its couplings are too far apart to solve them", path=source.path
@@ -413,10 +416,7 @@ def _unique(names: Sequence[str]) -> list[str]:
     """Return names with numbers appended to equal ones, as generated names may be equal."""
     unique: list[str] = []
     for name in names:
-        candidate, number = name, 2
-        while candidate in unique:
-            candidate, number = f"{name}_{number}", number + 1
-        unique.append(candidate)
+        unique.append(free_name(name, unique))
     return unique
 
 

@@ -56,13 +56,7 @@ def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tup
 
 @dataclass(frozen=True)
 class Inspector:
-    """Measures postures.
-
-    Attributes:
-        scene: The hand's links.
-        motion: Bounds on their motion.
-        collisions: The links that may not collide.
-    """
+    """Measures postures."""
 
     scene: Scene
     motion: Motion

@@ -190,22 +190,14 @@ class Scene:
         return [(known.get(p.number) or self._queries(p, known)).least(stamp)[0] for p in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
-        """Return the derivative of the distance of two links.
-
-        Returns:
-            The derivative by the coordinates of the space ``(k,)`` [m].
-        """
+        """Return the derivative of the distance of two links by coordinates ``(k,)`` [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
         result = queries.results[queries.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
     def gradient(self, terms: Sequence[tuple[LinkPair, float]], space: Space) -> FloatArray:
-        """Return the derivative of a weighted sum of distances.
-
-        Returns:
-            The derivative by the coordinates of the space ``(k,)`` [m].
-        """
+        """Return the derivative of a weighted sum of distances; see `derivative`."""
         if len(terms) < _BATCH:
             result: FloatArray = np.zeros(space.size)
             for pair, weight in terms:

@@ -119,14 +119,11 @@ def _own(name: str, moving: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
-    """Find the fingers of a hand without an SRDF.
+    """Find the fingers of a hand without an SRDF, in the tree's order.
 
     A finger is a branch of the tree that carries a joint moved by an actuator and ends in a link
     with collision geometry; its base is the link where it separates from the other branches. Ends
     that are fixed to one another are one finger.
-
-    Returns:
-        The fingers, in the tree's order.
     """
     ends = _ends(urdf, moved)
     chains = []

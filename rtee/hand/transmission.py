@@ -181,13 +181,10 @@ class Transmission:
         return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """Return the Jacobian of the joint positions by the actuator positions.
+        """Return the derivative ``(m, n)`` of the joint positions by the actuator positions.
 
         Args:
             u: Actuator positions ``(n,)`` [rad | m].
-
-        Returns:
-            dq/du ``(m, n)``.
         """
         jacobian: FloatArray = self.matrix.copy()
         for row, actuator, coupling in self._curved:

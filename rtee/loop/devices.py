@@ -221,15 +221,12 @@ class Devices:
     async def confirm(
         self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        """Make a request to all devices at the same time.
+        """Make a request to all devices at the same time; return which of them confirmed.
 
         Args:
             reason: Why, for the log.
             request: Called with a device and the time it may take [s]; returns whether the device
                 confirmed.
-
-        Returns:
-            Every device with whether it confirmed.
         """
         confirmed = dict.fromkeys(self.by_name, False)
 

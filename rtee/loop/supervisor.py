@@ -205,13 +205,10 @@ class Supervisor:
     # --- requests, served between two exchanges ----------------------------------------------
 
     async def stop(self, within: float) -> bool:
-        """Stop the device, and repeat that if there was no answer; cannot raise.
+        """Stop the device, again if it did not answer; return whether it did. Cannot raise.
 
         Args:
             within: Time that the stop may take [s].
-
-        Returns:
-            Whether the device answered after the stop.
         """
         return await self._confirmed("stop", self._stop, within)
 

@@ -33,11 +33,7 @@ _FAR = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 
 
 
 class SimulationRenderer:
-    """Renders one simulation, always from the same place.
-
-    Attributes:
-        simulation: What is seen.
-    """
+    """Renders one simulation, always from the same place."""
 
     def __init__(
         self,

@@ -35,14 +35,7 @@ RATE = 250.0
 
 @dataclass(frozen=True)
 class Bench:
-    """A hand ready for trials.
-
-    Attributes:
-        hand: The hand.
-        library: Its actions.
-        settings: Its loop's settings.
-        folder: Its folder.
-    """
+    """A hand ready for trials."""
 
     hand: Hand
     library: ActionLibrary
