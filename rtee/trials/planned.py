@@ -100,13 +100,9 @@ def checked(
             else f"lost in dynamics: {check.reason}"
         )
         plans[number] = dataclasses.replace(plan, check=check, reasons=(*plan.reasons, said))
-    plans.sort(key=_said)  # stable: otherwise as ranked
+    # Those that held, those that were not tried, those that failed; stable: otherwise as ranked.
+    plans.sort(key=lambda plan: 1 if plan.check is None else 2 * (not plan.check.held))
     return dataclasses.replace(ranking, plans=tuple(plans))
-
-
-def _said(plan: GraspPlan) -> int:
-    """Return 0 for a plan that held, 1 for one that was not tried, 2 for one that failed."""
-    return 1 if plan.check is None else 2 * (not plan.check.held)
 
 
 def _simulation(

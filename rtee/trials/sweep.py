@@ -19,14 +19,11 @@ from typing import Any
 
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RteeError, WorkerLost, needing_extra
-from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
 from rtee.loop.settings import LoopSettings
-from rtee.trials.result import CHOOSING as CHOOSING
-from rtee.trials.result import OBJECTS as OBJECTS
-from rtee.trials.result import mass_of as mass_of
+from rtee.trials.result import CHOOSING, OBJECTS, mass_of
 from rtee.trials.trial import Trial, TrialResult, run_trial
 
 RATE = 250.0
@@ -57,12 +54,7 @@ def bench(name: str, rate: float = RATE) -> Bench:
     hand, config = load_configured(name)
     folder = hand_folder(name)[0]
     library = ActionLibrary.load(hand, folder / "actions")
-    return Bench(hand, library, settings_of(config, rate), folder)
-
-
-def settings_of(config: HandConfig, rate: float = RATE) -> LoopSettings:
-    """Return the loop's settings for a trial with so many ticks per second [Hz]."""
-    return loop_settings(config, rate=rate)
+    return Bench(hand, library, loop_settings(config, rate=rate), folder)
 
 
 def all_trials(

@@ -225,11 +225,7 @@ def _scanned(best: _Tried, varied: _Varied, free: Places) -> _Tried:
 
 
 def _middle(shares: dict[int, float]) -> int:
-    """Return the place in a row whose share, and whose neighbours', is largest.
-
-    Args:
-        shares: Share of the tries that are held, by the number of the place in the row.
-    """
+    """Return the place in a row whose share of held tries, and whose neighbours', is largest."""
 
     def mean(step: int) -> float:
         here = shares[step]
@@ -293,15 +289,7 @@ def _simulation(
     variation: Variation | None = None,
     built: Built | None = None,
 ) -> Simulation:
-    """Return the hand with the object of a trial, or with a variation of it.
-
-    Args:
-        hand: The hand.
-        settings: Its loop's settings.
-        trial: The trial.
-        variation: The variation, if it is one.
-        built: The hand's model, where it is known.
-    """
+    """Return the hand with the object of a trial, or with a variation of it."""
     options = SimOptions(
         object=trial.object,
         object_mass=trial.mass,
@@ -310,12 +298,9 @@ def _simulation(
         carrier="arm",
     )
     if variation is not None:
-        friction = variation.friction if trial.friction is None else trial.friction
-        changes = {
-            "object_mass": trial.mass * variation.mass,
-            "object_scale": variation.size,
-            "friction": friction,
-        }
+        changes = variation.options(trial.mass)
+        if trial.friction is not None:  # what the user gives does not vary
+            del changes["friction"]
         options = options.model_copy(update=changes)
     return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
 
