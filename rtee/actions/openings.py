@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -175,17 +175,12 @@ class Opening:
                 "intensity; mend or delete them there: each is [intensity, opening in metres]"
             )
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
-        return Opening(
-            self.action,
-            self.elements,
-            self.posture,
-            self.sides,
-            self.actuators,
-            readonly(grid[keep]),
-            readonly(np.maximum(width[keep], 0.0)),
-            readonly(lever.reshape(len(keep), -1)),
-            readonly(np.interp(grid[keep], self.intensity, self.angle)),
-            self.note,
+        return replace(
+            self,
+            intensity=readonly(grid[keep]),
+            width=readonly(np.maximum(width[keep], 0.0)),
+            lever=readonly(lever.reshape(len(keep), -1)),
+            angle=readonly(np.interp(grid[keep], self.intensity, self.angle)),
         )
 
 

@@ -275,15 +275,9 @@ def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatA
 
 
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
-    """Move the joints along open directions to the equilibrium of the springs.
+    """Move joints ``q`` along open directions ``(n, k)`` to the equilibrium of the springs.
 
-    Args:
-        group: The joints.
-        q: Positions of the joints ``(n, 1 + motors)``; changed in place.
-        free: A basis of the open directions ``(n, k)``.
-
-    Returns:
-        A basis of the directions that the springs leave open.
+    In place; return a basis of the directions that the springs leave open.
     """
     if not (group.springs and free.shape[1]):
         return free

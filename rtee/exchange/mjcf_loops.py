@@ -293,15 +293,8 @@ def _closed_between(
 ) -> tuple[FloatArray, FloatArray]:
     """Move a linkage from a closed posture towards both limits for as long as it stays closed.
 
-    Args:
-        linkage: The linkage.
-        limits: Range of the moving joint [rad | m].
-        step: Distance between its positions [rad | m].
-        start: Its position in the closed posture.
-        first: Positions of the others there ``(k,)``.
-
-    Returns:
-        Positions of the moving joint ``(n,)``, ascending, and those of the others ``(n, k)``.
+    Return the positions of the moving joint ``(n,)``, ascending, ``step`` apart, and those of the
+    others ``(n, k)``, which are ``first`` at ``start``.
     """
     places, positions = [start], [first]
     jump = _JUMP * step

@@ -27,14 +27,7 @@ _DIGITS: Final = 9
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
     """Return the evidence about other links near a posture and the straight path to it.
 
-    Args:
-        scene: The hand's links.
-        u: The posture as stored ``(n,)``.
-        checker: The links that have to stay apart.
-
-    Returns:
-        The evidence, and the share of their margins that all other links keep in the posture and
-        on the path: 1, a quarter, or 0.
+    With it the share of their margins that these keep on both: 1, a quarter, or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []

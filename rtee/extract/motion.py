@@ -127,16 +127,10 @@ class Motion:
     def _displacements(
         self, fixed: int, moving: int, motion: tuple[FloatArray, FloatArray]
     ) -> FloatArray | float:
-        """Return the motion between stations of a shape's points near another shape.
+        """Return the greatest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        Args:
-            fixed: The other shape.
-            moving: The shape.
-            motion: Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of the body of the shape in
-                the body of the other one.
-
-        Returns:
-            The greatest displacements ``(s - 1,)`` [m].
+        They are points of the moving shape, the motion of whose body is in that of the other one's:
+        rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m].
         """
         shape, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation

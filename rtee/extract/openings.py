@@ -8,7 +8,7 @@ actuator, and a force ``F`` between the sides needs its effort ``-F dw/du`` (vir
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import Final
@@ -333,7 +333,7 @@ class _Table:
     def _refine(self) -> None:
         """Halve the steps in which the opening is not linear enough."""
         error = ERROR if len(self._way.actuators) == 1 else ERROR_OF_FINGERS
-        waiting = list(_steps(sorted(self._known)))
+        waiting = list(pairwise(sorted(self._known)))
         while waiting:
             low, high = waiting.pop()
             if high - low <= _FINEST:
@@ -385,10 +385,6 @@ class _Table:
             lever += 2.0 * vecmat(towards, moved) / len(fingers)
             angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)
-
-
-def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
-    return pairwise(grid)
 
 
 def _falling(width: Sequence[float]) -> list[int]:

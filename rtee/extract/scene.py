@@ -333,14 +333,10 @@ class Scene:
         *,
         surfaces: bool = True,
     ) -> bool:
-        """Return whether two shapes are nearer than a margin, given that their convex parts are.
+        """Return whether two shapes are nearer than a margin [m], as their convex parts are.
 
-        Args:
-            pair: The links.
-            k: Number of the couple.
-            couple: The indices of its shapes.
-            margin: The margin [m].
-            surfaces: Whether their surfaces may be that near.
+        They are couple ``k`` of the pair. Unless ``surfaces``, their surfaces are known to be
+        farther.
         """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]

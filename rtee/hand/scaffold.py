@@ -140,11 +140,7 @@ def _settle(
 ) -> _Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
-    Args:
-        load: Loads the hand, with what was settled so far.
-        searched: Whether the fingers are found in the tree, without an SRDF.
-        motors_known: Whether it is known which joints have motors.
-        ask: Asks the user, if there is one.
+    ``searched``: the fingers are found in the tree, without an SRDF.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}

@@ -285,10 +285,7 @@ class Supervisor:
     ) -> Any:
         """Have the device's task serve a request; return its result or raise its error.
 
-        Args:
-            name: Name of the request, for messages.
-            action: Called by the task.
-            first: Whether to serve it before the requests that wait already.
+        ``first``: before the requests that wait already.
         """
         if self._closed is not None:
             raise self._closed

@@ -72,6 +72,11 @@ class ActionWay:
             knots.append(after)
         return cls(hand, np.array(knots))
 
+    @property
+    def end(self) -> FloatArray:
+        """Actuator positions at its end ``(n,)`` [rad | m]."""
+        return np.array(self.knots[-1])
+
     def at(self, shares: FloatArray | float) -> FloatArray:
         """Return actuator positions ``(n,)`` [rad | m].
 
@@ -291,11 +296,7 @@ class _Together:
         return balanced(cones(normals, self._friction).reshape(-1, 3))
 
     def _rest_closed(self, rows: Slots) -> list[Closure]:
-        """Let the actuators go on that are not blocked, with the object where it is.
-
-        Args:
-            rows: Rows in which contacts oppose each other.
-        """
+        """Let the actuators go on that are not blocked, where contacts oppose each other."""
         ways = [self._closings[row].way for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]

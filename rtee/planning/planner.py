@@ -415,10 +415,9 @@ def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
 def _score(times: float, ball: float, off: float) -> float:
     """Return the score of a grasp, 0 to 1.
 
-    Args:
-        times: How many times its weight the object can have while the arm accelerates it.
-        ball: The quality.
-        off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
+    It depends on how many times its weight the object can have while the arm accelerates it, on the
+    quality, and on the distance of the contacts' middle from the centre of mass, in lengths of the
+    object.
     """
     held = min(1.0, times / SAFETY)
     # What does not resist every wrench turns or slides out as soon as it is disturbed.

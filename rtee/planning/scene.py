@@ -230,11 +230,8 @@ def _corners(points: list[FloatArray]) -> list[FloatArray]:
 def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps ``(n, k)`` between upright boxes and their unit normals ``(n, k, 3)``.
 
-    Where boxes overlap, the axis counts along which they overlap least; its gap is negative.
-
-    Args:
-        between: Ways from the middles of the first boxes to those of the others ``(n, k, 3)``.
-        reach: Sums of their half extents.
+    From the ways between their middles ``(n, k, 3)`` and the sums of their half extents. Where
+    boxes overlap, the axis counts along which they overlap least; its gap is negative.
     """
     apart = np.abs(between) - reach
     ways = np.maximum(apart, 0.0)

@@ -193,13 +193,7 @@ def least_squares(
 
 
 def _shares(part: FloatArray, target: FloatArray, enough: float) -> FloatArray:
-    """Return ``x`` of the least ``|part x - target|``, of any sign.
-
-    Args:
-        part: ``(m, n)``.
-        target: ``(m,)``.
-        enough: Gradient that counts as none.
-    """
+    """Return ``x`` of the least ``|part x - target|``, of any sign, to a gradient of ``enough``."""
     # The normal equations take a quarter of the time of `lstsq`, and do for columns that are not
     # nearly dependent; the gradient says whether they did.
     with suppress(np.linalg.LinAlgError):
@@ -275,13 +269,9 @@ def quality(found: FloatArray, least: float = 0.0) -> float:
 def _climb(found: FloatArray, start: FloatArray) -> float:
     """Return the norm of a vertex of the polar polytope ``{x: found x <= 1}``, uphill of a point.
 
-    Facets of the hull are vertices of its polar, and the nearer a facet the longer its vertex. The
-    way goes along faces of ever smaller dimension, then from vertex to vertex along edges that
-    lead away from the origin.
-
-    Args:
-        found: The hull's points ``(k, d)``.
-        start: A point of the polytope ``(d,)``.
+    Facets of the hull of the points ``(k, d)`` are vertices of its polar, and the nearer a facet
+    the longer its vertex. The way goes along faces of ever smaller dimension, then from vertex to
+    vertex along edges that lead away from the origin.
     """
     x, active = start, list[int]()
     for _ in range(_PIVOTS):

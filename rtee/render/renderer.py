@@ -290,11 +290,9 @@ class Renderer:
         return result
 
     def _ground_shadow(self, points: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
-        """Return the shadow at points of the ground ``(n,)``, from 0 to 1.
+        """Return the shadow at points ``(n, 3)`` [m] of the ground, from 0 to 1 ``(n,)``.
 
-        Args:
-            points: The points ``(n, 3)`` [m].
-            turns: Which of 16 sets of rays each of them uses ``(n,)``.
+        ``turns``: which of 16 sets of rays each of them uses.
         """
         shading = self.shading
         up = np.broadcast_to(shading.up, points.shape)

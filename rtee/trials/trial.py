@@ -353,13 +353,10 @@ class _Varied:
         *,
         until_good: bool = False,
     ) -> None:
-        """Try a place with variation until there are so many tries, to compare it with others.
+        """Try a place with variation until there are ``count`` tries, to compare it with others.
 
-        Args:
-            here: The place.
-            count: How many tries.
-            best: It is tried no further once it cannot rank above this one.
-            until_good: It is tried no further once it is good enough whatever the others show.
+        It is tried no further once it cannot rank above ``best``, or, ``until_good``, once it is
+        good enough whatever the others show.
         """
         # No more than are wanted afterwards: two variations are asked for to be quick. A scan
         # compares neighbours, for which as few would say nothing.
@@ -387,10 +384,7 @@ class _Varied:
     def at(self, place: Place, free: Places, origin: _Tried) -> _Tried:
         """Return how the trial ends at a place that another one was moved to.
 
-        Args:
-            place: The place; it is moved back until the open hand is clear of the object.
-            free: Tells whether it is.
-            origin: The other place.
+        The place is moved back until the open hand is clear of the object.
         """
         place = replace(place, pose=free.freed(place))
         result = replace(self.run(place).result(), places=origin.result.places)
@@ -399,9 +393,7 @@ class _Varied:
     def shifted(self, place: Place, round_: int) -> tuple[Place, float]:
         """Return a place amid those around one where an object is held, and the share of those.
 
-        Args:
-            place: The place.
-            round_: How often a place was moved before; each round uses other draws.
+        ``round_``: how often the place was moved before; each round uses other draws.
         """
         # The place itself, where the object was held; the mean exists if no other one holds.
         held = [np.zeros(3)]

@@ -262,11 +262,7 @@ class Interpolator:
     ) -> None:
         """Turn a jump of the path into errors that decay, within the limits if possible.
 
-        Args:
-            before: Motions of the moving actuators before the jump.
-            after: Motions after the jump.
-            now: The time by the hand's clock [s].
-            period: Time between samples [s].
+        At ``now`` by the hand's clock [s]; ``period``: time between samples [s].
         """
         for place, index in enumerate(self.indices):
             if before[place] == after[place]:
