@@ -60,10 +60,7 @@ class ActionFiles:
         self._gone = False
 
     def read(self, keep: Sequence[Action] = ()) -> Index:
-        """Return the actions in the files.
-
-        Args:
-            keep: Further actions, which exist only in memory.
+        """Return the actions in the files, and those to keep, which exist only in memory.
 
         Raises:
             ActionError: for every mistake in the files, with file and line.

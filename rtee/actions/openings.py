@@ -143,13 +143,10 @@ class Opening:
         return min(forces, default=0.0)
 
     def corrected(self, pairs: Iterable[tuple[float, float]]) -> Opening:
-        """Return the table corrected by measurements of the real hand.
+        """Return the table corrected by pairs measured on the real hand: intensity, opening [m].
 
         Interpolates the difference from the model between two measured pairs, and takes that of the
         nearest pair beyond them. Drops rows at which the corrected table would not fall.
-
-        Args:
-            pairs: Intensities and the openings measured there [m].
 
         Raises:
             ActionError: if the corrected table falls nowhere.

@@ -99,10 +99,7 @@ def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
 def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
     """Return how the second tip moves past the first, per unit of each actuator ``(3, n)``.
 
-    Args:
-        hand: The hand, at rest.
-        fingers: The two fingers.
-        point: Contact point of the tips, in the base frame [m].
+    At their contact point [m], in the base frame, and at rest.
     """
     velocities = []
     for name in fingers:

@@ -74,10 +74,7 @@ class _Link:
 def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = ()) -> Imported:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
-    Args:
-        path: The MJCF file.
-        folder: Folder of the URDF.
-        folders: Further folders in which its includes and meshes may be.
+    Its includes and meshes may be in further ``folders``.
 
     Raises:
         ModelError: The file cannot be read, or has elements that a URDF cannot represent; the

@@ -115,14 +115,7 @@ class Inspector:
         edges: Sequence[TipEdge],
         checker: CollisionChecker,
     ) -> Candidate:
-        """Return a multi-pinch with its evidence.
-
-        Args:
-            u: The posture as stored ``(n,)``.
-            names: The fingers.
-            edges: The pairs of tips that may touch.
-            checker: The links that must not collide.
-        """
+        """Return a multi-pinch with its evidence, at a posture as stored ``(n,)``."""
         scene = self.scene
         path = self.motion.path_to(u)
         around, margin = _surroundings(scene, u, checker)

@@ -217,11 +217,7 @@ class DistanceBounds:
         self._joints = np.zeros(self._levers.shape)
 
     def least(self, joints: FloatArray) -> FloatArray:
-        """Return the least possible distance of every pair ``(p,)`` [m].
-
-        Args:
-            joints: Joint positions ``(m,)`` [rad | m].
-        """
+        """Return the least distance of every pair ``(p,)`` [m] at joint positions ``(m,)``."""
         # A joint's contribution is at most its travel times its longest lever.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)

@@ -163,11 +163,7 @@ class Scene:
         return pair.reversed() if pair else None
 
     def place(self, u: FloatArray) -> None:
-        """Move all links to a posture.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Move all links to actuator positions ``(n,)`` [rad | m]."""
         self.joints = self.couplings.joints(u)
         pin.forwardKinematics(self._model, self._data, self.joints)
         # Invalidate all measurements at the previous posture.
@@ -298,9 +294,7 @@ class Scene:
 
         Meshes touch if their surfaces meet or one is inside the other; primitives are solid.
 
-        Args:
-            pair: The links.
-            surfaces: Whether their surfaces may meet; false skips this check.
+        Their surfaces are not compared unless ``surfaces``.
         """
         return self.nearer(pair, TOUCH, surfaces=surfaces)
 

@@ -130,12 +130,7 @@ def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
 
 
 def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
-    """Return the text of a URDF with other addresses of meshes.
-
-    Args:
-        text: The URDF.
-        addresses: New addresses by the old ones; others are kept.
-    """
+    """Return the text of a URDF with new addresses of meshes by the old ones; others are kept."""
     if not addresses:
         return text
     import html  # only here: it holds a large table, and not every hand has meshes

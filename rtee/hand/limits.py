@@ -246,14 +246,7 @@ def standing_position(
 def rest_note(
     name: str, state: Mapping[str, float], actuators: Sequence[str], overrides: Overrides
 ) -> list[str]:
-    """Return a note if the rest posture comes from the SRDF, at least in part.
-
-    Args:
-        name: Name of the SRDF's group_state.
-        state: Its joint positions [rad | m].
-        actuators: Names of the actuators.
-        overrides: The configuration.
-    """
+    """Return a note if the rest posture comes from the SRDF, at least in part."""
     taken = [actuator for actuator in actuators if actuator in state]
     own = [actuator for actuator in taken if actuator in overrides.rest]
     if not name or (own and len(own) == len(taken)):

@@ -181,11 +181,7 @@ class Transmission:
         return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """Return the derivative ``(m, n)`` of the joint positions by the actuator positions.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Return the derivative ``(m, n)`` of the joints by the actuators at positions ``(n,)``."""
         jacobian: FloatArray = self.matrix.copy()
         for row, actuator, coupling in self._curved:
             jacobian[row, actuator] = coupling.dual(float(u[actuator]))[1]

@@ -76,11 +76,7 @@ class Invalid(ValueError):
 
 
 def validated(kind: type[T], data: Any) -> T:
-    """Return plain data as a dataclass.
-
-    Args:
-        kind: The dataclass.
-        data: Mappings, lists, texts, numbers, booleans and ``None``.
+    """Return plain data, as YAML and JSON have it, as a dataclass.
 
     Raises:
         Invalid: It does not fit; the error names all mistakes.

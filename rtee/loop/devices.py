@@ -160,11 +160,7 @@ class Devices:
         return frozenset().union(*(device.indices for device in active))
 
     def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
-        """Check that some actuators may be moved.
-
-        Args:
-            indices: The actuators.
-            movable: The result of `movable`, where the caller has it already.
+        """Check that some actuators may be moved; ``movable``: the known result of `movable`.
 
         Raises:
             GoalRejected: if one of them may not be moved.

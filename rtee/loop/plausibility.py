@@ -94,10 +94,6 @@ class Plausibility:
         """Return whether any of some actuators was measured too rarely to say where it is.
 
         It has leapt, even if plausibly, and too few later measurements agree.
-
-        Args:
-            indices: The actuators.
-            stamp: Now [s].
         """
         return any(stamp < self._leaping_until[i] for i in indices)
 

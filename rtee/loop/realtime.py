@@ -237,11 +237,7 @@ class Collector:
             gc.enable()
 
     def idle(self, until_ns: int) -> None:
-        """Run a collection that is due, if there is enough time for it.
-
-        Args:
-            until_ns: When the next tick is due, CLOCK_MONOTONIC [ns].
-        """
+        """Run a due collection if there is time until the next tick [ns, CLOCK_MONOTONIC]."""
         now = time.monotonic_ns()
         if now < self._due[0]:
             return

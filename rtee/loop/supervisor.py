@@ -205,10 +205,9 @@ class Supervisor:
     # --- requests, served between two exchanges ----------------------------------------------
 
     async def stop(self, within: float) -> bool:
-        """Stop the device, again if it did not answer; return whether it did. Cannot raise.
+        """Stop the device within a time [s], again if it did not answer; return whether it did.
 
-        Args:
-            within: Time that the stop may take [s].
+        Cannot raise.
         """
         return await self._confirmed("stop", self._stop, within)
 

@@ -115,11 +115,7 @@ class TouchGatherer:
         self._on_refused(name, f"device '{name}': {text}")
 
     def outdate(self, now: float) -> list[str]:
-        """Mark states that have become stale; return the devices whose forces became unknown.
-
-        Args:
-            now: The time [s].
-        """
+        """Mark states that are stale now; return the devices whose forces became unknown."""
         if now <= self._next_stale:
             return []
         gone = []

@@ -143,13 +143,7 @@ class Closing:
     """
 
     def __init__(self, scene: GraspScene, way: ActionWay, friction: float) -> None:
-        """Make the table.
-
-        Args:
-            scene: The hand and the object.
-            way: The action's way.
-            friction: Coefficient of friction between the hand and the object.
-        """
+        """Make the table."""
         self.scene, self.way, self.friction = scene, way, friction
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
         postures = scene.postures

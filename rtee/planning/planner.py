@@ -177,9 +177,7 @@ class Planner:
     def best(self, actions: Sequence[Action], most: int = _MOST) -> tuple[int, GraspPlan] | None:
         """Return the best grasp by one of several actions, and which one; ``None`` without any.
 
-        Args:
-            actions: The actions.
-            most: Poses of the object that are tried for each.
+        For each, at most ``most`` poses of the object are tried.
         """
         best: tuple[int, GraspPlan] | None = None
         found = enumerate(self._grasps(actions, most))

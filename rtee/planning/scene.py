@@ -60,12 +60,7 @@ class GraspScene:
     def __init__(
         self, hand: Hand, thing: GraspObject, geometry: HandGeometry | None = None
     ) -> None:
-        """Read the hand's geometry.
-
-        Args:
-            hand: The hand.
-            thing: The object.
-            geometry: The hand's geometry, where there is one already.
+        """Read the hand's geometry, unless it is given.
 
         Raises:
             ModelError: A mesh of the hand is missing or cannot be read.

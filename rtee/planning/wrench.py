@@ -80,23 +80,16 @@ _HALVINGS: Final = 7
 
 
 def cone(normal: FloatArray, friction: float) -> FloatArray:
-    """Return the edges ``(EDGES, 3)`` of a cone of friction, each of unit normal force.
+    """Return the edges ``(EDGES, 3)`` of a cone of friction about a unit normal into the object.
 
-    Args:
-        normal: Unit normal into the object ``(3,)``.
-        friction: Coefficient of friction.
+    Each is of unit normal force.
     """
     edges: FloatArray = cones(normal[None], friction)[0]
     return edges
 
 
 def cones(normals: FloatArray, friction: float) -> FloatArray:
-    """Return the edges of cones of friction ``(k, EDGES, 3)``; see `cone`.
-
-    Args:
-        normals: Unit normals into the object ``(k, 3)``.
-        friction: Coefficient of friction.
-    """
+    """Return the edges of cones of friction ``(k, EDGES, 3)`` about normals; see `cone`."""
     # Crossed with the axis farthest from the normal, so that the product is never near zero. Of
     # equal ones x comes first, then y.
     size = np.abs(normals)

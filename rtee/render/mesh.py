@@ -75,11 +75,7 @@ class HandMesh:
         self._parts = [Mesh.of(triangles, index) for index, triangles in enumerate(parts)]
 
     def at(self, u: FloatArray) -> Mesh:
-        """Return the mesh at a posture, in the hand's base frame.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Return the mesh in the hand's base frame at actuator positions ``(n,)`` [rad | m]."""
         poses = self.geometry.kinematics.placements(u)
         parts = zip(self.links, self._parts, strict=True)
         return Mesh.joined([part.placed(poses[link]) for link, part in parts])

@@ -43,14 +43,6 @@ def check_plan(
 ) -> Check:
     """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
 
-    Args:
-        hand: The hand.
-        library: Its actions, with that of the plan.
-        settings: Its loop's settings.
-        thing: The object.
-        ranking: What the plan is one of; it has the friction and the weight's axis.
-        plan: The plan.
-
     Raises:
         UnknownAction: if the library does not have the action.
         ModelError: if the hand cannot be simulated.
@@ -81,16 +73,7 @@ def checked(
     ranking: Ranking,
     most: int,
 ) -> Ranking:
-    """Return a ranking whose best plans were tried in dynamics; those that held come first.
-
-    Args:
-        hand: The hand.
-        library: Its actions, with those of the plans.
-        settings: Its loop's settings.
-        thing: The object.
-        ranking: The ranking.
-        most: How many of the best plans are tried.
-    """
+    """Return a ranking whose ``most`` best plans were tried in dynamics; what held comes first."""
     plans = list(ranking.plans)
     for number, plan in enumerate(plans[:most]):
         check = check_plan(hand, library, settings, thing, ranking, plan)

@@ -42,11 +42,7 @@ class Bench:
 
 @lru_cache(maxsize=4)
 def bench(name: str, rate: float = RATE) -> Bench:
-    """Load a hand for trials.
-
-    Args:
-        name: The hand, by name or folder.
-        rate: Ticks per second of its trials [Hz].
+    """Load a hand, by name or folder, for trials at a rate [Hz].
 
     Raises:
         UserError: for every mistake in its files.
