@@ -174,7 +174,9 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
         ConfigError: if none of them is ever homed.
     """
     allowed = tuple(
-        replace(spec, options={**spec.options, "home": "on_connect"}) if _homes(spec) else spec
+        replace(spec, options={**spec.options, "home": "on_connect"})
+        if "home" in default_options(find_driver(spec.driver, source=spec.source).Options)
+        else spec
         for spec in specs
     )
     # `replace` makes a new object, so that the same object means "unchanged".
@@ -183,7 +185,3 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
         hint = "; give --driver devices, too" if drivers == "kinematic" else ""
         raise ConfigError(f"no device of hand '{hand}' needs homing (driver {drivers}){hint}")
     return allowed
-
-
-def _homes(spec: DeviceSpec) -> bool:
-    return "home" in default_options(find_driver(spec.driver, source=spec.source).Options)

@@ -156,7 +156,8 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
         body = _body(link, urdf, moved)
         if body is not None:
             # Of several ends on the same rigid body, the tip is the one with the longest path.
-            bodies[body] = _farther(bodies.get(body), link, urdf)
+            ends = (bodies.get(body, link), link)
+            bodies[body] = max(ends, key=lambda end: len(urdf.path_to(end)))
     order = list(urdf.joint_to)
     return sorted(bodies.values(), key=order.index)
 
@@ -164,12 +165,6 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
 def _body(link: str, urdf: Urdf, moved: frozenset[str]) -> str | None:
     """Return the last moved joint above a link; ``None`` if the link does not move."""
     return next((j.name for j in reversed(urdf.path_to(link)) if j.name in moved), None)
-
-
-def _farther(first: str | None, second: str, urdf: Urdf) -> str:
-    if first is None or len(urdf.path_to(second)) > len(urdf.path_to(first)):
-        return second
-    return first
 
 
 def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:

@@ -178,10 +178,8 @@ def _checker(kind: Any) -> _Checker:
         return _words({member.value: member for member in kind})
     if kind is Any:
         return lambda value, at, mistakes: value
-    return _PLAIN[kind] if kind in _PLAIN else _unsupported(kind)
-
-
-def _unsupported(kind: Any) -> _Checker:
+    if kind in _PLAIN:
+        return _PLAIN[kind]
     raise TypeError(f"settings cannot be of the type {kind}")
 
 

@@ -15,7 +15,7 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.log.playback import write_hand
-from rtee.log.recording import Channel, Recording
+from rtee.log.recording import Recording
 from rtee.object_description import CONTACTS, ObjectPart, contact_rows
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
@@ -108,13 +108,12 @@ class _Strip:
 
     def _hand_at(self, at: float) -> Mesh:
         states = self._recording.actuator_states
-        row = max(0, int(np.searchsorted(states.t, at, side="right")) - 1)
-        return self._mesh.at(states.position[row, self._order])
+        return self._mesh.at(states.position[_row(states.t, at), self._order])
 
     def _at(self, at: float) -> Mesh:
         meshes = [self._hand_at(at)]
         channels = {
-            name.rpartition("/")[2]: _value(channel, at)
+            name.rpartition("/")[2]: channel.values[_row(channel.t, at)]
             for name, channel in self._recording.channels.items()
         }
         pose = pose_in_hand(channels)
@@ -133,8 +132,9 @@ class _Strip:
         return _LONGEST * self._size * strength / (strength + _HALF)
 
 
-def _value(channel: Channel, at: float) -> FloatArray:
-    return channel.values[max(0, int(np.searchsorted(channel.t, at, side="right")) - 1)]
+def _row(times: FloatArray, at: float) -> int:
+    """Return the row of the last values before a time, or else the first row."""
+    return max(0, int(np.searchsorted(times, at, side="right")) - 1)
 
 
 def _along(point: FloatArray, force: FloatArray, length: float) -> FloatArray:
