@@ -162,12 +162,7 @@ def sequence(
 ) -> Timed:
     """Put actions in sequence, with margins.
 
-    Args:
-        hand: The hand.
-        find: Function that returns an inner action by name and elements.
-        name: Name of the new action.
-        steps: The inner actions in order.
-        description: One sentence for people.
+    ``find`` returns an inner action by name and elements.
 
     Raises:
         UnknownAction: if there is no such inner action.

@@ -97,10 +97,7 @@ def make_openings(
 ) -> list[Opening]:
     """Return the openings of the actions that have one, in their order.
 
-    Args:
-        hand: The hand.
-        actions: Its actions.
-        progress: Called with the number of actions done and their total.
+    ``progress`` is called with the number of actions done and their total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.

@@ -99,13 +99,7 @@ def clamped(value: float, lower: float, upper: float) -> float:
 def actuator_spec(
     joint: UrdfJoint, urdf: Urdf, state: Mapping[str, float], overrides: Overrides
 ) -> tuple[ActuatorSpec, list[str]]:
-    """Return an actuator's limits and rest position.
-
-    Args:
-        joint: The actuator.
-        urdf: The hand's URDF.
-        state: Joint positions of the SRDF's rest posture [rad | m].
-        overrides: The configuration.
+    """Return an actuator's limits and rest position; ``state`` is the SRDF's rest [rad | m].
 
     Returns:
         The actuator, without its fingers, and a sentence for each assumption.

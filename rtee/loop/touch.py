@@ -59,13 +59,7 @@ class TouchGatherer:
         self.forces: Mapping[str, FloatArray] = NOTHING
 
     def take(self, name: str, can: Capabilities, reading: TouchReading) -> bool:
-        """Accept a device's reading; return whether it is new and can be used.
-
-        Args:
-            name: The device.
-            can: The device's capabilities, with its touch sensors.
-            reading: Its newest reading.
-        """
+        """Accept a device's newest reading; return whether it is new and can be used."""
         device = self._devices.get(name)
         if device is None:
             device = self._devices[name] = _Device()

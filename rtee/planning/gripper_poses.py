@@ -239,9 +239,7 @@ def reach_gripper_pose(
 def with_openings(actions: Iterable[Action], openings: Any) -> list[tuple[Action, Opening]]:
     """Return the actions that have an opening, with it.
 
-    Args:
-        actions: The actions.
-        openings: The hand's `rtee.actions.openings.Openings`.
+    ``openings`` are the hand's `rtee.actions.openings.Openings`.
 
     Raises:
         ConfigError: if none has one; with the reason.

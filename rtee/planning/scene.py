@@ -181,11 +181,7 @@ class GraspScene:
         return Contact(self.geometry.shapes[shape].link, self.finger[shape], (x, y, z), (a, b, c))
 
     def torques(self, u: FloatArray, contacts: Sequence[Contact]) -> FloatArray:
-        """Return the maps from forces at contacts to the actuators' efforts ``(k, n, 3)``.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-            contacts: The contacts.
+        """Return the maps from forces at contacts to efforts ``(k, n, 3)``, at positions [rad | m].
 
         Returns:
             Per contact the transposed Jacobian of its point with respect to the actuators.
