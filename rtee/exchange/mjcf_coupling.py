@@ -277,7 +277,7 @@ def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatA
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
     """Move joints ``q`` along open directions ``(n, k)`` to the equilibrium of the springs.
 
-    In place; return a basis of the directions that the springs leave open.
+    Changes ``q``; returns a basis of the directions that the springs leave open.
     """
     if not (group.springs and free.shape[1]):
         return free

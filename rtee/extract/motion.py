@@ -129,8 +129,8 @@ class Motion:
     ) -> FloatArray | float:
         """Return the greatest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        They are points of the moving shape, the motion of whose body is in that of the other one's:
-        rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m].
+        They are points of the moving shape. Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of
+        its body in that of the fixed one are its motion.
         """
         shape, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
