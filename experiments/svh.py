@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Outcome, main, recording, strip
+from experiments.kinematic import KinematicPlay
 from rtee.actions.build import compose
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Action, ActionReference, Primitive, PrimitiveKind
@@ -18,7 +19,6 @@ from rtee.log import Recording, read
 from rtee.loop.plan import OPEN
 from rtee.sample import FloatArray
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.kinematic import KinematicPlay
 from rtee.trials.sweep import bench
 from rtee.types import Goal
 

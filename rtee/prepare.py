@@ -65,16 +65,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class PreparedHand:
-    """A hand that was read and checked, before any device is opened.
-
-    Attributes:
-        hand: The hand.
-        config: Its hand.yaml.
-        folder: The folder of hand.yaml.
-        library: Its grasping actions.
-        settings: The loop's settings.
-        devices: Its devices.
-    """
+    """A hand that was read and checked, before any device is opened."""
 
     hand: Hand
     config: HandConfig
@@ -179,15 +170,13 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
 
     A device that is homed already does not move; the others do.
 
-    Args:
-        hand: The hand's name.
-        specs: Its devices.
-
     Raises:
         ConfigError: if none of them is ever homed.
     """
     allowed = tuple(
-        replace(spec, options={**spec.options, "home": "on_connect"}) if _homes(spec) else spec
+        replace(spec, options={**spec.options, "home": "on_connect"})
+        if "home" in default_options(find_driver(spec.driver, source=spec.source).Options)
+        else spec
         for spec in specs
     )
     # `replace` makes a new object, so that the same object means "unchanged".
@@ -196,7 +185,3 @@ def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, 
         hint = "; give --driver devices, too" if drivers == "kinematic" else ""
         raise ConfigError(f"no device of hand '{hand}' needs homing (driver {drivers}){hint}")
     return allowed
-
-
-def _homes(spec: DeviceSpec) -> bool:
-    return "home" in default_options(find_driver(spec.driver, source=spec.source).Options)

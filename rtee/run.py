@@ -105,7 +105,8 @@ async def run_hands(
     if serve is not None:
         companions = (*options.companions, *_in_ros2(names, prepared, options))
         options = replace(options, companions=companions)
-    realtime = _realtime(prepared, options)
+    wanted = [realtime_settings(one.config, enabled=options.realtime) for one in prepared]
+    realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
     collector = Collector()
     service = Service.of()
     # Left in the opposite order: the network is closed first, then the devices and the recorders.
@@ -126,7 +127,8 @@ async def run_hands(
                 words = profile_words(config, hand.prepared.settings)
                 server = serve(hand.loop, config.remote, hand.recorder, words)
                 hand.server = await stack.enter_async_context(server)
-            say(start_line(hand.loop, _log_words(hand.recorder), _network_words(hand.server)))
+            network = "off" if hand.server is None else hand.server.endpoint
+            say(start_line(hand.loop, _log_words(hand.recorder), network))
             if service is not None:
                 hand.loop.add_observer(service.watch(hand.loop.name))
         # As they are before this thread is pinned: for the companions, which would inherit them.
@@ -173,11 +175,6 @@ def _warn_of_profiles(prepared: Sequence[PreparedHand]) -> None:
             hands.setdefault(words, []).append(one.hand.name)
     for words, names in hands.items():
         log.warning("%s: profile %s", ", ".join(names), words)
-
-
-def _realtime(prepared: Sequence[PreparedHand], options: RunOptions) -> RealtimeSettings:
-    wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
-    return next((settings for settings in wanted if settings.enabled), RealtimeSettings())
 
 
 async def _open(
@@ -317,10 +314,6 @@ def _log_words(recorder: Recorder) -> str:
         folder = recorder.flight_folder
         return "off" if folder is None else f"off, but faults go to {folder}"
     return str(status.path) if status.path else f"not written: {status.problem}"
-
-
-def _network_words(server: Server | None) -> str:
-    return "off" if server is None else server.endpoint
 
 
 def _summary(hands: Sequence[_RunningHand]) -> list[str]:

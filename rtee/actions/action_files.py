@@ -50,15 +50,7 @@ PRIMITIVES: Final = "primitives"
 
 
 class ActionFiles:
-    """The stored actions of one hand.
-
-    Args:
-        hand: The hand.
-        folder: The folder.
-
-    Attributes:
-        folder: The folder.
-    """
+    """The stored actions of one hand."""
 
     def __init__(self, hand: Hand, folder: Path) -> None:
         self.hand = hand
@@ -68,10 +60,7 @@ class ActionFiles:
         self._gone = False
 
     def read(self, keep: Sequence[Action] = ()) -> Index:
-        """Return the actions in the files.
-
-        Args:
-            keep: Further actions, which exist only in memory.
+        """Return the actions in the files, and those to keep, which exist only in memory.
 
         Raises:
             ActionError: for every mistake in the files, with file and line.
@@ -314,11 +303,6 @@ def primitive_changes(folder: Path, hand: Hand, primitives: Iterable[Primitive])
 
     The same primitives give the same text. Keeps people's comments in the files, and deletes files
     of kinds without primitives.
-
-    Args:
-        folder: The hand's folder of actions.
-        hand: The hand.
-        primitives: All its primitives.
 
     Raises:
         ActionError: if an existing file cannot be read.

@@ -55,11 +55,7 @@ class StepPlan:
 
 
 def full_posture(hand: Hand, involved: Mapping[str, float]) -> Posture:
-    """Return a posture in which the other actuators are at rest, all in the hand's order.
-
-    Args:
-        hand: The hand.
-        involved: Position of the involved actuators [rad | m].
+    """Return a posture of involved positions [rad | m], with all other actuators at rest.
 
     Raises:
         UnknownActuator: if the hand has no such actuator.
@@ -166,12 +162,7 @@ def sequence(
 ) -> Timed:
     """Put actions in sequence, with margins.
 
-    Args:
-        hand: The hand.
-        find: Function that returns an inner action by name and elements.
-        name: Name of the new action.
-        steps: The inner actions in order.
-        description: One sentence for people.
+    ``find`` returns an inner action by name and elements.
 
     Raises:
         UnknownAction: if there is no such inner action.
@@ -205,13 +196,7 @@ def sequence(
 def generic(
     hand: Hand, name: str, set_points: Mapping[str, float], *, description: str = ""
 ) -> Generic:
-    """Make an action of set-points given directly.
-
-    Args:
-        hand: The hand.
-        name: Name of the new action.
-        set_points: Position of the involved actuators [rad | m]; the others are not involved.
-        description: One sentence for people.
+    """Make an action of set-points [rad | m]; actuators without one are not involved.
 
     Raises:
         ActionError: if an actuator is unknown, a value outside its limits, or the name invalid.

@@ -14,11 +14,7 @@ _IDENTITY = ("elements", "alias", "action")
 
 
 def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
-    """Return an edited file with new data, changed as little as possible.
-
-    Args:
-        text: The present text of the file.
-        data: The new data, as for `emit`.
+    """Return an edited file with new data, as for `emit`, changed as little as possible.
 
     Returns:
         The new text; ``None`` if the old one cannot be kept.

@@ -15,13 +15,7 @@ CLOSE: Final = 1e-4
 
 
 def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> float | None:
-    """Return the scale from rest at which a posture has these set-points, or ``None``.
-
-    Args:
-        hand: The hand.
-        posture: The posture.
-        set_points: Positions by actuator [rad | m].
-    """
+    """Return the scale from rest at which a posture has set-points [rad | m], or ``None``."""
     if set(posture.involved) != set(set_points):
         return None
     rest = dict(zip(hand.actuator_names, hand.rest.tolist(), strict=True))

@@ -29,10 +29,7 @@ def clearance_text(clearance: float) -> str:
 def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None) -> dict[str, Any]:
     """Return a hand with its actions, ready for JSON.
 
-    Args:
-        hand: The hand.
-        actions: Its actions.
-        seconds: Time that it took to find or read the actions [s]; ``None`` leaves it out.
+    ``seconds``: time that it took to find or read the actions [s].
 
     Returns:
         ``hand``, ``fingers``, ``actuators``, ``primitives``, ``composed``, ``timed``, ``generic``

@@ -33,12 +33,7 @@ class Fingerprints:
 
     @classmethod
     def of(cls, folder: Path, library: ActionLibrary) -> Self:
-        """Return the fingerprints of a hand.
-
-        Args:
-            folder: The hand's folder.
-            library: Its actions.
-        """
+        """Return the fingerprints of a hand."""
         actions = {" ".join((a.name, *a.elements)): _fingerprint_of(a) for a in library}
         return cls(fingerprint(folder), model_fingerprint(folder), actions)
 

@@ -35,11 +35,7 @@ def _as_kind(kind: ActionKind | str | None) -> ActionKind | None:
 
 
 class Index:
-    """Actions by name and elements.
-
-    Args:
-        hand: The hand, whose order of fingers and actuators all results have.
-        actions: The actions.
+    """Actions by name and elements, in the order of the hand's fingers and actuators.
 
     Raises:
         ActionError: if two actions have the same name (and elements).

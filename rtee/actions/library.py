@@ -319,10 +319,9 @@ class ActionLibrary:
         return self._stored is not None and self._stored.changed()
 
     def reload(self, *, force: bool = False) -> bool:
-        """Read the files again if they changed; keep actions that exist only in memory.
+        """Read the files again if they changed, and return whether they did.
 
-        Returns:
-            Whether the files were read.
+        Actions that exist only in memory are kept.
 
         Raises:
             ActionError: for every mistake in the files; the library is then unchanged.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -131,12 +131,7 @@ class Opening:
         return float(np.interp(intensity, self.intensity, self.angle))
 
     def strongest(self, hand: Hand, intensity: float) -> float:
-        """Return the force that the effort limits allow at an intensity [N], by virtual work.
-
-        Args:
-            hand: The hand.
-            intensity: The intensity.
-        """
+        """Return the force that the effort limits allow at an intensity [N], by virtual work."""
         levers = {name: abs(lever) for name, lever in self.levers_at(intensity).items()}
         most = max(levers.values())
         # A lever is the effort for one newton, so that the weakest actuator limits the force.
@@ -148,13 +143,10 @@ class Opening:
         return min(forces, default=0.0)
 
     def corrected(self, pairs: Iterable[tuple[float, float]]) -> Opening:
-        """Return the table corrected by measurements of the real hand.
+        """Return the table corrected by pairs measured on the real hand: intensity, opening [m].
 
         Interpolates the difference from the model between two measured pairs, and takes that of the
         nearest pair beyond them. Drops rows at which the corrected table would not fall.
-
-        Args:
-            pairs: Intensities and the openings measured there [m].
 
         Raises:
             ActionError: if the corrected table falls nowhere.
@@ -180,17 +172,12 @@ class Opening:
                 "intensity; mend or delete them there: each is [intensity, opening in metres]"
             )
         lever = np.array([np.interp(grid[keep], self.intensity, c) for c in self.lever.T]).T
-        return Opening(
-            self.action,
-            self.elements,
-            self.posture,
-            self.sides,
-            self.actuators,
-            readonly(grid[keep]),
-            readonly(np.maximum(width[keep], 0.0)),
-            readonly(lever.reshape(len(keep), -1)),
-            readonly(np.interp(grid[keep], self.intensity, self.angle)),
-            self.note,
+        return replace(
+            self,
+            intensity=readonly(grid[keep]),
+            width=readonly(np.maximum(width[keep], 0.0)),
+            lever=readonly(lever.reshape(len(keep), -1)),
+            angle=readonly(np.interp(grid[keep], self.intensity, self.angle)),
         )
 
 

@@ -27,10 +27,6 @@ def pinch_at_rest(hand: Hand, primitives: Iterable[Primitive]) -> str:
     Needs no shapes. The rest posture is a pinch if a stored pinch of two fingers lies at it, its
     evidence says that the tips touch there or nearly do, and the motion that moves the tips
     farthest past each other is along the contact normal.
-
-    Args:
-        hand: The hand.
-        primitives: Its stored primitives.
     """
     at_rest = (p for p in primitives if p.kind.pinch and _is_at_rest(hand, p))
     ways = [(p, _opened(hand, p)) for p in at_rest]
@@ -103,10 +99,7 @@ def _opened(hand: Hand, pinch: Primitive) -> dict[str, float]:
 def _past(hand: Hand, fingers: Sequence[str], point: FloatArray) -> FloatArray:
     """Return how the second tip moves past the first, per unit of each actuator ``(3, n)``.
 
-    Args:
-        hand: The hand, at rest.
-        fingers: The two fingers.
-        point: Contact point of the tips, in the base frame [m].
+    At their contact point [m], in the base frame, and at rest.
     """
     velocities = []
     for name in fingers:

@@ -21,12 +21,6 @@ def sideways(hand: Hand, action: Action) -> tuple[str, ...]:
 
 
 def sideways_words(hand: Hand, action: Action, prefix: str = "") -> str:
-    """Return a sentence about the abduction in a Trig; ``""`` if there is none.
-
-    Args:
-        hand: The hand.
-        action: Any action.
-        prefix: Prefix to remove from the names of actuators.
-    """
+    """Return a sentence about a Trig's abduction, without a prefix of names, or ``""``."""
     names = [name.removeprefix(prefix) for name in sideways(hand, action)]
     return f"also swings sideways (abduction): {', '.join(names)}" if names else ""

@@ -106,11 +106,12 @@ def _checked(name: str, library: ActionLibrary, target: GraspObject, ranking: Ra
     """Return the ranking with the best grasps tried in dynamics."""
     from rtee.errors import needing_extra
     from rtee.hand.load import hand_folder, load_configured
+    from rtee.loop.configure import loop_settings
 
     with needing_extra("trying grasps in simulation", "sim"):
         from rtee.trials.planned import checked
-        from rtee.trials.sweep import settings_of
-    settings = settings_of(load_configured(hand_folder(name)[0])[1])
+        from rtee.trials.sweep import RATE
+    settings = loop_settings(load_configured(hand_folder(name)[0])[1], rate=RATE)
     return checked(library.hand, library, settings, target, ranking, _CHECKED)
 
 

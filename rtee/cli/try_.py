@@ -160,7 +160,8 @@ def try_(
         raise ConfigError("--reflexes, --no-reflexes, --force, --max-force and --width need --task")
 
     with needing_extra("a trial", "sim"):
-        from rtee.trials.sweep import CHOOSING, OBJECTS, all_trials, bench, mass_of
+        from rtee.trials.result import CHOOSING, OBJECTS, mass_of
+        from rtee.trials.sweep import all_trials, bench
         from rtee.trials.trial import Trial
 
     name = _resolved(hand)

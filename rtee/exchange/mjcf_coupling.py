@@ -19,7 +19,6 @@ from rtee.exchange.mjcf_motion import (
     Driven,
     Follow,
     Line,
-    Loop,
     Motion,
     Motor,
     bare,
@@ -39,39 +38,25 @@ _SLACK = 1e-6
 """Largest excess of a tendon's length over its limits that counts as rounding [rad | m]."""
 
 
-@dataclass(slots=True)
-class _Group:
-    """Joints that depend on one another and on no other joints.
+@dataclass(slots=True, kw_only=True)
+class _Group(Constraints):
+    """Joints that depend on one another and on no other joints, with their constraints.
 
     Attributes:
         joints: The joints, in the model's order.
-        motors: The motors that move them.
-        lines: Rigid linear couplings.
-        springs: Linear couplings by springs.
-        curves: Polynomial couplings.
-        loops: Constraints that are solved numerically.
     """
 
     joints: list[int]
-    motors: list[Motor]
-    lines: list[Line]
-    springs: list[Line]
-    curves: list[Curve]
-    loops: list[Loop]
 
 
-def motion_of(model: mujoco.MjModel, path: object) -> Motion:
-    """Return how the joints of a model move.
-
-    Args:
-        model: The model, whose joints are hinges and slides.
-        path: Its file, for messages.
+def motion_of(model: mujoco.MjModel) -> Motion:
+    """Return how the joints of a model move, which are hinges and slides.
 
     Raises:
         ModelError: The couplings leave a number of degrees of freedom other than that of the
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
-    constraints = constraints_of(model, path)
+    constraints = constraints_of(model)
     # First of all, since what is held drops motors, and followers of it need no solution.
     _hold(constraints)
     motion = Motion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
@@ -99,11 +84,11 @@ def motion_of(model: mujoco.MjModel, path: object) -> Motion:
             # Joints coupled only to each other stay in the position of the model.
             motion.passive += group.joints
         elif group.loops or group.curves:
-            _solve_numerically(model, group, motion, path)
+            _solve_numerically(model, group, motion)
         else:
-            _solve_lines(model, group, motion, path)
+            _solve_lines(model, group, motion)
     if not motion.driven:
-        raise ModelError("has no joint that a motor could move", path=str(path))
+        raise ModelError("has no joint that a motor could move")
     return motion
 
 
@@ -204,12 +189,12 @@ def _groups(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> 
     )
     groups = [
         _Group(
-            sorted(members),
             [m for m, joints in zip(constraints.motors, moved, strict=True) if members & joints],
-            [line for line in lines if members & set(line.factors)],
-            [spring for spring in springs if members & set(spring.factors)],
-            [curve for curve in constraints.curves if members & {curve.joint, curve.of}],
-            [loop for loop in constraints.loops if members & loop.joints],
+            joints=sorted(members),
+            lines=[line for line in lines if members & set(line.factors)],
+            springs=[spring for spring in springs if members & set(spring.factors)],
+            curves=[curve for curve in constraints.curves if members & {curve.joint, curve.of}],
+            loops=[loop for loop in constraints.loops if members & loop.joints],
         )
         for members in {id(members): members for members in group.values()}.values()
     ]
@@ -228,13 +213,13 @@ def _matrix(lines: Sequence[Line], joints: Sequence[int]) -> FloatArray:
     )
 
 
-def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:
+def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion) -> None:
     """Solve a group of linear couplings.
 
     Springs decide the degrees of freedom that the couplings leave open, as at rest without load.
     Without springs, the joints of a motor's tendon share its travel in proportion to their factors.
     """
-    q, free = _positions(model, group, path)
+    q, free = _positions(model, group)
     shared = {
         joint
         for joint, row in zip(group.joints, free, strict=True)
@@ -259,10 +244,10 @@ def _solve_lines(model: mujoco.MjModel, group: _Group, motion: Motion, path: obj
         motion.dropped |= mixed.dropped
         motion.follows |= mixed.follows
     else:
-        _take(model, group, q, joints, motion, path)
+        _take(model, group, q, joints, motion)
 
 
-def _positions(model: mujoco.MjModel, group: _Group, path: object) -> tuple[FloatArray, FloatArray]:
+def _positions(model: mujoco.MjModel, group: _Group) -> tuple[FloatArray, FloatArray]:
     """Return the positions of a group's joints for those of its motors.
 
     Returns:
@@ -278,8 +263,7 @@ def _positions(model: mujoco.MjModel, group: _Group, path: object) -> tuple[Floa
         names = ", ".join(f"'{motor.name}'" for motor in group.motors)
         raise ModelError(
             f"actuators {names} move joints {names_of(model, group.joints)}, which couplings leave "
-            "fewer degrees of freedom than that",
-            path=str(path),
+            "fewer degrees of freedom than that"
         )
     # The joints are a + B · u with the motors' positions u; columns of `right`: constants, then u.
     right = np.zeros((len(given), 1 + motors))
@@ -291,15 +275,9 @@ def _positions(model: mujoco.MjModel, group: _Group, path: object) -> tuple[Floa
 
 
 def _springs_decide(group: _Group, q: FloatArray, free: FloatArray) -> FloatArray:
-    """Move the joints along open directions to the equilibrium of the springs.
+    """Move joints ``q`` along open directions ``(n, k)`` to the equilibrium of the springs.
 
-    Args:
-        group: The joints.
-        q: Positions of the joints ``(n, 1 + motors)``; changed in place.
-        free: A basis of the open directions ``(n, k)``.
-
-    Returns:
-        A basis of the directions that the springs leave open.
+    Changes ``q``; returns a basis of the directions that the springs leave open.
     """
     if not (group.springs and free.shape[1]):
         return free
@@ -318,7 +296,6 @@ def _take(
     q: FloatArray,
     joints: set[int],
     motion: Motion,
-    path: object,
 ) -> None:
     """Store a solved group: one joint of each motor is the actuator, and the others follow it."""
     rows = dict(zip(group.joints, q, strict=True))
@@ -328,8 +305,7 @@ def _take(
         if joint is None:
             raise ModelError(
                 f"no joint follows actuator '{motor.name}' alone; rtee's joints follow one "
-                "actuator each",
-                path=str(path),
+                "actuator each"
             )
         if joint != motor.joint and motor.joint is not None:
             motion.dropped.add(motor.joint)
@@ -345,8 +321,7 @@ def _take(
             names = " and ".join(f"'{group.motors[k - 1].name}'" for k in moved_by)
             raise ModelError(
                 f"joint '{joint_name(model, joint)}' follows {names} at once; rtee's joints follow "
-                "one actuator each",
-                path=str(path),
+                "one actuator each"
             )
         k = moved_by[0]
         master = chosen[k - 1]
@@ -388,14 +363,13 @@ def _driven(model: mujoco.MjModel, joint: int, motor: Motor, offset: float, slop
     return Driven(rounded(lower), rounded(upper), rounded(motor.effort / abs(slope)))
 
 
-def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, path: object) -> None:
+def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> None:
     """Solve a closed linkage for the joints that follow its motor."""
     what = ", ".join([loop.what for loop in group.loops] or ["joint equalities"])
     if len(group.motors) != 1:
         raise ModelError(
             f"{what}: {len(group.motors)} actuators move joints {names_of(model, group.joints)} "
-            "together; rtee's joints follow one actuator each",
-            path=str(path),
+            "together; rtee's joints follow one actuator each"
         )
     motor = group.motors[0]
     factors = motor_factors(model, motor)
@@ -408,14 +382,13 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion, pat
     if not (math.isfinite(lower) and math.isfinite(upper)):
         raise ModelError(
             f"joint '{joint_name(model, joint)}' moves a closed linkage ({what}) and has no range; "
-            "give it one",
-            path=str(path),
+            "give it one"
         )
     others = [other for other in group.joints if other != joint]
     numbers = {loop.equality for loop in group.loops} | {line.equality for line in group.lines}
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
     linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs)
-    solved = solve_loop(linkage, (lower, upper), what, path) if others else None
+    solved = solve_loop(linkage, (lower, upper), what) if others else None
     effort = 0.0 if motor.tendon is not None else motor.effort
     if solved is None:
         motion.driven[joint] = Driven(lower, upper, effort)

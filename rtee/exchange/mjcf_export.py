@@ -97,16 +97,13 @@ def _rigid_where_curved(hand: Hand) -> tuple[Hand, list[str]]:
             notes.append(f"the joints of '{name}' follow along curves, so rigidly, not by springs")
         error = fit(follower.coupling, *span(follower.actuator))[1]
         if error > CLOSE:
+            kind = hand.joints[hand.joint_index(follower.joint)].kind
+            unit = "m" if kind is JointKind.PRISMATIC else "rad"
             notes.append(
                 f"joint '{follower.joint}' follows '{name}' by a curve that MuJoCo's polynomial "
-                f"meets within {error:.2g} {_unit(hand, follower.joint)}"
+                f"meets within {error:.2g} {unit}"
             )
     return replace(hand, dynamics=rigid), notes
-
-
-def _unit(hand: Hand, joint: str) -> str:
-    kind = hand.joints[hand.joint_index(joint)].kind
-    return "m" if kind is JointKind.PRISMATIC else "rad"
 
 
 def _add_visuals(spec: mujoco.MjSpec, hand: Hand) -> None:
@@ -145,8 +142,8 @@ def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
     for finger in hand.fingers:
         if finger.tip is None:
             continue
-        body = model.body(LINK + finger.tip).id
-        corners = np.vstack([_corners(model, geom) for geom in _collision_geoms(model, body)])
+        own = np.flatnonzero(model.geom_bodyid == model.body(LINK + finger.tip).id).tolist()
+        corners = np.vstack([_corners(model, geom) for geom in own if model.geom_contype[geom]])
         lower, upper = corners.min(axis=0), corners.max(axis=0)
         name = TOUCH + finger.name
         spec.body(LINK + finger.tip).add_site(
@@ -162,11 +159,6 @@ def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
             objtype=mujoco.mjtObj.mjOBJ_SITE,
             objname=name,
         )
-
-
-def _collision_geoms(model: mujoco.MjModel, body: int) -> list[int]:
-    own = np.flatnonzero(model.geom_bodyid == body)
-    return [int(geom) for geom in own if model.geom_contype[geom]]
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> np.ndarray:

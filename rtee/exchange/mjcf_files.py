@@ -90,11 +90,7 @@ class Source:
 
 
 def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
-    """Read an MJCF file with its includes.
-
-    Args:
-        path: The file.
-        folders: Further folders in which its includes and meshes may be.
+    """Read an MJCF file; its includes and meshes may be in further folders, too.
 
     Raises:
         ModelError: A file is missing, is not MJCF, leads out of these folders, is too large, or

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +19,8 @@ from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
 from rtee.hand.files import make_folder, write_atomically
-from rtee.hand.names import safe_name
-from rtee.hand.tessellation import sphere
+from rtee.hand.names import free_name, safe_name
+from rtee.hand.tessellation import binary_stl, sphere
 from rtee.sample import FloatArray
 
 Faces = NDArray[np.signedinteger[Any]]
@@ -75,10 +74,7 @@ class _Link:
 def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = ()) -> Imported:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
-    Args:
-        path: The MJCF file.
-        folder: Folder of the URDF.
-        folders: Further folders in which its includes and meshes may be.
+    Its includes and meshes may be in further ``folders``.
 
     Raises:
         ModelError: The file cannot be read, or has elements that a URDF cannot represent; the
@@ -91,7 +87,10 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
         model = source.spec.compile()
     try:
         with listening(notes):
-            motion = motion_of(model, source.path)
+            motion = motion_of(model)
+    except ModelError as error:
+        error.path = source.path
+        raise
     except np.linalg.LinAlgError:
         raise ModelError(
             "the numbers of its couplings are too far apart to solve them", path=source.path
@@ -392,7 +391,7 @@ class _Writer:
     def _mesh_file(self, name: str, vertices: FloatArray, faces: Faces) -> str:
         place = f"meshes/{name}.stl"
         make_folder(self._folder / "meshes")
-        write_atomically(self._folder / place, _stl(vertices[faces]))
+        write_atomically(self._folder / place, binary_stl(vertices[faces]))
         return f"<mesh filename={quoteattr(place)}/>"
 
     def passive(self) -> tuple[str, ...] | None:
@@ -414,10 +413,7 @@ def _unique(names: Sequence[str]) -> list[str]:
     """Return names with numbers appended to equal ones, as generated names may be equal."""
     unique: list[str] = []
     for name in names:
-        candidate, number = name, 2
-        while candidate in unique:
-            candidate, number = f"{name}_{number}", number + 1
-        unique.append(candidate)
+        unique.append(free_name(name, unique))
     return unique
 
 
@@ -450,11 +446,3 @@ def _number(value: float) -> str:
 
 def _numbers(values: Sequence[float] | FloatArray) -> str:
     return " ".join(_number(value) for value in values)
-
-
-def _stl(triangles: FloatArray) -> bytes:
-    """Return triangles ``(n, 3, 3)`` [m] as a binary STL; readers compute the normals."""
-    records = [
-        struct.pack("<12fH", 0, 0, 0, *corners, 0) for corners in triangles.reshape(-1, 9).tolist()
-    ]
-    return b"\0" * 80 + struct.pack("<I", len(records)) + b"".join(records)

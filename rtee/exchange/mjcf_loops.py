@@ -15,7 +15,15 @@ import mujoco
 import numpy as np
 
 from rtee.errors import ModelError
-from rtee.exchange.mjcf_motion import TINY, Follow, Line, joint_name, joint_range, names_of
+from rtee.exchange.mjcf_motion import (
+    TINY,
+    Follow,
+    Line,
+    joint_name,
+    joint_range,
+    names_of,
+    null_space,
+)
 from rtee.sample import FloatArray
 
 _STEPS: Final = 400
@@ -171,7 +179,7 @@ class Linkage:
 
     def _open(self, x: float, q: FloatArray) -> FloatArray:
         """Return a basis ``(n, k)`` of the open directions of the others."""
-        return _flat_directions(self._held(x, q)[1])
+        return null_space(self._held(x, q)[1], _FLAT)
 
     def close(self, x: float, q: FloatArray) -> FloatArray | None:
         """Return the positions of the others near ``q`` for the joint at ``x``, or ``None``."""
@@ -187,7 +195,7 @@ class Linkage:
             step = -np.linalg.pinv(jacobian, rcond=_SINGULAR) @ residual
             if self._by_springs:
                 # Along the open directions, to the equilibrium of the springs.
-                left = _flat_directions(jacobian)
+                left = null_space(jacobian, _FLAT)
                 pull = self._pull @ left
                 lacking = self._rest - self._moved * x - self._pull @ (q + step)
                 along = left @ np.linalg.pinv(pull, rcond=_SINGULAR) @ lacking
@@ -230,14 +238,6 @@ class Linkage:
         return False
 
 
-def _flat_directions(jacobian: FloatArray) -> FloatArray:
-    """Return a basis ``(n, k)`` of the directions that change no residual."""
-    if not jacobian.size:
-        return np.eye(jacobian.shape[1])
-    _, sizes, directions = np.linalg.svd(jacobian)
-    return np.asarray(directions[int(np.sum(sizes > _FLAT)) :].T)
-
-
 def horner(coefficients: Sequence[float], variable: str = "x") -> str:
     """Return a polynomial as an expression in Horner's form, which loses no digits."""
     text = repr(float(coefficients[-1]))
@@ -246,14 +246,13 @@ def horner(coefficients: Sequence[float], variable: str = "x") -> str:
     return text
 
 
-def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: object) -> Solved:
+def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str) -> Solved:
     """Return how the joints of a closed linkage follow one of them.
 
     Args:
         linkage: The linkage.
         limits: Range of the joint relative to the model's posture [rad | m].
         what: Name of the constraint that closes the linkage, for messages.
-        path: The model's file, for messages.
 
     Raises:
         ModelError: The linkage leaves the others free, cannot be closed near the model's posture,
@@ -263,13 +262,12 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
     start = min(max(0.0, limits[0]), limits[1])
     first, free = linkage.settle(start)
     if first is None:
-        raise ModelError(f"{what} cannot be closed at the start of its range", path=str(path))
+        raise ModelError(f"{what} cannot be closed at the start of its range")
     if free > 0:
         raise ModelError(
             f"{what} leaves joints {names_of(model, [joint, *others])} {free + 1} degrees of "
             "freedom that no spring decides, and one actuator moves them; couple them, or give "
-            "each an actuator",
-            path=str(path),
+            "each an actuator"
         )
     step = (limits[1] - limits[0]) / _STEPS
     x, y = _closed_between(linkage, limits, step, start, first)
@@ -283,10 +281,9 @@ def solve_loop(linkage: Linkage, limits: tuple[float, float], what: str, path: o
             f"{upper:.4g}, which are its limits"
         )
     if upper - lower < step:
-        raise ModelError(f"{what} cannot move", path=str(path))
+        raise ModelError(f"{what} cannot move")
     follows = {
-        other: _fitted(model, joint, other, x, y[:, i], what, path)
-        for i, other in enumerate(others)
+        other: _fitted(model, joint, other, x, y[:, i], what) for i, other in enumerate(others)
     }
     return Solved(x, y, follows, tuple(notes))
 
@@ -296,15 +293,8 @@ def _closed_between(
 ) -> tuple[FloatArray, FloatArray]:
     """Move a linkage from a closed posture towards both limits for as long as it stays closed.
 
-    Args:
-        linkage: The linkage.
-        limits: Range of the moving joint [rad | m].
-        step: Distance between its positions [rad | m].
-        start: Its position in the closed posture.
-        first: Positions of the others there ``(k,)``.
-
-    Returns:
-        Positions of the moving joint ``(n,)``, ascending, and those of the others ``(n, k)``.
+    Return the positions of the moving joint ``(n,)``, ascending, ``step`` apart, and those of the
+    others ``(n, k)``, which are ``first`` at ``start``.
     """
     places, positions = [start], [first]
     jump = _JUMP * step
@@ -334,7 +324,6 @@ def _fitted(
     x: FloatArray,
     y: FloatArray,
     what: str,
-    path: object,
 ) -> Follow:
     """Return the coupling of a joint: linear if possible, else a polynomial."""
     middle, half = float(0.5 * (x[0] + x[-1])), float(0.5 * (x[-1] - x[0]))
@@ -349,8 +338,7 @@ def _fitted(
     if error > _FAR:
         raise ModelError(
             f"{what}: joint '{joint_name(model, other)}' follows '{joint_name(model, joint)}' "
-            f"along a way that no polynomial meets within {_FAR:g}",
-            path=str(path),
+            f"along a way that no polynomial meets within {_FAR:g}"
         )
     powers = fit.convert(kind=np.polynomial.Polynomial).coef
     if len(powers) <= 2:

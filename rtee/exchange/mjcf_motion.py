@@ -216,13 +216,13 @@ def resting_length(model: mujoco.MjModel, factors: Mapping[int, float]) -> float
     return sum(factor * float(model.qpos0[joint]) for joint, factor in factors.items())
 
 
-def constraints_of(model: mujoco.MjModel, path: object) -> Constraints:
+def constraints_of(model: mujoco.MjModel) -> Constraints:
     """Return the motors and constraints of a model.
 
     Raises:
         ModelError: An actuator moves something other than a joint or tendon.
     """
-    constraints = Constraints(_motors(model, path))
+    constraints = Constraints(_motors(model))
     for i in range(model.neq):
         if model.eq_active0[i]:
             _add_equality(model, i, constraints)
@@ -271,7 +271,7 @@ def _add_limited_tendon(model: mujoco.MjModel, tendon: int, constraints: Constra
     )
 
 
-def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
+def _motors(model: mujoco.MjModel) -> list[Motor]:
     motors: dict[tuple[int | None, int | None], Motor] = {}
     kinds = mujoco.mjtTrn
     for i in range(model.nu):
@@ -283,8 +283,7 @@ def _motors(model: mujoco.MjModel, path: object) -> list[Motor]:
             joint, tendon = None, target
         else:
             raise ModelError(
-                f"actuator '{name}' moves neither a joint nor a tendon, which rtee cannot command",
-                path=str(path),
+                f"actuator '{name}' moves neither a joint nor a tendon, which rtee cannot command"
             )
         gear = float(model.actuator_gear[i, 0])
         # Without a gear the motor has no effect on the joint.
@@ -409,13 +408,17 @@ def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def null_space(matrix: FloatArray) -> FloatArray:
-    """Return an orthonormal basis ``(n, k)`` of the null space of a matrix ``(m, n)``."""
+def null_space(matrix: FloatArray, least: float | None = None) -> FloatArray:
+    """Return an orthonormal basis ``(n, k)`` of the null space of a matrix ``(m, n)``.
+
+    Singular values up to ``least`` count as 0; unless given, `TINY` times the largest, or 1.
+    """
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, sizes, directions = np.linalg.svd(matrix)
-    rank = int(np.sum(sizes > TINY * max(1.0, float(sizes[0])))) if sizes.size else 0
-    return np.asarray(directions[rank:].T)
+    if least is None:
+        least = TINY * max(1.0, float(sizes[0]))
+    return np.asarray(directions[int(np.sum(sizes > least)) :].T)
 
 
 def names_of(model: mujoco.MjModel, joints: Iterable[int]) -> str:

@@ -88,9 +88,7 @@ def xacro_as_urdf(
 def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableModel]:
     """Convert an MJCF file to a URDF, which exists inside the context.
 
-    Args:
-        path: The MJCF file.
-        folders: Further folders in which its includes and meshes may be.
+    Its includes and meshes may be in further ``folders``.
 
     Raises:
         MissingExtra: The extra ``sim`` is not installed.

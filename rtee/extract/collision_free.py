@@ -110,14 +110,7 @@ class ClearSearch:
         checker: CollisionChecker,
         budget: SearchBudget,
     ) -> None:
-        """Prepare a search.
-
-        Args:
-            function: What to press together, over the space to search.
-            motion: Bounds on the motion of the links.
-            checker: The links that may not collide.
-            budget: How much to try.
-        """
+        """Prepare a search for clear poses in the space of a goal."""
         self._function = function
         self._scene, self._space = function.scene, function.space
         self._motion = motion
@@ -133,10 +126,7 @@ class ClearSearch:
         return self._scene.query_cost >= self._cost_limit
 
     def run(self, starts: Sequence[FloatArray]) -> list[FloatArray]:
-        """Return clear poses, the best one with a clear path first.
-
-        Args:
-            starts: Coordinates ``(k,)`` of good poses, the best first.
+        """Return clear poses from good starts, the best ones with a clear path first.
 
         Returns:
             Coordinates ``(k,)`` of clear poses; if no clear path was found, of poses behind
@@ -396,12 +386,7 @@ def clear_postures(
 ) -> list[FloatArray]:
     """Return postures, rounded as stored, in which the tips touch and nothing else collides.
 
-    Args:
-        function: The goal, over the space to search.
-        motion: Bounds on the motion of the links.
-        checker: The links that may not collide.
-        starts: Coordinates ``(k,)`` of good postures, the best first.
-        budget: How much to try.
+    ``starts``: coordinates ``(k,)`` of good postures, the best first.
     """
     if function.space.size > 1:
         poses = ClearSearch(function, motion, checker, budget).run(starts)

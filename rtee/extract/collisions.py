@@ -126,12 +126,7 @@ class Collisions:
         return max(TOUCH, least if gap is None else min(least, _SHARE * gap))
 
     def checker(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> CollisionChecker:
-        """Return a checker of the links that some actuators move against each other.
-
-        Args:
-            actuators: The actuators that move; the others stay at rest.
-            tips: Pairs of links that shall touch.
-        """
+        """Return a checker of the links that some actuators move, except tips that shall touch."""
         moving, wanted = frozenset(actuators), set(tips)
         pairs = [
             pair
@@ -347,11 +342,7 @@ def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float
     Uses conservative advancement (Mirtich, 1996) on the convex parts and, if these overlap, exact
     checks at most half a millimetre of motion apart.
 
-    Args:
-        scene: The scene.
-        pair: The links.
-        path: The path.
-        speed: Bound on the speed of the links against each other per unit of the path [m].
+    ``speed``: bound on the speed of the links against each other per unit of the path [m].
     """
     # If the parts overlap, the gap gives no step, and the finest one is used.
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0

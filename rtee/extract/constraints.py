@@ -90,13 +90,7 @@ class Constraints:
     """
 
     def __init__(self, function: GoalFunction, motion: Motion, checker: CollisionChecker) -> None:
-        """Begin without constraints.
-
-        Args:
-            function: The goal, over the space to search.
-            motion: Bounds on the motion of the links.
-            checker: The links that may not collide.
-        """
+        """Begin without constraints on a goal over the space to search."""
         self._function = function
         self._scene, self._space = function.scene, function.space
         self._motion = motion

@@ -127,13 +127,9 @@ def descend(
 
 
 def _updated(inverse: FloatArray, step: FloatArray, change: FloatArray, along: float) -> FloatArray:
-    """Return the BFGS update of the inverse Hessian after a step, which changed the slope.
+    """Return the BFGS update of the inverse Hessian after a step that changed the slope.
 
-    Args:
-        inverse: The inverse Hessian ``(k, k)``.
-        step: The step ``(k,)``.
-        change: The change of the slope ``(k,)``.
-        along: The product of both.
+    ``along`` is the product of the step and the change.
     """
     # As a symmetric sum of two outer products.
     bent = matvec(inverse, change) / along

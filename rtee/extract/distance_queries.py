@@ -111,12 +111,9 @@ class DistanceQueries:
         return self._guided
 
     def least(self, stamp: int) -> tuple[float, int]:
-        """Return the least distance [m] and the number of its couple.
+        """Return the least distance [m] and the number of its couple, at a placement of the joints.
 
         The distance is negative if convex shapes overlap.
-
-        Args:
-            stamp: Number of the joints' placement, which changes with each.
         """
         # Cached, since goal, constraints and checks request it at the same posture.
         if stamp != self._measured:
@@ -143,15 +140,12 @@ class DistanceQueries:
         return min(range(len(self.results)), key=lambda k: float(self.results[k].min_distance))
 
     def collide(self, couple: int, stamp: int, margin: float) -> bool:
-        """Return whether the surfaces of a couple are closer than a margin; primitives are solid.
+        """Return whether the surfaces of a couple are closer than a margin [m].
 
         Use a margin of 10 nm for contact: if a triangle lies symmetrically in a primitive, Coal
         returns a distance of the order of rounding errors instead of a collision.
 
-        Args:
-            couple: Number of the couple.
-            stamp: Number of the joints' placement.
-            margin: The margin [m].
+        Primitives are solid. ``stamp``: number of the joints' placement.
         """
         if stamp != self._placed:
             _place(self._robot, self._joints, self._model, self._data)

@@ -111,14 +111,9 @@ def _simplified(part: coal.ConvexBase) -> Draft:
 def outer(
     shapes: Sequence[Shape], drafts: Mapping[int, Draft], link: Sequence[int]
 ) -> tuple[int, ...]:
-    """Return the shapes of a link that lie inside no other shape's draft.
+    """Return the indices of the shapes of a link that lie inside no other one's draft.
 
     A shape inside another convex part is never nearer to other links than that part.
-
-    Args:
-        shapes: All shapes.
-        drafts: The drafts of the link's shapes, by their indices.
-        link: The indices of the link's shapes.
     """
     kept = list(link)
     for j in link:

@@ -27,14 +27,7 @@ _DIGITS: Final = 9
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
     """Return the evidence about other links near a posture and the straight path to it.
 
-    Args:
-        scene: The hand's links.
-        u: The posture as stored ``(n,)``.
-        checker: The links that have to stay apart.
-
-    Returns:
-        The evidence, and the share of their margins that all other links keep in the posture and
-        on the path: 1, a quarter, or 0.
+    With it the share of their margins that these keep on both: 1, a quarter, or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []
@@ -56,13 +49,7 @@ def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tup
 
 @dataclass(frozen=True)
 class Inspector:
-    """Measures postures.
-
-    Attributes:
-        scene: The hand's links.
-        motion: Bounds on their motion.
-        collisions: The links that may not collide.
-    """
+    """Measures postures."""
 
     scene: Scene
     motion: Motion
@@ -128,14 +115,7 @@ class Inspector:
         edges: Sequence[TipEdge],
         checker: CollisionChecker,
     ) -> Candidate:
-        """Return a multi-pinch with its evidence.
-
-        Args:
-            u: The posture as stored ``(n,)``.
-            names: The fingers.
-            edges: The pairs of tips that may touch.
-            checker: The links that must not collide.
-        """
+        """Return a multi-pinch with its evidence, at a posture as stored ``(n,)``."""
         scene = self.scene
         path = self.motion.path_to(u)
         around, margin = _surroundings(scene, u, checker)

@@ -40,13 +40,7 @@ class Goal(Protocol):
 
 
 class GoalFunction:
-    """A goal as a function of the coordinates of a space.
-
-    Attributes:
-        scene: The hand's links.
-        goal: The goal.
-        space: The space.
-    """
+    """A goal as a function of the coordinates of a space."""
 
     def __init__(self, scene: Scene, goal: Goal, space: Space) -> None:
         self.scene = scene
@@ -135,12 +129,7 @@ class SeparationGoal(PinchGoal):
 
 @dataclass(frozen=True, slots=True)
 class TipEdge:
-    """Two tips of several that can touch each other.
-
-    Attributes:
-        ends: Their numbers.
-        tips: The tips.
-    """
+    """Two tips of several that can touch each other."""
 
     ends: tuple[int, int]
     tips: LinkPair

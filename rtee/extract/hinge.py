@@ -39,12 +39,7 @@ class ClippedShape(Shape):
     """
 
     def __init__(self, whole: Shape, corners: FloatArray) -> None:
-        """Take a part of a shape.
-
-        Args:
-            whole: The shape.
-            corners: The remaining triangles ``(t, 3, 3)`` in the shape's own frame [m].
-        """
+        """Take the triangles ``corners`` ``(t, 3, 3)`` of a shape, in its own frame [m]."""
         points = corners.reshape(-1, 3)
         # Rounded to 0.1 µm, which makes shared corners of triangles equal.
         hull = hull_of(np.unique(np.round(points, 7), axis=0))
@@ -117,10 +112,6 @@ def clip_jaws(
     contact ends at the least distance from the joint's axis beyond which they do not touch at rest.
     The parts returned are farther from the axis than the middle between this distance and the end
     of the shorter tip.
-
-    Args:
-        first: The shapes of one tip.
-        second: The shapes of the other one.
 
     Returns:
         The clipped shapes of both tips; empty if nothing is left.

@@ -6,7 +6,7 @@ import math
 
 from rtee.actions.types import Posture, Primitive, PrimitiveKind
 from rtee.hand.abduction import abduction
-from rtee.hand.model import Finger, Hand
+from rtee.hand.model import Hand
 
 
 def kinematic_primitives(hand: Hand) -> list[Primitive]:
@@ -16,7 +16,11 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
     out. FingFlex uses an actuator that bends a finger, not one that swings it sideways.
     """
     primitives: list[Primitive] = []
-    bounded = {finger.name: _bounded(hand, finger) for finger in hand.fingers if finger.tip}
+    bounded = {
+        finger.name: tuple(n for n in finger.own if _has_bounds(hand, hand.actuator_index(n)))
+        for finger in hand.fingers
+        if finger.tip
+    }
     for name, own in bounded.items():
         if own:
             primitives.append(_flex(hand, PrimitiveKind.TRIG, name, own))
@@ -34,10 +38,6 @@ def kinematic_primitives(hand: Hand) -> list[Primitive]:
         if len(actuator.fingers) >= 2 and _has_bounds(hand, i)
     ]
     return primitives
-
-
-def _bounded(hand: Hand, finger: Finger) -> tuple[str, ...]:
-    return tuple(name for name in finger.own if _has_bounds(hand, hand.actuator_index(name)))
 
 
 def _has_bounds(hand: Hand, actuator: int) -> bool:

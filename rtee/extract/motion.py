@@ -127,16 +127,10 @@ class Motion:
     def _displacements(
         self, fixed: int, moving: int, motion: tuple[FloatArray, FloatArray]
     ) -> FloatArray | float:
-        """Return the motion between stations of a shape's points near another shape.
+        """Return the greatest motion ``(s - 1,)`` [m] between stations of points near a shape.
 
-        Args:
-            fixed: The other shape.
-            moving: The shape.
-            motion: Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of the body of the shape in
-                the body of the other one.
-
-        Returns:
-            The greatest displacements ``(s - 1,)`` [m].
+        They are points of the moving shape. Rotations ``(s, 3, 3)`` and positions ``(s, 3)`` [m] of
+        its body in that of the fixed one are its motion.
         """
         shape, other = self._scene.shapes[moving], self._scene.shapes[fixed]
         outward = other.placement.rotation
@@ -223,11 +217,7 @@ class DistanceBounds:
         self._joints = np.zeros(self._levers.shape)
 
     def least(self, joints: FloatArray) -> FloatArray:
-        """Return the least possible distance of every pair ``(p,)`` [m].
-
-        Args:
-            joints: Joint positions ``(m,)`` [rad | m].
-        """
+        """Return the least distance of every pair ``(p,)`` [m] at joint positions ``(m,)``."""
         # A joint's contribution is at most its travel times its longest lever.
         moved = np.abs(joints - self._joints)
         least: FloatArray = self._gaps - _sum(self._levers * moved, axis=1)

@@ -8,7 +8,7 @@ actuator, and a force ``F`` between the sides needs its effort ``-F dw/du`` (vir
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise, product
 from typing import Final
@@ -97,10 +97,7 @@ def make_openings(
 ) -> list[Opening]:
     """Return the openings of the actions that have one, in their order.
 
-    Args:
-        hand: The hand.
-        actions: Its actions.
-        progress: Called with the number of actions done and their total.
+    ``progress`` is called with the number of actions done and their total.
 
     Raises:
         ModelError: A mesh is missing or cannot be read.
@@ -123,10 +120,6 @@ def opening_of(geometry: HandGeometry, action: Action) -> Opening | None:
     If two sides of tips oppose each other, the opening is the least distance between a tip of one
     side and a tip of the other. If tips close from more than two sides, it is the diameter of the
     smallest ball that touches all of them.
-
-    Args:
-        geometry: The hand's geometry.
-        action: The action.
     """
     if isinstance(action, Timed):
         return None
@@ -337,7 +330,7 @@ class _Table:
     def _refine(self) -> None:
         """Halve the steps in which the opening is not linear enough."""
         error = ERROR if len(self._way.actuators) == 1 else ERROR_OF_FINGERS
-        waiting = list(_steps(sorted(self._known)))
+        waiting = list(pairwise(sorted(self._known)))
         while waiting:
             low, high = waiting.pop()
             if high - low <= _FINEST:
@@ -389,10 +382,6 @@ class _Table:
             lever += 2.0 * vecmat(towards, moved) / len(fingers)
             angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)
-
-
-def _steps(grid: Sequence[float]) -> Iterator[tuple[float, float]]:
-    return pairwise(grid)
 
 
 def _falling(width: Sequence[float]) -> list[int]:

@@ -55,14 +55,7 @@ class PinchSearch:
     def __init__(
         self, inspector: Inspector, fingers: tuple[Finger, Finger], tips: LinkPair, rank: Rank
     ) -> None:
-        """Prepare a search.
-
-        Args:
-            inspector: Measures postures.
-            fingers: The two fingers.
-            tips: Their fingertips, in the same order.
-            rank: What makes one posture better than another.
-        """
+        """Prepare a search; ``rank`` is what makes one posture better than another."""
         self._inspector = inspector
         self._scene, self._hand = inspector.scene, inspector.scene.hand
         self._fingers = fingers

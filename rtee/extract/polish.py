@@ -169,10 +169,7 @@ def _model_step(
 def _simplex_minimum(matrix: FloatArray, linear: FloatArray, start: FloatArray) -> FloatArray:
     """Return the minimum of ``x·Mx / 2 + c·x`` over the simplex, by an active set.
 
-    Args:
-        matrix: M, positive semidefinite ``(k, k)``.
-        linear: c ``(k,)``.
-        start: A point of the simplex to begin with, up to its sum ``(k,)``.
+    M is positive semidefinite; the start is a point of the simplex, up to its sum.
     """
     count = len(linear)
     rows, offsets, weights = matrix.tolist(), linear.tolist(), start.tolist()
@@ -206,11 +203,8 @@ def _on_face(
 ) -> dict[int, float]:
     """Return the minimum over a face of the simplex, or over a subface that limits the step.
 
-    Args:
-        rows: M, positive semidefinite ``(k, k)``.
-        offsets: c ``(k,)``.
-        ridge: Number added to the diagonal, which makes M definite.
-        face: A point of the face, by the coordinates that are free there.
+    The face is given by one of its points: the coordinates that are free there. The ridge, added to
+    the diagonal of M (``rows``), makes it definite; ``offsets`` is c.
     """
     while len(face) > 1:
         support = list(face)
@@ -239,13 +233,10 @@ def _on_face(
 
 
 def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Return the solutions of a small definite system with two right sides.
+    """Return the solutions of a small definite system with two right sides, its last columns.
 
-    Uses Gaussian elimination, which for the few pieces at a kink is faster than LAPACK and gives
-    the same digits on every processor.
-
-    Args:
-        block: The rows of the system, the right sides last; they are overwritten.
+    Uses Gaussian elimination in place, which for the few pieces at a kink is faster than LAPACK and
+    gives the same digits on every processor.
     """
     size = len(block)
     for k, pivot in enumerate(block):

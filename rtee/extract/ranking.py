@@ -74,11 +74,6 @@ def ranked(hand: Hand, candidates: Sequence[Candidate], rank: Rank) -> tuple[Can
     reduced ones; then those with a clear pose. Among equals, the deepest comes first, or by rank
     ``opposition`` those in force closure and then the one with the least worse angle. Depths that
     differ by less than 10 µm are equal, in which case the better opposed comes first.
-
-    Args:
-        hand: The hand.
-        candidates: The candidates.
-        rank: Criterion among equally clear candidates.
     """
     lower, upper = real_limits(hand)
     kept: list[Candidate] = []

@@ -163,11 +163,7 @@ class Scene:
         return pair.reversed() if pair else None
 
     def place(self, u: FloatArray) -> None:
-        """Move all links to a posture.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Move all links to actuator positions ``(n,)`` [rad | m]."""
         self.joints = self.couplings.joints(u)
         pin.forwardKinematics(self._model, self._data, self.joints)
         # Invalidate all measurements at the previous posture.
@@ -190,30 +186,14 @@ class Scene:
         return [(known.get(p.number) or self._queries(p, known)).least(stamp)[0] for p in pairs]
 
     def derivative(self, pair: LinkPair, space: Space) -> FloatArray:
-        """Return the derivative of the distance of two links.
-
-        Args:
-            pair: The links.
-            space: The space.
-
-        Returns:
-            The derivative by the coordinates of the space ``(k,)`` [m].
-        """
+        """Return the derivative of the distance of two links by coordinates ``(k,)`` [m]."""
         queries = self._searched.get(pair.number) or self._queries(pair, self._searched)
         result = queries.results[queries.least(self._stamp)[1]]
         normal = -result.normal if pair.turned else result.normal
         return self._derivative(normal, result.getNearestPoint1(), pair, space)
 
     def gradient(self, terms: Sequence[tuple[LinkPair, float]], space: Space) -> FloatArray:
-        """Return the derivative of a weighted sum of distances.
-
-        Args:
-            terms: Pairs of links and their weights.
-            space: The space.
-
-        Returns:
-            The derivative by the coordinates of the space ``(k,)`` [m].
-        """
+        """Return the derivative of a weighted sum of distances; see `derivative`."""
         if len(terms) < _BATCH:
             result: FloatArray = np.zeros(space.size)
             for pair, weight in terms:
@@ -314,9 +294,7 @@ class Scene:
 
         Meshes touch if their surfaces meet or one is inside the other; primitives are solid.
 
-        Args:
-            pair: The links.
-            surfaces: Whether their surfaces may meet; false skips this check.
+        Their surfaces are not compared unless ``surfaces``.
         """
         return self.nearer(pair, TOUCH, surfaces=surfaces)
 
@@ -349,14 +327,10 @@ class Scene:
         *,
         surfaces: bool = True,
     ) -> bool:
-        """Return whether two shapes are nearer than a margin, given that their convex parts are.
+        """Return whether two shapes are nearer than a margin [m], as their convex parts are.
 
-        Args:
-            pair: The links.
-            k: Number of the couple.
-            couple: The indices of its shapes.
-            margin: The margin [m].
-            surfaces: Whether their surfaces may be that near.
+        They are couple ``k`` of the pair. Unless ``surfaces``, their surfaces are known to be
+        farther.
         """
         i, j = couple
         a, b = self.shapes[i], self.shapes[j]

@@ -183,7 +183,7 @@ def distinct(found: Sequence[Minimum]) -> list[Minimum]:
 def recombined(
     found: Sequence[Minimum], blocks: Sequence[Block], seen: set[bytes]
 ) -> list[FloatArray]:
-    """Return poses in which one block of coordinates is another minimum's.
+    """Return poses ``(k,)`` in which one block of coordinates is another minimum's.
 
     The goal is a sum whose terms depend on few coordinates: those of two fingers and those that
     move all of them. Minima of the sum therefore often combine parts of different minima.
@@ -192,9 +192,6 @@ def recombined(
         found: Minima.
         blocks: Related coordinates: each finger's, and the others.
         seen: Rounded poses returned before, which are skipped; the new ones are added.
-
-    Returns:
-        Coordinates ``(k,)``.
     """
     new = []
     for one, other in permutations(found, 2):
@@ -212,7 +209,7 @@ def recombined(
 
 
 def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list[FloatArray]:
-    """Return poses that differ from a minimum in one block of coordinates.
+    """Return poses ``(k,)`` that differ from a minimum in one block of coordinates.
 
     A descent moves all fingers at once and stops at the first kink that no finger can leave alone.
     A finger has so few coordinates that a few points cover them.
@@ -221,9 +218,6 @@ def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list
         minimum: The minimum.
         blocks: Related coordinates: each finger's, and the others.
         places: Number of points of the low-discrepancy sequence for each block.
-
-    Returns:
-        Coordinates ``(k,)``.
     """
     new = []
     for block in blocks:
@@ -235,13 +229,7 @@ def moved_blocks(minimum: Minimum, blocks: Sequence[Block], places: int) -> list
 
 
 def minima_on_line(function: GoalFunction, low: float = 0.0, high: float = 1.0) -> list[Minimum]:
-    """Return all local minima over one coordinate, by a fine grid and golden sections.
-
-    Args:
-        function: The function, over a space of one actuator.
-        low: Least coordinate.
-        high: Greatest coordinate.
-    """
+    """Return all local minima over one coordinate, by a fine grid and golden sections."""
     grid = np.linspace(low, high, _LINE)
     values = [function.value(np.array([t])) for t in grid]
     results = []

@@ -43,15 +43,12 @@ class Candidate:
 
 
 def passive_candidates(hand: Hand) -> tuple[Candidate, ...]:
-    """Return the actuators that may be joints without a motor, in the hand's order.
+    """Return the actuators of a hand without SRDF that may have no motor, in its order.
 
     Likely are springs (by a simulator's elements, by name, or by a range of a few degrees), joints
     without effort, velocity or transmission where others have one, and joints of a finger whose
     other joints follow a motor elsewhere, as by a tendon. Possible is the outer one of two parallel
     joints of a finger: one tendon may bend both.
-
-    Args:
-        hand: A hand without an SRDF.
 
     Raises:
         ModelError: Its URDF cannot be read again.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -51,9 +51,10 @@ def own_dirs() -> list[Path]:
 def hands(extra: Sequence[Path | str] = ()) -> dict[str, Path]:
     """Return the folders of all hands by name, sorted by name."""
     found: dict[str, Path] = {}
-    for name, folder in _all(config_dirs(extra)):
-        # The first one is kept, since the folders are in the order of precedence.
-        found.setdefault(name, folder)
+    for folder in config_dirs(extra):
+        for file in folder.glob(f"*/{FILE_NAME}"):
+            # The first one is kept, since the folders are in the order of precedence.
+            found.setdefault(file.parent.name, file.parent)
     return dict(sorted(found.items()))
 
 
@@ -79,29 +80,16 @@ def find_hand(name: str, extra: Sequence[Path | str] = ()) -> Path:
     )
 
 
-def _all(folders: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    for folder in folders:
-        for file in sorted(folder.glob(f"*/{FILE_NAME}")):
-            yield file.parent.name, file.parent
-
-
 def fingerprint(folder: Path) -> str:
     """Return a hash of the hand's model, configuration and actions, as 16 hexadecimal digits.
 
     It does not depend on meshes.
-
-    Args:
-        folder: The hand's folder.
     """
     return _digest(folder, [*_model(folder), *(folder / "actions").rglob("*.yaml")])
 
 
 def model_fingerprint(folder: Path) -> str:
-    """Return the same of the model, the configuration and the primitives, without other actions.
-
-    Args:
-        folder: The hand's folder.
-    """
+    """Return the same of the model, the configuration and the primitives, without other actions."""
     return _digest(folder, [*_model(folder), *(folder / "actions/primitives").rglob("*.yaml")])
 
 

@@ -136,10 +136,7 @@ class HandConfig(Section):
 
 
 def read_config(path: Path | str) -> HandConfig:
-    """Read a hand.yaml.
-
-    Args:
-        path: The file, or its folder.
+    """Read a hand.yaml, or the one in a folder.
 
     Raises:
         ConfigError: The file cannot be read or a value is wrong; the message names file, line and

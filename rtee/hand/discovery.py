@@ -119,18 +119,11 @@ def _own(name: str, moving: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
-    """Find the fingers of a hand without an SRDF.
+    """Find the fingers of a hand without an SRDF, in the tree's order.
 
     A finger is a branch of the tree that carries a joint moved by an actuator and ends in a link
     with collision geometry; its base is the link where it separates from the other branches. Ends
     that are fixed to one another are one finger.
-
-    Args:
-        urdf: The hand's URDF.
-        moved: Names of the joints that an actuator moves.
-
-    Returns:
-        The fingers, in the tree's order.
     """
     ends = _ends(urdf, moved)
     chains = []
@@ -163,7 +156,8 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
         body = _body(link, urdf, moved)
         if body is not None:
             # Of several ends on the same rigid body, the tip is the one with the longest path.
-            bodies[body] = _farther(bodies.get(body), link, urdf)
+            ends = (bodies.get(body, link), link)
+            bodies[body] = max(ends, key=lambda end: len(urdf.path_to(end)))
     order = list(urdf.joint_to)
     return sorted(bodies.values(), key=order.index)
 
@@ -171,12 +165,6 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
 def _body(link: str, urdf: Urdf, moved: frozenset[str]) -> str | None:
     """Return the last moved joint above a link; ``None`` if the link does not move."""
     return next((j.name for j in reversed(urdf.path_to(link)) if j.name in moved), None)
-
-
-def _farther(first: str | None, second: str, urdf: Urdf) -> str:
-    if first is None or len(urdf.path_to(second)) > len(urdf.path_to(first)):
-        return second
-    return first
 
 
 def _branch(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, ...]:
@@ -198,10 +186,6 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
 
     The words are the usual ones (``index``), the prefixes of the Shadow Hand (``ff``), or numbers
     (``finger_1``, ``f1``). They are used only if every finger has one and all are different.
-
-    Args:
-        ends: The last link of each finger.
-        urdf: The hand's URDF.
 
     Returns:
         The name of each finger, and the reason for it.

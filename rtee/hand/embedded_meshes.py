@@ -14,7 +14,7 @@ from rtee.errors import ModelError
 from rtee.hand.files import read_bytes
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
-from rtee.hand.names import safe_name
+from rtee.hand.names import free_name, safe_name
 from rtee.hand.urdf import Urdf, UrdfGeometry
 
 FOLDER: Final = "meshes"
@@ -104,7 +104,10 @@ def embed_meshes(hand: Hand, largest: int = LARGEST) -> EmbeddedMeshes:
             mesh = by_path.get(path)
             if mesh is None:
                 data = read_bytes(path, "mesh", ModelError)
-                mesh = EmbeddedMesh(_name(path, names), path, data)
+                stem = f"{FOLDER}/{safe_name(path.stem, 'mesh')}"
+                name = free_name(stem, names, path.suffix.lower())
+                names.add(name)
+                mesh = EmbeddedMesh(name, path, data)
             # A description contains a mesh as often as its address occurs.
             size = _AS_TEXT * times[address] * len(mesh.data)
             if size > room:
@@ -126,25 +129,8 @@ def _shapes(urdf: Urdf) -> Iterator[UrdfGeometry]:
         yield from (shape for shape in shapes if shape.kind == "mesh")
 
 
-def _name(path: Path, taken: set[str]) -> str:
-    """Return a unique name for a mesh, and reserve it."""
-    stem, suffix = safe_name(path.stem, "mesh"), path.suffix.lower()
-    number = 1
-    name = f"{FOLDER}/{stem}{suffix}"
-    while name in taken:
-        number += 1
-        name = f"{FOLDER}/{stem}_{number}{suffix}"
-    taken.add(name)
-    return name
-
-
 def with_mesh_addresses(text: str, addresses: Mapping[str, str]) -> str:
-    """Return the text of a URDF with other addresses of meshes.
-
-    Args:
-        text: The URDF.
-        addresses: New addresses by the old ones; others are kept.
-    """
+    """Return the text of a URDF with new addresses of meshes by the old ones; others are kept."""
     if not addresses:
         return text
     import html  # only here: it holds a large table, and not every hand has meshes

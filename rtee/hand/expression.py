@@ -266,10 +266,7 @@ def _combined(
 ) -> _Node:
     """Return a node made of parts; a number if no part depends on ``x``.
 
-    Args:
-        parts: The parts.
-        value_of: Returns the node's value from the values of the parts.
-        slope_of: Returns its derivative from the values and the derivatives of the parts.
+    Its value and its derivative come from those of the parts.
     """
     values, duals = [part.value for part in parts], [part.dual for part in parts]
 

@@ -106,12 +106,7 @@ def joint_motion(kind: str, axis: Triple, q: float) -> FloatArray:
 
 
 def tip_pose_and_jacobian(hand: Hand, link: str, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pose and the Jacobian of a link.
-
-    Args:
-        hand: The hand.
-        link: The link.
-        u: Actuator positions ``(n,)`` [rad | m].
+    """Return the pose and the Jacobian of a link at actuator positions ``(n,)`` [rad | m].
 
     Returns:
         Its pose in the hand's base frame ``(4, 4)``, and its Jacobian by the actuator positions
@@ -149,9 +144,6 @@ class JointFrames:
     A revolute joint rotates its child link, a prismatic one translates it. Both are linear in a few
     numbers per joint, so that NumPy computes all joints at once.
 
-    Args:
-        hand: The hand.
-
     Attributes:
         moving: Parent and child link of every moving joint, in the order of ``hand.joints``.
         fixed: Parent and child link of every fixed joint.
@@ -181,10 +173,7 @@ class JointFrames:
         self._along = np.where(slides[:, None], np.array(along).reshape(-1, 3), 0.0)
 
     def at(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the poses of the links of the moving joints.
-
-        Args:
-            q: Joint positions ``(m,)`` [rad | m].
+        """Return the poses of the links of the moving joints at positions ``(m,)`` [rad | m].
 
         Returns:
             Positions ``(m, 3)`` [m] and unit quaternions (x, y, z, w) ``(m, 4)``.

@@ -75,11 +75,7 @@ class Kinematics:
         return mask
 
     def link_pose(self, u: FloatArray, link: str) -> FloatArray:
-        """Return a link's pose in the hand's base frame.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-            link: The link's name.
+        """Return a link's pose in the base frame at actuator positions ``(n,)`` [rad | m].
 
         Returns:
             Homogeneous transform ``(4, 4)``, lengths in metres.
@@ -92,11 +88,7 @@ class Kinematics:
         return np.array((self.data.oMi[body] * placement).homogeneous)
 
     def placements(self, u: FloatArray) -> Mapping[str, FloatArray]:
-        """Return the pose ``(4, 4)`` of every link in the hand's base frame, by link.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Return every link's pose ``(4, 4)`` in the base frame at positions ``(n,)`` [rad | m]."""
         self._forward(u)
         return {
             link: np.array((self.data.oMi[body] * placement).homogeneous)

@@ -99,13 +99,7 @@ def clamped(value: float, lower: float, upper: float) -> float:
 def actuator_spec(
     joint: UrdfJoint, urdf: Urdf, state: Mapping[str, float], overrides: Overrides
 ) -> tuple[ActuatorSpec, list[str]]:
-    """Return an actuator's limits and rest position.
-
-    Args:
-        joint: The actuator.
-        urdf: The hand's URDF.
-        state: Joint positions of the SRDF's rest posture [rad | m].
-        overrides: The configuration.
+    """Return an actuator's limits and rest position; ``state`` is the SRDF's rest [rad | m].
 
     Returns:
         The actuator, without its fingers, and a sentence for each assumption.
@@ -246,14 +240,7 @@ def standing_position(
 def rest_note(
     name: str, state: Mapping[str, float], actuators: Sequence[str], overrides: Overrides
 ) -> list[str]:
-    """Return a note if the rest posture comes from the SRDF, at least in part.
-
-    Args:
-        name: Name of the SRDF's group_state.
-        state: Its joint positions [rad | m].
-        actuators: Names of the actuators.
-        overrides: The configuration.
-    """
+    """Return a note if the rest posture comes from the SRDF, at least in part."""
     taken = [actuator for actuator in actuators if actuator in state]
     own = [actuator for actuator in taken if actuator in overrides.rest]
     if not name or (own and len(own) == len(taken)):

@@ -12,7 +12,7 @@ from rtee.errors import ModelError
 from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
-from rtee.hand.names import MAX_LENGTH, safe_name
+from rtee.hand.names import MAX_LENGTH, free_name, safe_name
 from rtee.hand.urdf import Urdf
 
 _DECLARATION: Final = re.compile(r"\A\s*<\?xml[^>]*\?>\s*")
@@ -54,7 +54,9 @@ def with_local_meshes(hand: Hand) -> LocalMeshes:
                 raise
             notes.append(f"a visual mesh was left where it is: {error}")
             continue
-        addresses[uri] = _free(_place(uri, source), sources)
+        place = PurePosixPath(_place(uri, source))
+        # Two packages may have meshes of the same name.
+        addresses[uri] = free_name(str(place.with_suffix("")), sources, place.suffix)
         sources[addresses[uri]] = source
     text = with_mesh_addresses(as_utf8(hand.urdf.text), addresses)
     return LocalMeshes(text, sources, tuple(notes))
@@ -75,15 +77,6 @@ def _meshes(urdf: Urdf) -> list[tuple[str, int, bool]]:
                 if shape.kind == "mesh":
                     found.setdefault(shape.mesh, (shape.mesh, shape.line, needed))
     return list(found.values())
-
-
-def _free(place: str, taken: Mapping[str, Path]) -> str:
-    """Return a path of no other mesh, since two packages may have meshes of the same name."""
-    if place not in taken:
-        return place
-    stem = PurePosixPath(place)
-    numbered = (str(stem.with_stem(f"{stem.stem}_{i}")) for i in range(2, len(taken) + 3))
-    return next(other for other in numbered if other not in taken)
 
 
 def _place(uri: str, source: Path) -> str:

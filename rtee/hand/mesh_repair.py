@@ -16,7 +16,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.sample import FloatArray
+from rtee.hand.tessellation import binary_stl
 
 _FEWEST: Final = 3
 """Least number of vertices of a part: those of one triangle."""
@@ -48,7 +48,7 @@ def repaired(mesh: coal.BVHModelBase, loader: coal.MeshLoader) -> coal.BVHModelB
     with NamedTemporaryFile(suffix=".stl") as file:
         # Through a file, since Coal's Python bindings make these bounding volumes only when they
         # load a mesh.
-        file.write(_stl(corners[apart]))
+        file.write(binary_stl(corners[apart]))
         file.flush()
         return loader.load(file.name, np.ones(3))
 
@@ -75,11 +75,3 @@ def split_parts(faces: Faces, corners: int) -> Faces | None:
                 begins = np.concatenate([[0], np.cumsum(sizes)[:-1]])
                 best = lost, np.concatenate([p + b for p, b in zip(parts, begins, strict=True)])
     return None if best is None else best[1]
-
-
-def _stl(triangles: FloatArray) -> bytes:
-    """Return triangles ``(t, 3, 3)`` as a binary STL file."""
-    kind = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    records = np.zeros(len(triangles), dtype=kind)
-    records["corners"] = triangles
-    return bytes(80) + len(triangles).to_bytes(4, "little") + records.tobytes()

@@ -150,12 +150,7 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
 
 
 def why_no_mesh(data: bytes, suffix: str) -> str | None:
-    """Return why a file is not a mesh of its format, or ``None`` if it may be one.
-
-    Args:
-        data: The file's content.
-        suffix: Its suffix in lower case, one of `FORMATS`.
-    """
+    """Return why a file is not a mesh of its format, by its suffix; ``None`` if it may be one."""
     if not data.strip():
         return "the file is empty"
     if data.startswith(b"version https://git-lfs"):

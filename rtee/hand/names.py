@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
-from itertools import takewhile
+from collections.abc import Collection, Container, Sequence
+from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import Final
 
@@ -52,6 +52,12 @@ def safe_name(text: str, default: str = "hand") -> str:
     while ".." in name:
         name = name.replace("..", ".")
     return name or default
+
+
+def free_name(stem: str, taken: Container[str], suffix: str = "") -> str:
+    """Return ``stem`` with a suffix, and with a number from 2 on if that is taken already."""
+    numbered = (f"{stem}_{number}{suffix}" for number in count(2))
+    return next(name for name in chain([stem + suffix], numbered) if name not in taken)
 
 
 def _why_not(name: str) -> str | None:

@@ -32,11 +32,7 @@ _NAME = re.compile(r"^(name:[ \t]*)\S+", re.MULTILINE)
 
 
 def is_own(folder: Path) -> bool:
-    """Return whether the files of a hand may be changed.
-
-    Args:
-        folder: The hand's folder.
-    """
+    """Return whether the files of a hand may be changed."""
     real = folder.resolve()
     if real.is_relative_to(SHIPPED):
         return False
@@ -49,9 +45,6 @@ def own_place(folder: Path) -> Path:
     """Return the folder for changes of a hand: its own, or that of the copy that `own` would make.
 
     The copy is made in the first of the folders for users' hands that can be written to.
-
-    Args:
-        folder: The hand's folder.
 
     Raises:
         ConfigError: There is no such folder, it has a hand of that name already, or another hand of
@@ -80,9 +73,6 @@ def own_place(folder: Path) -> Path:
 def own(folder: Path) -> Path:
     """Return the folder in which a hand may be changed: its own, or that of a new copy.
 
-    Args:
-        folder: The hand's folder.
-
     Raises:
         ConfigError: A copy is needed and cannot be made; see `own_place`.
     """
@@ -93,11 +83,7 @@ def own(folder: Path) -> Path:
 
 
 def copied_since(folder: Path) -> Path | None:
-    """Return the user's copy of a hand that came with rtee, if there is one.
-
-    Args:
-        folder: The hand's folder.
-    """
+    """Return the user's copy of a hand that came with rtee, if there is one."""
     if not folder.resolve().is_relative_to(SHIPPED):
         return None
     copies = (place / folder.name for place in own_dirs())
@@ -105,12 +91,7 @@ def copied_since(folder: Path) -> Path | None:
 
 
 def copy_notice(folder: Path, copy: Path) -> str:
-    """Return the message about a copy for the user.
-
-    Args:
-        folder: Folder of the original.
-        copy: Folder of the copy.
-    """
+    """Return the message about a copy for the user."""
     why = "came with rtee" if folder.resolve().is_relative_to(SHIPPED) else "is write-protected"
     return f"hand '{copy.name}' {why}; it is copied to {copy}, which is used from now on"
 

@@ -82,9 +82,6 @@ def closed_rest(geometry: HandGeometry) -> ClosedRest | None:
     Two tips pinch at rest if they touch or nearly touch, and their largest relative motion moves
     them apart. Tips side by side, which bend next to each other, do not.
 
-    Args:
-        geometry: The hand's geometry.
-
     Raises:
         ModelError: A mesh cannot be read.
     """

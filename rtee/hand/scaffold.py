@@ -140,11 +140,7 @@ def _settle(
 ) -> _Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
-    Args:
-        load: Loads the hand, with what was settled so far.
-        searched: Whether the fingers are found in the tree, without an SRDF.
-        motors_known: Whether it is known which joints have motors.
-        ask: Asks the user, if there is one.
+    ``searched``: the fingers are found in the tree, without an SRDF.
     """
     hand: Hand = load()
     chosen: dict[str, Any] = {}
@@ -221,10 +217,6 @@ def without_linkages(
     hand: Hand, pairs: Sequence[AllowedCollision]
 ) -> tuple[tuple[Finger, ...], list[str]]:
     """Leave out the fingers whose tip always touches another finger: they are parts of a linkage.
-
-    Args:
-        hand: A hand whose fingers were found from the tree.
-        pairs: Its pairs of touching links.
 
     Returns:
         The remaining fingers, with new names, and a sentence for each one left out.

@@ -123,7 +123,10 @@ def read_srdf(path: Path | str) -> Srdf:
         name=root.attributes.get("name", "").strip(),
         path=Path(path),
         groups=MappingProxyType(groups),
-        end_effectors=tuple(_end_effector(element) for element in root.all("end_effector")),
+        end_effectors=tuple(
+            SrdfEndEffector(e.attributes.get("name", ""), e.attributes.get("group", ""), e.line)
+            for e in root.all("end_effector")
+        ),
         passive=_named(root, "passive_joint"),
         states=tuple(_state(element) for element in root.all("group_state")),
         disabled=tuple(_disabled(element) for element in root.all("disable_collisions")),
@@ -168,12 +171,6 @@ def _state(element: Element) -> SrdfState:
         group=element.attributes.get("group", ""),
         values=MappingProxyType(values),
         line=element.line,
-    )
-
-
-def _end_effector(element: Element) -> SrdfEndEffector:
-    return SrdfEndEffector(
-        element.attributes.get("name", ""), element.attributes.get("group", ""), element.line
     )
 
 

@@ -1,4 +1,4 @@
-"""Boxes, spheres and cylinders as triangles."""
+"""Boxes, spheres and cylinders as triangles, and triangles as a file."""
 
 from __future__ import annotations
 
@@ -19,11 +19,7 @@ _RINGS: Final = 16
 
 
 def box(size: tuple[float, float, float]) -> Triangles:
-    """Return a box centred at the origin.
-
-    Args:
-        size: Edge lengths [m].
-    """
+    """Return a box of edge lengths [m], centred at the origin."""
     corners = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
     faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
@@ -31,22 +27,13 @@ def box(size: tuple[float, float, float]) -> Triangles:
 
 
 def cylinder(radius: float, length: float) -> Triangles:
-    """Return a cylinder centred at the origin, its axis along z.
-
-    Args:
-        radius: Radius [m].
-        length: Length [m].
-    """
+    """Return a cylinder of a radius and length [m] along z, centred at the origin."""
     rings = [(0.0, -length / 2), (radius, -length / 2), (radius, length / 2), (0.0, length / 2)]
     return _revolve(rings)
 
 
 def sphere(radius: float) -> Triangles:
-    """Return a sphere centred at the origin.
-
-    Args:
-        radius: Radius [m].
-    """
+    """Return a sphere of a radius [m], centred at the origin."""
     angles = np.linspace(-np.pi / 2, np.pi / 2, _RINGS + 1)
     return _revolve([(radius * float(np.cos(a)), radius * float(np.sin(a))) for a in angles])
 
@@ -69,6 +56,14 @@ def subdivided(corners: FloatArray, longest: float) -> FloatArray:
         middle = (a + b) / 2.0
         pieces = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
         corners = np.concatenate([corners[~long], *pieces])
+
+
+def binary_stl(corners: FloatArray) -> bytes:
+    """Return triangles ``(t, 3, 3)`` [m] as a binary STL file; readers compute the normals."""
+    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    triangles = np.zeros(len(corners), dtype=record)
+    triangles["corners"] = corners
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
 
 
 def _revolve(profile: list[tuple[float, float]]) -> Triangles:

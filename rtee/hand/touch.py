@@ -60,10 +60,6 @@ def on_hand(sensor: TouchSensor, hand: Hand) -> TouchSensor:
     A placement in hand.yaml replaces that of the driver. With a scale in hand.yaml, the unit is the
     newton; the values must still be multiplied by `scale_of`.
 
-    Args:
-        sensor: The sensor as its driver declares it.
-        hand: The hand.
-
     Raises:
         ValueError: if hand.yaml places another number of taxels, or the driver names a link that
             the hand does not have.

@@ -181,14 +181,7 @@ class Transmission:
         return v
 
     def jacobian(self, u: FloatArray) -> FloatArray:
-        """Return the Jacobian of the joint positions by the actuator positions.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-
-        Returns:
-            dq/du ``(m, n)``.
-        """
+        """Return the derivative ``(m, n)`` of the joints by the actuators at positions ``(n,)``."""
         jacobian: FloatArray = self.matrix.copy()
         for row, actuator, coupling in self._curved:
             jacobian[row, actuator] = coupling.dual(float(u[actuator]))[1]

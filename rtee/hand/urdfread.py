@@ -315,8 +315,9 @@ def _tree(
             line=line,
         )
     # With one root, a joint that cannot be reached from it is part of a loop.
-    if not roots or len(_in_tree_order(roots[0], below)) != len(joints):
-        loop = next(iter(joints.values())) if not roots else _unreached(roots[0], below, joints)
+    reached = _in_tree_order(roots[0], below) if roots else {}
+    loop = next((joint for name, joint in joints.items() if name not in reached), None)
+    if loop is not None:
         raise ModelError(
             f"joint '{loop.name}' is part of a loop; a URDF is a tree",
             path=root.path,
@@ -336,10 +337,3 @@ def _in_tree_order(
         ordered[joint.name] = joint
         pending.extend(reversed(below[joint.child]))
     return ordered
-
-
-def _unreached(
-    base: str, below: Mapping[str, list[UrdfJoint]], joints: Mapping[str, UrdfJoint]
-) -> UrdfJoint:
-    reached = _in_tree_order(base, below)
-    return next(joint for name, joint in joints.items() if name not in reached)

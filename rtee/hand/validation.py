@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypedDict, TypeVar
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypedDict, TypeVar
 
 from annotated_types import BaseMetadata, Ge, GroupedMetadata, Gt, Le, Lt, MaxLen, MinLen
 
@@ -76,11 +76,7 @@ class Invalid(ValueError):
 
 
 def validated(kind: type[T], data: Any) -> T:
-    """Return plain data as a dataclass.
-
-    Args:
-        kind: The dataclass.
-        data: Mappings, lists, texts, numbers, booleans and ``None``.
+    """Return plain data, as YAML and JSON have it, as a dataclass.
 
     Raises:
         Invalid: It does not fit; the error names all mistakes.
@@ -182,10 +178,8 @@ def _checker(kind: Any) -> _Checker:
         return _words({member.value: member for member in kind})
     if kind is Any:
         return lambda value, at, mistakes: value
-    return _PLAIN[kind] if kind in _PLAIN else _unsupported(kind)
-
-
-def _unsupported(kind: Any) -> _Checker:
+    if kind in _PLAIN:
+        return _PLAIN[kind]
     raise TypeError(f"settings cannot be of the type {kind}")
 
 
@@ -285,7 +279,7 @@ def _fixed(items: list[_Checker]) -> _Checker:
             _mistake(mistakes, "tuple_type", at, "Input should be a valid tuple", value)
             return None
         if len(value) > len(items):
-            _too_long(mistakes, at, value, len(items))
+            _exceeded(_TOO_LONG, len(items), value, at, mistakes)
             return None
         pairs = zip(items, value, strict=False)
         made = [item(each, (*at, i), mistakes) for i, (item, each) in enumerate(pairs)]
@@ -351,25 +345,51 @@ def _dataclass(kind: Any) -> _Checker:
     return check
 
 
-_BOUNDS: Final[Mapping[Any, tuple[str, str, str]]] = {
-    Le: ("less_than_equal", "le", "less than or equal to"),
-    Lt: ("less_than", "lt", "less than"),
-    Ge: ("greater_than_equal", "ge", "greater than or equal to"),
-    Gt: ("greater_than", "gt", "greater than"),
+class _Bound(NamedTuple):
+    """A kind of bound on a value.
+
+    Attributes:
+        kind: The kind of its mistake.
+        limit: The limit's name: in annotated-types, and in the mistake's context.
+        holds: Whether a value keeps a limit.
+        words: What a value should be, with the limit in braces.
+    """
+
+    kind: str
+    limit: str
+    holds: Callable[[Any, Any], bool]
+    words: str
+
+
+_TOO_LONG: Final = _Bound(
+    "too_long", "max_length", lambda value, most: len(value) <= most, "have at most {:g} items"
+)
+_BOUNDS: Final[Mapping[Any, _Bound]] = {
+    Le: _Bound("less_than_equal", "le", operator.le, "be less than or equal to {:g}"),
+    Lt: _Bound("less_than", "lt", operator.lt, "be less than {:g}"),
+    Ge: _Bound("greater_than_equal", "ge", operator.ge, "be greater than or equal to {:g}"),
+    Gt: _Bound("greater_than", "gt", operator.gt, "be greater than {:g}"),
+    MinLen: _Bound(
+        "too_short",
+        "min_length",
+        lambda value, least: len(value) >= least,
+        "have at least {:g} items",
+    ),
+    MaxLen: _TOO_LONG,
 }
 
 
 def _bounded(inner: _Checker, metadata: tuple[Any, ...]) -> _Checker:
     """Return what checks values as `inner` does, and then their bounds."""
-    further = [_bound(each) for group in metadata for each in _single(group)]
+    bounds = [each for group in metadata for each in _single(group)]
 
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         before = len(mistakes)
         made = inner(value, at, mistakes)
-        for each in further:
+        for bound in bounds:
             if made is None or len(mistakes) > before:
                 break
-            each(made, value, at, mistakes)
+            _check_bound(bound, made, value, at, mistakes)
         return made
 
     return check
@@ -383,49 +403,22 @@ def _single(metadata: Any) -> Iterator[Any]:
         yield metadata
 
 
-_Bound = Callable[[Any, Any, Location, list[Mistake]], None]
-"""Takes a value of the right type, as which it was given, where it is and the mistakes so far."""
-
-
-def _bound(metadata: Any) -> _Bound:
+def _check_bound(
+    metadata: Any, value: Any, given: Any, at: Location, mistakes: list[Mistake]
+) -> None:
+    """Check a value of the right type, which was given as `given`, against one bound."""
     if isinstance(metadata, Check):
-        function = metadata.function
-
-        def fulfils(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
-            try:
-                function(value)
-            except ValueError as error:
-                _mistake(mistakes, "value_error", at, f"Value error, {error}", given, error=error)
-
-        return fulfils
-    if isinstance(metadata, MinLen):
-        least = metadata.min_length
-
-        def long_enough(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
-            if len(value) < least:
-                message = f"Input should have at least {least} items"
-                _mistake(mistakes, "too_short", at, message, given, min_length=least)
-
-        return long_enough
-    if isinstance(metadata, MaxLen):
-        most = metadata.max_length
-
-        def short_enough(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
-            if len(value) > most:
-                _too_long(mistakes, at, given, most)
-
-        return short_enough
-    kind, name, words = _BOUNDS[type(metadata)]
-    limit, holds = getattr(metadata, name), getattr(operator, name)
-    message = f"Input should be {words} {limit:g}"
-
-    def within(value: Any, given: Any, at: Location, mistakes: list[Mistake]) -> None:
-        if not holds(value, limit):
-            _mistake(mistakes, kind, at, message, given, **{name: limit})
-
-    return within
+        try:
+            metadata.function(value)
+        except ValueError as error:
+            _mistake(mistakes, "value_error", at, f"Value error, {error}", given, error=error)
+        return
+    bound = _BOUNDS[type(metadata)]
+    limit = getattr(metadata, bound.limit)
+    if not bound.holds(value, limit):
+        _exceeded(bound, limit, given, at, mistakes)
 
 
-def _too_long(mistakes: list[Mistake], at: Location, value: Any, most: int) -> None:
-    message = f"Input should have at most {most} items"
-    _mistake(mistakes, "too_long", at, message, value, max_length=most)
+def _exceeded(bound: _Bound, limit: Any, value: Any, at: Location, mistakes: list[Mistake]) -> None:
+    message = f"Input should {bound.words.format(limit)}"
+    _mistake(mistakes, bound.kind, at, message, value, **{bound.limit: limit})

@@ -23,11 +23,7 @@ DEVICES = "devices"
 
 
 def loop_settings(config: HandConfig, *, rate: float | None = None) -> LoopSettings:
-    """Return the loop's settings of a hand.
-
-    Args:
-        config: Its hand.yaml.
-        rate: Ticks per second instead of those configured [Hz].
+    """Return the loop's settings of a hand; a rate [Hz] overrides the configured one.
 
     Raises:
         ConfigError: if the rate is out of range.

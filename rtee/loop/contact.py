@@ -138,12 +138,6 @@ class ContactWatch:
     stop. It counts only for the motion it belongs to: a report that the device made before it can
     have begun this motion counts only once the actuator has stalled. Where the motion leads away
     from a held object, nothing counts as a grasp until the actuator has left the object.
-
-    Args:
-        actuators: The hand's actuators.
-        stall: When an actuator counts as stalled.
-        grasp: When a stalled actuator counts as grasping.
-        fingers: The hand's fingers, in its order.
     """
 
     def __init__(

@@ -72,10 +72,6 @@ class Outbox:
 class Controller:
     """The pure core of a hand's loop.
 
-    Args:
-        hand: The hand.
-        settings: The loop's settings.
-
     Attributes:
         reference_position: Positions to send, after the limiter [rad | m].
         reference_velocity: Their velocities [rad/s | m/s].

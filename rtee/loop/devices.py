@@ -160,11 +160,7 @@ class Devices:
         return frozenset().union(*(device.indices for device in active))
 
     def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
-        """Check that some actuators may be moved.
-
-        Args:
-            indices: The actuators.
-            movable: The result of `movable`, where the caller has it already.
+        """Check that some actuators may be moved; ``movable``: the known result of `movable`.
 
         Raises:
             GoalRejected: if one of them may not be moved.
@@ -221,15 +217,12 @@ class Devices:
     async def confirm(
         self, reason: str, request: Callable[[Supervisor, float], Awaitable[bool]]
     ) -> list[tuple[str, bool]]:
-        """Make a request to all devices at the same time.
+        """Make a request to all devices at the same time; return which of them confirmed.
 
         Args:
             reason: Why, for the log.
             request: Called with a device and the time it may take [s]; returns whether the device
                 confirmed.
-
-        Returns:
-            Every device with whether it confirmed.
         """
         confirmed = dict.fromkeys(self.by_name, False)
 
@@ -299,12 +292,7 @@ class Devices:
 
 
 def device_forces(hand: Hand, devices: Iterable[Supervisor]) -> DeviceForces:
-    """Return which efforts and forces devices can limit; any thread may call it.
-
-    Args:
-        hand: The hand.
-        devices: Its devices.
-    """
+    """Return which efforts and forces devices can limit; any thread may call it."""
     names = hand.actuator_names
     refused: dict[int, str] = {}
     grips: dict[int, GripForce] = {}

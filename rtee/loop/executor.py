@@ -115,11 +115,6 @@ class Executor:
         """Begin a plan; the running one ends as pre-empted.
 
         Actuators that the new plan doesn't involve stop where they are.
-
-        Args:
-            plan: The plan.
-            stamp: Now [s].
-            measured: The last measurements.
         """
         self.end(stamp, measured, preempted=True)
         legs = len(plan.legs)

@@ -130,13 +130,10 @@ class Grip:
     # --- the opening -------------------------------------------------------------------------
 
     def opening(self, position: Sequence[float]) -> float:
-        """Return the opening at actuator positions of the hand [m]; ``NaN`` if unknown.
+        """Return the opening [m] at positions of all actuators of the hand; ``NaN`` if unknown.
 
         Interpolates the table at the nearest posture of the action, and corrects by the levers for
         the actuators' distances from that posture.
-
-        Args:
-            position: Positions of all actuators of the hand [rad | m].
         """
         share = self._nearest(position)
         # NaN: the action does not move, or a position is not measured.
@@ -306,9 +303,6 @@ class Grip:
 
         Two sides press equally on an object: an excess on one side comes from fingers, or links of
         a finger, that press against one another.
-
-        Args:
-            touch: Forces at the fingertips [N], if they are measured.
         """
         if not touch or max(*self.fingers, *self.others) >= len(touch):
             return math.nan
@@ -384,9 +378,7 @@ def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float,
 
     The publisher and the recorder call this in their own threads, so that the loop needn't.
 
-    Args:
-        grip: Grip of the last goal with an opening or a force; ``None``: there was none.
-        record: The record of a tick.
+    By the grip of the last goal with an opening or a force, at the record of a tick.
     """
     if grip is None:
         return math.nan, math.nan, math.nan, ""

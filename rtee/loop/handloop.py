@@ -273,9 +273,8 @@ class HandLoop:
     def submit(self, goal: Goal, *, partly: bool = False) -> None:
         """Accept a goal, which begins at the next tick; the observers receive its result.
 
-        Args:
-            goal: The goal.
-            partly: Leave out the actuators whose device is not active, unless none would be left.
+        With ``partly``, actuators whose device is not active are left out, unless none would be
+        left.
 
         Raises:
             GoalRejected: if one of its values cannot be used, or a device is not active.

@@ -55,11 +55,10 @@ class Limiter:
     def apply(self, wanted: Sequence[float]) -> bool:
         """Move `position` and `velocity` to the next set-points, as far as the limits allow.
 
+        Returns whether any actuator was limited.
+
         Args:
             wanted: Wanted positions [rad | m]; one that is not finite counts as "stop".
-
-        Returns:
-            Whether any actuator was limited.
         """
         dt, any_limited = self._period, False
         position, velocity, limited = self.position, self.velocity, self.limited

@@ -206,14 +206,7 @@ def _check_devices(
 
 
 def force_refused(hand: Hand, opening: Opening, grip: Grip, devices: DeviceForces) -> str:
-    """Return why no force can be requested of an action, in words; empty if one can.
-
-    Args:
-        hand: The hand.
-        opening: The action's opening.
-        grip: Its grip.
-        devices: Which efforts and forces the hand's devices can limit.
-    """
+    """Return why no force can be requested of an action, in words; empty if one can."""
     # Actuators and devices without limits refuse any force, so one force in range is enough.
     at = grip.intensity[0]
     high = grip.forces(hand, at)[1]

@@ -54,10 +54,6 @@ class Plausibility:
 
     Every actuator has an allowance of travel, which grows with time at `MARGIN` times the velocity
     limit and is reduced by each measured step. So measurements may be sparse, late or bunched.
-
-    Args:
-        actuators: The hand's actuators.
-        report: Called with events.
     """
 
     def __init__(
@@ -98,10 +94,6 @@ class Plausibility:
         """Return whether any of some actuators was measured too rarely to say where it is.
 
         It has leapt, even if plausibly, and too few later measurements agree.
-
-        Args:
-            indices: The actuators.
-            stamp: Now [s].
         """
         return any(stamp < self._leaping_until[i] for i in indices)
 

@@ -97,10 +97,8 @@ def _favour_helpers(priority: int) -> list[str]:
     """Give the threads that run already precedence over other programs.
 
     They share the interpreter with the loop: a thread that is preempted by another program while it
-    holds the interpreter delays the loop, whatever the loop's own priority.
-
-    Args:
-        priority: Their real-time priority; 0: none, only a nice value.
+    holds the interpreter delays the loop, whatever the loop's own priority. Without a real-time
+    priority (0), they get a nice value.
     """
     own = threading.get_native_id()
     for thread in map(int, os.listdir("/proc/self/task")):
@@ -239,11 +237,7 @@ class Collector:
             gc.enable()
 
     def idle(self, until_ns: int) -> None:
-        """Run a collection that is due, if there is enough time for it.
-
-        Args:
-            until_ns: When the next tick is due, CLOCK_MONOTONIC [ns].
-        """
+        """Run a due collection if there is time until the next tick [ns, CLOCK_MONOTONIC]."""
         now = time.monotonic_ns()
         if now < self._due[0]:
             return

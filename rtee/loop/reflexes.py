@@ -288,12 +288,7 @@ class Reflexes:
     # --- a tick ------------------------------------------------------------------------------
 
     def step(self, stamp: float, measured: Measured) -> None:
-        """Detect contacts of the running goal, and react to them.
-
-        Args:
-            stamp: Now [s].
-            measured: The measured state.
-        """
+        """Detect contacts of the running goal, and react to them."""
         approach = self._approach
         if approach is None:
             return

@@ -69,12 +69,7 @@ def start_line(loop: HandLoop, log: str, network: str) -> str:
 
 
 def statistics_line(statistics: LoopStatistics, names: Sequence[str]) -> str:
-    """Return a clock's statistics in one line.
-
-    Args:
-        statistics: The statistics.
-        names: The hands on this clock.
-    """
+    """Return a clock's statistics in one line."""
 
     def micro(seconds: float) -> str:
         return f"{seconds * 1e6:.0f}"

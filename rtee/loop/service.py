@@ -10,6 +10,7 @@ import contextlib
 import os
 import socket
 from collections.abc import Callable, MutableMapping, Sequence
+from dataclasses import dataclass
 from typing import Self
 
 from rtee.loop.observer import Observer
@@ -112,19 +113,14 @@ class Service:
         return False
 
 
+@dataclass(eq=False)  # observers are compared by identity
 class _Watched(Observer):
-    def __init__(
-        self,
-        name: str,
-        ticked: Callable[[str, float], None],
-        describe: Callable[[str, Sequence[DeviceStatus]], None],
-    ) -> None:
-        self._name = name
-        self._ticked = ticked
-        self._describe = describe
+    name: str
+    ticked: Callable[[str, float], None]
+    describe: Callable[[str, Sequence[DeviceStatus]], None]
 
     def on_tick(self, record: TickRecord) -> None:
-        self._ticked(self._name, record.stamp)
+        self.ticked(self.name, record.stamp)
 
     def on_status(self, statuses: Sequence[DeviceStatus], statistics: LoopStatistics) -> None:
-        self._describe(self._name, statuses)
+        self.describe(self.name, statuses)

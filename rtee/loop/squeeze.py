@@ -167,12 +167,7 @@ class Squeeze:
         self._since = self._before = self._enough = stamp
 
     def step(self, stamp: float, measured: Measured) -> bool:
-        """Run one tick; return whether ``effort`` has changed.
-
-        Args:
-            stamp: Now [s].
-            measured: The measured state.
-        """
+        """Run one tick; return whether ``effort`` has changed."""
         if not self.built:
             self._build(stamp, measured)
             return True

@@ -205,13 +205,9 @@ class Supervisor:
     # --- requests, served between two exchanges ----------------------------------------------
 
     async def stop(self, within: float) -> bool:
-        """Stop the device, and repeat that if there was no answer; cannot raise.
+        """Stop the device within a time [s], again if it did not answer; return whether it did.
 
-        Args:
-            within: Time that the stop may take [s].
-
-        Returns:
-            Whether the device answered after the stop.
+        Cannot raise.
         """
         return await self._confirmed("stop", self._stop, within)
 
@@ -288,10 +284,7 @@ class Supervisor:
     ) -> Any:
         """Have the device's task serve a request; return its result or raise its error.
 
-        Args:
-            name: Name of the request, for messages.
-            action: Called by the task.
-            first: Whether to serve it before the requests that wait already.
+        ``first``: before the requests that wait already.
         """
         if self._closed is not None:
             raise self._closed

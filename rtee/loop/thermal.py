@@ -40,21 +40,14 @@ class Level(IntEnum):
     DISABLE = 3
     INVALID = 4
 
-    def words(self, name: str, factor: float) -> str:
-        """Return in words what the level means for an actuator; ``factor`` scales its effort."""
-        match self:
-            case Level.INVALID:
-                return f"the temperature sensor of {name} is invalid"
-            case Level.DERATE:
-                return f"{name} is hot, its effort limited to {factor:.0%}"
-            case Level.DISABLE:
-                return f"{name} is too hot"
-            case Level.WARN:
-                return f"{name} is warm"
-            case _:
-                return f"{name} is cool"
 
-
+# In words: an actuator's name and the factor on its effort limit.
+_STATUS = {
+    Level.WARN: "{} is warm",
+    Level.DERATE: "{} is hot, its effort limited to {:.0%}",
+    Level.DISABLE: "{} is too hot",
+    Level.INVALID: "the temperature sensor of {} is invalid",
+}
 _EVENTS = {
     Level.OK: ("is cool again:", "info"),
     Level.WARN: ("is warm:", "warning"),
@@ -96,10 +89,6 @@ class ThermalChange:
 class Thermal:
     """Evaluates the temperatures of a hand's actuators; pure.
 
-    Args:
-        settings: The thresholds.
-        size: Number of actuators.
-
     Attributes:
         level: Level of each actuator.
         factor: Factor on each actuator's effort limit, 0.1 to 1.
@@ -116,7 +105,7 @@ class Thermal:
     def words(self, names: Mapping[int, str]) -> str:
         """Return in words which of some actuators, named by index, are not cool."""
         return "; ".join(
-            self.level[i].words(name, self.factor[i])
+            _STATUS[self.level[i]].format(name, self.factor[i])
             for i, name in names.items()
             if self.level[i] is not Level.OK
         )

@@ -28,9 +28,6 @@ class TipLevers:
     Mathematical Introduction to Robotic Manipulation*, 1994, chapter 5). :math:`J` is the Jacobian
     of the point where the fingertip is likely to touch: the centre of its collision shape farthest
     from the last joint.
-
-    Args:
-        hand: The hand.
     """
 
     def __init__(self, hand: Hand) -> None:

@@ -59,13 +59,7 @@ class TouchGatherer:
         self.forces: Mapping[str, FloatArray] = NOTHING
 
     def take(self, name: str, can: Capabilities, reading: TouchReading) -> bool:
-        """Accept a device's reading; return whether it is new and can be used.
-
-        Args:
-            name: The device.
-            can: The device's capabilities, with its touch sensors.
-            reading: Its newest reading.
-        """
+        """Accept a device's newest reading; return whether it is new and can be used."""
         device = self._devices.get(name)
         if device is None:
             device = self._devices[name] = _Device()
@@ -115,11 +109,7 @@ class TouchGatherer:
         self._on_refused(name, f"device '{name}': {text}")
 
     def outdate(self, now: float) -> list[str]:
-        """Mark states that have become stale; return the devices whose forces became unknown.
-
-        Args:
-            now: The time [s].
-        """
+        """Mark states that are stale now; return the devices whose forces became unknown."""
         if now <= self._next_stale:
             return []
         gone = []

@@ -18,10 +18,7 @@ from rtee.errors import RteeError, needing_extra
 
 
 def answer(question: dict[str, Any]) -> dict[str, Any]:
-    """Return the ranking that a question asks for, as plain data.
-
-    Args:
-        question: As `rtee.planning.apart.ask` writes it.
+    """Return the ranking that a question of `rtee.planning.apart.ask` asks for, as plain data.
 
     Raises:
         UserError: if it cannot be answered.

@@ -72,6 +72,11 @@ class ActionWay:
             knots.append(after)
         return cls(hand, np.array(knots))
 
+    @property
+    def end(self) -> FloatArray:
+        """Actuator positions at its end ``(n,)`` [rad | m]."""
+        return np.array(self.knots[-1])
+
     def at(self, shares: FloatArray | float) -> FloatArray:
         """Return actuator positions ``(n,)`` [rad | m].
 
@@ -138,13 +143,7 @@ class Closing:
     """
 
     def __init__(self, scene: GraspScene, way: ActionWay, friction: float) -> None:
-        """Make the table.
-
-        Args:
-            scene: The hand and the object.
-            way: The action's way.
-            friction: Coefficient of friction between the hand and the object.
-        """
+        """Make the table."""
         self.scene, self.way, self.friction = scene, way, friction
         self.grid: FloatArray = np.linspace(0.0, 1.0, STEPS + 1)
         postures = scene.postures
@@ -291,11 +290,7 @@ class _Together:
         return balanced(cones(normals, self._friction).reshape(-1, 3))
 
     def _rest_closed(self, rows: Slots) -> list[Closure]:
-        """Let the actuators go on that are not blocked, with the object where it is.
-
-        Args:
-            rows: Rows in which contacts oppose each other.
-        """
+        """Let the actuators go on that are not blocked, where contacts oppose each other."""
         ways = [self._closings[row].way for row in rows.tolist()]
         drives = np.array([self._closings[row].drives for row in rows.tolist()])
         touches = [self._touches[row] for row in rows.tolist()]

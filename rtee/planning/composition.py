@@ -34,12 +34,7 @@ _LEAST: Final = 0.05
 
 
 def composed_for(planner: Planner, library: ActionLibrary) -> GraspPlan | None:
-    """Return the best grasp by an action composed for the object, or ``None`` if there is none.
-
-    Args:
-        planner: Plans the grasps of the object.
-        library: The hand's actions.
-    """
+    """Return the best grasp by an action composed for the object, or ``None`` if there is none."""
     drafts = [_draft(library, parts) for parts in islice(_combinations(library), _TRIES)]
     found = planner.best(drafts, _POSES)
     if found is None:

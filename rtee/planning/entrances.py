@@ -63,10 +63,7 @@ Found: TypeAlias = Candidate | Entrance
 def bring_in(scene: GraspScene, at: HandPose, entrances: Sequence[Entrance]) -> None:
     """Find how far the object comes towards the open hand, before it touches.
 
-    Args:
-        scene: The hand and the object.
-        at: Where the open hand is.
-        entrances: The ways of the object; their depths are filled in.
+    The depths of its ways are filled in.
     """
     if not entrances:
         return

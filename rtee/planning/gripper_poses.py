@@ -25,6 +25,7 @@ from rtee.actions.openings import MARGIN, Opening, suitability
 from rtee.actions.types import Action
 from rtee.errors import ActionError, ConfigError, suggestion
 from rtee.hand.model import Hand
+from rtee.planning.closing import ActionWay
 from rtee.planning.collisions import Collisions
 from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
 from rtee.planning.objects import GraspObject
@@ -216,7 +217,7 @@ def reach_gripper_pose(
     way = grasp.pose[:3, 0] if approach is None else checked_direction(approach)
     object_in_palm = np.linalg.inv(palm) @ checked_pose(object_pose, "the object's pose")
     collisions = Collisions(hand, tips.geometry, thing, object_in_palm)
-    goal, rest = _goal(hand, action), np.array(hand.rest)
+    goal, rest = ActionWay.of(hand, action).end, np.array(hand.rest)
     touching = collisions.at(from_rest(rest, goal, at), opening.fingers)
     early = collisions.at(from_rest(rest, goal, before), (), "pre_grasp")
     return ReachedGrasp(
@@ -238,9 +239,7 @@ def reach_gripper_pose(
 def with_openings(actions: Iterable[Action], openings: Any) -> list[tuple[Action, Opening]]:
     """Return the actions that have an opening, with it.
 
-    Args:
-        actions: The actions.
-        openings: The hand's `rtee.actions.openings.Openings`.
+    ``openings`` are the hand's `rtee.actions.openings.Openings`.
 
     Raises:
         ConfigError: if none has one; with the reason.
@@ -290,17 +289,11 @@ def _best(
 def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: float) -> FloatArray:
     """Return the pose ``(4, 4)`` of a hand's grasp in its base frame, as `GripperPose` has it.
 
-    Args:
-        tips: The hand's fingertips.
-        action: The action.
-        opening: Its opening.
-        intensity: How far the hand is closed.
-
     Raises:
         ConfigError: if the tips meet at the base frame's origin: they reach in no direction.
     """
     hand = tips.hand
-    goal = _goal(hand, action)
+    goal = ActionWay.of(hand, action).end
     one, *others = opening.sides
     other = [finger for side in others for finger in side]
     # Backwards at the end of the way: beyond intensity 1 there is no posture.
@@ -337,14 +330,6 @@ def grasp_frame(tips: Fingertips, action: Action, opening: Opening, intensity: f
     return frame
 
 
-def _goal(hand: Hand, action: Action) -> FloatArray:
-    goal = np.array(hand.rest)
-    for posture in action.waypoints:
-        for name in posture.involved:
-            goal[hand.actuator_index(name)] = posture.position[name]
-    return goal
-
-
 def _positions(hand: Hand, action: Action, opening: Opening, intensity: float) -> dict[str, float]:
-    u = from_rest(np.array(hand.rest), _goal(hand, action), intensity)
+    u = from_rest(np.array(hand.rest), ActionWay.of(hand, action).end, intensity)
     return {name: float(u[hand.actuator_index(name)]) for name in opening.actuators}

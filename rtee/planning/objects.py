@@ -98,7 +98,7 @@ class GraspObject:
     def centre(self) -> FloatArray:
         """Centre of mass ``(3,)`` [m], of even density, where pieces overlap counted twice."""
         volumes = np.array([piece.shape.computeVolume() for piece in self.pieces])
-        centres = np.array([_centre(piece) for piece in self.pieces])
+        centres = np.array([piece.shape.computeCOM() for piece in self.pieces])
         found: FloatArray = volumes @ centres / volumes.sum()
         return found
 
@@ -202,10 +202,6 @@ def _primitive(kind: str, size: tuple[float, ...]) -> Piece:
     ring = radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(_AROUND)], axis=1)
     up = np.array([0.0, 0.0, 0.5 * height])
     return Piece(kind, size, coal.Cylinder(radius, height), np.concatenate([ring - up, ring + up]))
-
-
-def _centre(piece: Piece) -> FloatArray:
-    return np.array(piece.shape.computeCOM()) if piece.kind == "mesh" else np.zeros(3)
 
 
 def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]:

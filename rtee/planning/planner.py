@@ -177,9 +177,7 @@ class Planner:
     def best(self, actions: Sequence[Action], most: int = _MOST) -> tuple[int, GraspPlan] | None:
         """Return the best grasp by one of several actions, and which one; ``None`` without any.
 
-        Args:
-            actions: The actions.
-            most: Poses of the object that are tried for each.
+        For each, at most ``most`` poses of the object are tried.
         """
         best: tuple[int, GraspPlan] | None = None
         found = enumerate(self._grasps(actions, most))
@@ -415,10 +413,9 @@ def rank(plan: GraspPlan) -> tuple[float, str, tuple[str, ...]]:
 def _score(times: float, ball: float, off: float) -> float:
     """Return the score of a grasp, 0 to 1.
 
-    Args:
-        times: How many times its weight the object can have while the arm accelerates it.
-        ball: The quality.
-        off: Distance of the contacts' middle from the centre of mass, in the object's lengths.
+    It depends on how many times its weight the object can have while the arm accelerates it, on the
+    quality, and on the distance of the contacts' middle from the centre of mass, in lengths of the
+    object.
     """
     held = min(1.0, times / SAFETY)
     # What does not resist every wrench turns or slides out as soon as it is disturbed.

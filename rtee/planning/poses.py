@@ -123,14 +123,7 @@ class Poses:
     def __init__(
         self, scene: GraspScene, closing: Closing, action: Action, out: FloatArray
     ) -> None:
-        """Look at how the action's fingertips move.
-
-        Args:
-            scene: The hand and the object.
-            closing: The action's way.
-            action: The action.
-            out: The axis along which the hand reaches out ``(3,)``.
-        """
+        """Look at how the action's fingertips move; the hand reaches out along ``out``."""
         self._scene, self._closing, self._out = scene, closing, out
         self._fingers = self._involved(action)
         names = {name: scene.hand.finger(name).tip for name in self._fingers}

@@ -60,10 +60,6 @@ class HandPoses:
 
     There is one posture in each row; a slot is the number of a shape in an array
     ``(rows, shapes)``.
-
-    Args:
-        postures: The hand's shapes.
-        frames: Poses of the bodies ``(k, m + 1, 4, 4)``.
     """
 
     def __init__(self, postures: Postures, frames: FloatArray) -> None:
@@ -106,9 +102,6 @@ class HandPoses:
 
 class Postures:
     """Computes where the shapes of a hand are.
-
-    Args:
-        geometry: The hand's geometry.
 
     Attributes:
         radii: Radii of the shapes' bounding balls ``(n,)`` [m].
@@ -162,11 +155,7 @@ class Postures:
         self.carried = np.array([kinematics.support(shape.body) for shape in shapes])
 
     def frames(self, u: FloatArray) -> FloatArray:
-        """Return the poses of the bodies, the base first ``(k, m + 1, 4, 4)``.
-
-        Args:
-            u: Actuator positions ``(k, n)`` [rad | m].
-        """
+        """Return poses of the bodies, base first ``(k, m + 1, 4, 4)``, at positions ``(k, n)``."""
         q = self._joints(u).T
         turned = np.stack([np.sin(q), 1.0 - np.cos(q), q], axis=2)
         moved = (turned @ self._basis).reshape(*q.shape, 4, 4)

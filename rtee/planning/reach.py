@@ -19,6 +19,7 @@ import numpy as np
 from rtee.actions.types import Action
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.model import Hand
+from rtee.planning.closing import ActionWay
 from rtee.planning.collisions import Collisions
 from rtee.planning.frames import checked_direction, checked_pose, direction_of, retreated, rows
 from rtee.planning.objects import GraspObject
@@ -205,10 +206,7 @@ def _starts(hand: Hand, actions: Iterable[Action]) -> list[FloatArray]:
     rest = np.array(hand.rest)
     found = [rest]
     for action in actions:
-        goal = rest.copy()
-        for posture in action.waypoints:
-            for name in posture.involved:
-                goal[hand.actuator_index(name)] = posture.position[name]
+        goal = ActionWay.of(hand, action).end
         found += [from_rest(rest, goal, s) for s in _INTENSITIES]
     # A posture that several actions share would take up several of the `_STARTS`.
     return list({u.round(6).tobytes(): u for u in found}.values())

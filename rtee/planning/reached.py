@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from rtee.hand.validation import validated
 from rtee.planning.result import Matrix, Point
 
 
@@ -110,36 +111,6 @@ def from_document(document: Mapping[str, Any]) -> ReachedGrasp:
     """Return it from plain data.
 
     Raises:
-        KeyError, TypeError, ValueError: if it is none.
+        Invalid: It is none; the error names all mistakes.
     """
-    plain = dict(document)
-    residuals = tuple(
-        Residual(str(r["finger"]), _point(r["point"]), float(r["distance"]), float(r["angle"]))
-        for r in plain.pop("residuals")
-    )
-    collisions = tuple(
-        Collision((str(c["links"][0]), str(c["links"][1])), float(c["depth"]), str(c["posture"]))
-        for c in plain.pop("collisions", ())
-    )
-    return ReachedGrasp(
-        hand=str(plain.pop("hand")),
-        fingers=tuple(map(str, plain.pop("fingers"))),
-        posture={str(k): float(v) for k, v in plain.pop("posture").items()},
-        pre_grasp={str(k): float(v) for k, v in plain.pop("pre_grasp").items()},
-        palm_pose=_matrix(plain.pop("palm_pose")),
-        pre_palm_pose=_matrix(plain.pop("pre_palm_pose")),
-        residuals=residuals,
-        collisions=collisions,
-        action=str(plain.pop("action")),
-        elements=tuple(map(str, plain.pop("elements"))),
-        **{name: float(value) for name, value in plain.items()},
-    )
-
-
-def _point(values: Any) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _matrix(rows: Any) -> Matrix:
-    return tuple(tuple(float(value) for value in row) for row in rows)
+    return validated(ReachedGrasp, document)

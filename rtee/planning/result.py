@@ -8,6 +8,7 @@ from typing import Any
 
 from rtee.actions.naming import label
 from rtee.actions.types import ActionReference
+from rtee.hand.validation import validated
 
 Point = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]
@@ -151,50 +152,6 @@ def from_document(document: Mapping[str, Any]) -> Ranking:
     """Return a ranking from plain data.
 
     Raises:
-        KeyError, TypeError, ValueError: if it is none.
+        Invalid: It is none; the error names all mistakes.
     """
-    plain = dict(document)
-    plans = tuple(_plan(entry) for entry in plain.pop("plans"))
-    return Ranking(
-        hand=str(plain["hand"]),
-        object=str(plain["object"]),
-        mass=float(plain["mass"]),
-        friction=float(plain["friction"]),
-        weight_axis=_point(plain["weight_axis"]),
-        plans=plans,
-        rejected=tuple((str(name), str(why)) for name, why in plain["rejected"]),
-        notes=tuple(str(note) for note in plain["notes"]),
-    )
-
-
-def _point(values: Any) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def _matrix(rows: Any) -> Matrix:
-    return tuple(tuple(float(value) for value in row) for row in rows)
-
-
-def _plan(entry: Mapping[str, Any]) -> GraspPlan:
-    plain = dict(entry)
-    parts = (
-        ActionReference(p["action"], tuple(p["elements"]), float(p["scale"]))
-        for p in plain.pop("parts")
-    )
-    contacts = (
-        Contact(c["link"], c["finger"], _point(c["point"]), _point(c["normal"]))
-        for c in plain.pop("contacts")
-    )
-    check = plain.pop("check")
-    return GraspPlan(
-        elements=tuple(plain.pop("elements")),
-        parts=tuple(parts),
-        contacts=tuple(contacts),
-        pose=_matrix(plain.pop("pose")),
-        held_pose=_matrix(plain.pop("held_pose")),
-        way=_point(plain.pop("way")),
-        reasons=tuple(plain.pop("reasons")),
-        check=None if check is None else Check(**check),
-        **plain,
-    )
+    return validated(Ranking, document)

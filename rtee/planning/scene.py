@@ -60,12 +60,7 @@ class GraspScene:
     def __init__(
         self, hand: Hand, thing: GraspObject, geometry: HandGeometry | None = None
     ) -> None:
-        """Read the hand's geometry.
-
-        Args:
-            hand: The hand.
-            thing: The object.
-            geometry: The hand's geometry, where there is one already.
+        """Read the hand's geometry, unless it is given.
 
         Raises:
             ModelError: A mesh of the hand is missing or cannot be read.
@@ -186,11 +181,7 @@ class GraspScene:
         return Contact(self.geometry.shapes[shape].link, self.finger[shape], (x, y, z), (a, b, c))
 
     def torques(self, u: FloatArray, contacts: Sequence[Contact]) -> FloatArray:
-        """Return the maps from forces at contacts to the actuators' efforts ``(k, n, 3)``.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-            contacts: The contacts.
+        """Return the maps from forces at contacts to efforts ``(k, n, 3)``, at positions [rad | m].
 
         Returns:
             Per contact the transposed Jacobian of its point with respect to the actuators.
@@ -230,11 +221,8 @@ def _corners(points: list[FloatArray]) -> list[FloatArray]:
 def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps ``(n, k)`` between upright boxes and their unit normals ``(n, k, 3)``.
 
-    Where boxes overlap, the axis counts along which they overlap least; its gap is negative.
-
-    Args:
-        between: Ways from the middles of the first boxes to those of the others ``(n, k, 3)``.
-        reach: Sums of their half extents.
+    From the ways between their middles ``(n, k, 3)`` and the sums of their half extents. Where
+    boxes overlap, the axis counts along which they overlap least; its gap is negative.
     """
     apart = np.abs(between) - reach
     ways = np.maximum(apart, 0.0)

@@ -30,10 +30,6 @@ class Fingertips:
     def __init__(self, hand: Hand, geometry: HandGeometry | None = None) -> None:
         """Read the geometry.
 
-        Args:
-            hand: The hand.
-            geometry: Its geometry, where there is one already.
-
         Raises:
             ModelError: A mesh of the hand is missing or cannot be read.
         """

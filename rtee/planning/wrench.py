@@ -80,23 +80,16 @@ _HALVINGS: Final = 7
 
 
 def cone(normal: FloatArray, friction: float) -> FloatArray:
-    """Return the edges ``(EDGES, 3)`` of a cone of friction, each of unit normal force.
+    """Return the edges ``(EDGES, 3)`` of a cone of friction about a unit normal into the object.
 
-    Args:
-        normal: Unit normal into the object ``(3,)``.
-        friction: Coefficient of friction.
+    Each is of unit normal force.
     """
     edges: FloatArray = cones(normal[None], friction)[0]
     return edges
 
 
 def cones(normals: FloatArray, friction: float) -> FloatArray:
-    """Return the edges of cones of friction ``(k, EDGES, 3)``; see `cone`.
-
-    Args:
-        normals: Unit normals into the object ``(k, 3)``.
-        friction: Coefficient of friction.
-    """
+    """Return the edges of cones of friction ``(k, EDGES, 3)`` about normals; see `cone`."""
     # Crossed with the axis farthest from the normal, so that the product is never near zero. Of
     # equal ones x comes first, then y.
     size = np.abs(normals)
@@ -193,13 +186,7 @@ def least_squares(
 
 
 def _shares(part: FloatArray, target: FloatArray, enough: float) -> FloatArray:
-    """Return ``x`` of the least ``|part x - target|``, of any sign.
-
-    Args:
-        part: ``(m, n)``.
-        target: ``(m,)``.
-        enough: Gradient that counts as none.
-    """
+    """Return ``x`` of the least ``|part x - target|``, of any sign, to a gradient of ``enough``."""
     # The normal equations take a quarter of the time of `lstsq`, and do for columns that are not
     # nearly dependent; the gradient says whether they did.
     with suppress(np.linalg.LinAlgError):
@@ -275,13 +262,9 @@ def quality(found: FloatArray, least: float = 0.0) -> float:
 def _climb(found: FloatArray, start: FloatArray) -> float:
     """Return the norm of a vertex of the polar polytope ``{x: found x <= 1}``, uphill of a point.
 
-    Facets of the hull are vertices of its polar, and the nearer a facet the longer its vertex. The
-    way goes along faces of ever smaller dimension, then from vertex to vertex along edges that
-    lead away from the origin.
-
-    Args:
-        found: The hull's points ``(k, d)``.
-        start: A point of the polytope ``(d,)``.
+    Facets of the hull of the points ``(k, d)`` are vertices of its polar, and the nearer a facet
+    the longer its vertex. The way goes along faces of ever smaller dimension, then from vertex to
+    vertex along edges that lead away from the origin.
     """
     x, active = start, list[int]()
     for _ in range(_PIVOTS):

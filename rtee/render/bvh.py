@@ -59,11 +59,7 @@ class NumpyScene:
     """
 
     def __init__(self, corners: FloatArray) -> None:
-        """Build the tree.
-
-        Args:
-            corners: Corners of the triangles ``(t, 3, 3)`` [m].
-        """
+        """Build the tree of triangles, by their corners ``(t, 3, 3)`` [m]."""
         order = _morton_order(corners.mean(axis=1))
         leaves = 1
         while leaves * _LEAF < len(order):

@@ -213,11 +213,7 @@ class HandRenderer:
     ) -> Shading:
         """Return colours and light, with fingers faded that are not highlighted.
 
-        Args:
-            camera: The camera.
-            highlight: Fingers in full colour; ``None`` for all.
-            links: Links of fingers in full colour; none for all.
-            ground: Height of the ground [m]; ``None`` for no ground.
+        By default all are in full colour, with all their links, and there is no ground.
         """
         owner = finger_of_link(self.hand)
         colours = link_colours(self.hand, self._mesh.links)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtee.hand.geometry import HandGeometry
+from rtee.hand.tessellation import Triangles
 from rtee.sample import FloatArray
 
 IntArray = NDArray[np.int64]
@@ -36,6 +38,27 @@ class Mesh:
     normals: FloatArray
     links: IntArray
 
+    @classmethod
+    def of(cls, triangles: Triangles, link: int) -> Self:
+        """Return the triangles of a link, with smooth normals, in its frame."""
+        vertices, faces = triangles
+        normals = smooth_normals(vertices, faces)
+        return cls(vertices[faces], normals, np.full(len(faces), link))
+
+    @classmethod
+    def joined(cls, meshes: Sequence[Mesh]) -> Self:
+        """Return the triangles of several meshes."""
+        return cls(
+            np.concatenate([mesh.corners for mesh in meshes]),
+            np.concatenate([mesh.normals for mesh in meshes]),
+            np.concatenate([mesh.links for mesh in meshes]),
+        )
+
+    def placed(self, pose: FloatArray) -> Mesh:
+        """Return the mesh in the frame in which its own has a pose ``(4, 4)``."""
+        turn = pose[:3, :3].T
+        return Mesh(self.corners @ turn + pose[:3, 3], self.normals @ turn, self.links)
+
 
 class HandMesh:
     """The geometry of a hand, posed as one mesh.
@@ -48,27 +71,14 @@ class HandMesh:
     def __init__(self, geometry: HandGeometry) -> None:
         self.geometry = geometry
         self.links = tuple(dict.fromkeys(shape.link for shape in geometry.shapes))
-        self._parts = []
-        for link in self.links:
-            vertices, faces = geometry.triangles(link)
-            self._parts.append((vertices[faces], smooth_normals(vertices, faces)))
+        parts = map(geometry.triangles, self.links)
+        self._parts = [Mesh.of(triangles, index) for index, triangles in enumerate(parts)]
 
     def at(self, u: FloatArray) -> Mesh:
-        """Return the mesh at a posture, in the hand's base frame.
-
-        Args:
-            u: Actuator positions ``(n,)`` [rad | m].
-        """
+        """Return the mesh in the hand's base frame at actuator positions ``(n,)`` [rad | m]."""
         poses = self.geometry.kinematics.placements(u)
-        corners, normals, links = [], [], []
-        for index, (link, (points, directions)) in enumerate(
-            zip(self.links, self._parts, strict=True)
-        ):
-            pose = poses[link]
-            corners.append(points @ pose[:3, :3].T + pose[:3, 3])
-            normals.append(directions @ pose[:3, :3].T)
-            links.append(np.full(len(points), index))
-        return Mesh(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+        parts = zip(self.links, self._parts, strict=True)
+        return Mesh.joined([part.placed(poses[link]) for link, part in parts])
 
 
 def smooth_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:

@@ -107,11 +107,7 @@ def warn_once() -> None:
 
 
 class RayCaster:
-    """Casts rays against one mesh.
-
-    Attributes:
-        mesh: The mesh.
-    """
+    """Casts rays against one mesh."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh

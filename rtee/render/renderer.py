@@ -159,13 +159,7 @@ class _GBuffer:
 
 
 class Renderer:
-    """Renders one picture.
-
-    Args:
-        caster: Ray caster of the mesh.
-        camera: The camera.
-        shading: Colours and light.
-    """
+    """Renders one picture."""
 
     def __init__(self, caster: RayCaster, camera: Camera, shading: Shading) -> None:
         self.caster = caster
@@ -296,11 +290,9 @@ class Renderer:
         return result
 
     def _ground_shadow(self, points: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
-        """Return the shadow at points of the ground ``(n,)``, from 0 to 1.
+        """Return the shadow at points ``(n, 3)`` [m] of the ground, from 0 to 1 ``(n,)``.
 
-        Args:
-            points: The points ``(n, 3)`` [m].
-            turns: Which of 16 sets of rays each of them uses ``(n,)``.
+        ``turns``: which of 16 sets of rays each of them uses.
         """
         shading = self.shading
         up = np.broadcast_to(shading.up, points.shape)

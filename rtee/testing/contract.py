@@ -62,11 +62,7 @@ class DriverContract:
 
     @asynccontextmanager
     async def session(self, within: float = 55.0) -> AsyncIterator[Session]:
-        """Yield a new session with the device; fails if it hangs or leaves a task behind.
-
-        Args:
-            within: Longest time that the session may last [s].
-        """
+        """Yield a session; fails if it lasts longer than ``within`` [s] or leaves a task behind."""
         before = asyncio.all_tasks()
         async with asyncio.timeout(within), Session(self.case) as session:
             yield session

@@ -27,13 +27,7 @@ def open_files() -> int:
 
 
 class Session:
-    """A driver with its own pool of buses; an asynchronous context manager that closes both.
-
-    Attributes:
-        case: The device.
-        pool: The buses.
-        driver: The driver, not yet connected.
-    """
+    """A driver with its own pool of buses; an asynchronous context manager that closes both."""
 
     def __init__(
         self, case: DeviceCase, *, pool: BusPool | None = None, name: str = "device"

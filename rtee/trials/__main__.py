@@ -87,6 +87,7 @@ def _plan(job: Job, out: TextIO) -> None:
         from rtee.planning.planner import FRICTION
     from rtee.actions.library import ActionLibrary
     from rtee.hand.load import load_configured
+    from rtee.loop.configure import loop_settings
     from rtee.planning.result import to_document
 
     _write(out, {"progress": 0.05, "text": "looking for grasps"})
@@ -101,10 +102,10 @@ def _plan(job: Job, out: TextIO) -> None:
         return
     with needing_extra("trying grasps in simulation", "sim"):
         from rtee.trials.planned import checked
-        from rtee.trials.sweep import settings_of
+        from rtee.trials.sweep import RATE
     most = min(job.checked, len(ranking.plans))
     _write(out, {"progress": 0.4, "text": f"trying the best {most} in simulation"})
-    ranking = checked(hand, library, settings_of(config), thing, ranking, most)
+    ranking = checked(hand, library, loop_settings(config, rate=RATE), thing, ranking, most)
     _write(out, {"ranking": to_document(ranking)})
 
 

@@ -14,6 +14,7 @@ from rtee.drivers.mujoco.pairs import LINK
 from rtee.drivers.mujoco.scene import approach
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
+from rtee.planning.closing import ActionWay
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -75,20 +76,11 @@ class Place:
     way: FloatArray
 
 
-def posture_of(hand: Hand, action: Action) -> FloatArray:
-    """Return the actuator positions ``(n,)`` of an action; of a timed action, those at its end."""
-    found = np.array(hand.rest)
-    for posture in action.waypoints:
-        for name in posture.involved:
-            found[hand.actuator_index(name)] = posture.position[name]
-    return found
-
-
 def fingers_of(hand: Hand, action: Action) -> tuple[str, ...]:
     """Return the fingers that an action moves."""
     if action.fingers:
         return action.fingers
-    moved = np.abs(posture_of(hand, action) - hand.rest) > _MOVES
+    moved = np.abs(ActionWay.of(hand, action).end - hand.rest) > _MOVES
     names = {name for name, moves in zip(hand.actuator_names, moved, strict=True) if moves}
     return tuple(finger.name for finger in hand.fingers if names & set(finger.actuators))
 
@@ -97,17 +89,11 @@ class Places:
     """Finds places for the object of a simulation; moves only a copy of its state."""
 
     def __init__(self, simulation: Simulation, hand: Hand, action: Action) -> None:
-        """Prepare for an action.
-
-        Args:
-            simulation: The hand with its object and carrier.
-            hand: The hand.
-            action: What is to grasp the object.
-        """
+        """Prepare for an action."""
         self._simulation, self._hand = simulation, hand
         self._model = simulation.model
         self._data = mujoco.MjData(self._model)
-        self._goal = posture_of(hand, action)
+        self._goal = ActionWay.of(hand, action).end
         fingers = [hand.finger(name) for name in fingers_of(hand, action)]
         tips = [self._model.body(LINK + f.tip).id for f in fingers if f.tip is not None]
         self._geoms = [np.flatnonzero(self._model.geom_bodyid == tip) for tip in tips]

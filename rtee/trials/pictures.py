@@ -10,13 +10,14 @@ import numpy as np
 from rtee.drivers.mujoco.objects import OBJECT
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.drivers.mujoco.surroundings import CONTAINER, TABLE
+from rtee.hand.frames import homogeneous
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
 from rtee.render.image import encode, linear_rgb
-from rtee.render.mesh import HandMesh, Mesh, smooth_normals
+from rtee.render.mesh import HandMesh, Mesh
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
 from rtee.render.strip import SIZE
@@ -33,11 +34,7 @@ _FAR = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.14], [0.16, 0.1, 0.14], [0.24, 
 
 
 class SimulationRenderer:
-    """Renders one simulation, always from the same place.
-
-    Attributes:
-        simulation: What is seen.
-    """
+    """Renders one simulation, always from the same place."""
 
     def __init__(
         self,
@@ -89,30 +86,25 @@ class SimulationRenderer:
     def _is_table(self, geom: int) -> bool:
         return bool(self.simulation.model.geom(geom).name == TABLE)
 
-    def _find_extras(self) -> list[tuple[int, FloatArray, FloatArray]]:
+    def _find_extras(self) -> list[tuple[int, Mesh]]:
         model = self.simulation.model
-        found = []
+        found: list[tuple[int, Mesh]] = []
         for geom in range(model.ngeom):
             name = model.geom(geom).name
             if name == TABLE or name.startswith((OBJECT, CONTAINER)):
-                vertices, faces = _triangles(model, geom)
-                found.append((geom, vertices[faces], smooth_normals(vertices, faces)))
+                link = len(self._mesh.links) + len(found)
+                found.append((geom, Mesh.of(_triangles(model, geom), link)))
         return found
 
     def _posed(self, leave_out: Sequence[int] = ()) -> Mesh:
         simulation = self.simulation
-        base = simulation.surroundings.base_pose
         hand = self._mesh.at(simulation.hand_position)
-        corners = [hand.corners @ base[:3, :3].T + base[:3, 3]]
-        normals, links = [hand.normals @ base[:3, :3].T], [hand.links]
-        for index, (geom, points, directions) in enumerate(self._extras):
-            if index in leave_out:
-                continue
-            turn = simulation.data.geom_xmat[geom].reshape(3, 3)
-            corners.append(points @ turn.T + simulation.data.geom_xpos[geom])
-            normals.append(directions @ turn.T)
-            links.append(np.full(len(points), len(self._mesh.links) + index))
-        return Mesh(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+        meshes = [hand.placed(simulation.surroundings.base_pose)]
+        for index, (geom, mesh) in enumerate(self._extras):
+            if index not in leave_out:
+                turn = simulation.data.geom_xmat[geom].reshape(3, 3)
+                meshes.append(mesh.placed(homogeneous(turn, simulation.data.geom_xpos[geom])))
+        return Mesh.joined(meshes)
 
     def _colours(self) -> FloatArray:
         rows = [*link_colours(self._hand, self._mesh.links)]

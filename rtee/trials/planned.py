@@ -17,6 +17,7 @@ from rtee.drivers.mujoco.options import SimOptions
 from rtee.drivers.mujoco.scene import add_carrier, build_hand
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
+from rtee.hand.tessellation import binary_stl
 from rtee.loop.settings import LoopSettings
 from rtee.object_shape import NUMBERS, ObjectShape
 from rtee.planning.composition import DRAFT
@@ -41,14 +42,6 @@ def check_plan(
     plan: GraspPlan,
 ) -> Check:
     """Try a planned grasp: approach, grasp, lift, hold and shake, as `rtee try` does.
-
-    Args:
-        hand: The hand.
-        library: Its actions, with that of the plan.
-        settings: Its loop's settings.
-        thing: The object.
-        ranking: What the plan is one of; it has the friction and the weight's axis.
-        plan: The plan.
 
     Raises:
         UnknownAction: if the library does not have the action.
@@ -80,18 +73,10 @@ def checked(
     ranking: Ranking,
     most: int,
 ) -> Ranking:
-    """Return a ranking whose best plans were tried in dynamics; those that held come first.
+    """Return a ranking whose ``most`` best plans were tried in dynamics; what held comes first.
 
-    Where none of the best holds, the others are tried, too, until one does: geometry does not see
-    how the fingers push the object while they close.
-
-    Args:
-        hand: The hand.
-        library: Its actions, with those of the plans.
-        settings: Its loop's settings.
-        thing: The object.
-        ranking: The ranking.
-        most: How many of the best plans are tried in any case.
+    Where none of these holds, the others are tried, too, until one does: geometry does not see how
+    the fingers push the object while they close.
     """
     plans = list(ranking.plans)
     held = False
@@ -106,13 +91,9 @@ def checked(
         )
         held |= check.held
         plans[number] = dataclasses.replace(plan, check=check, reasons=(*plan.reasons, said))
-    plans.sort(key=_said)  # stable: otherwise as ranked
+    # Those that held, those that were not tried, those that failed; stable: otherwise as ranked.
+    plans.sort(key=lambda plan: 1 if plan.check is None else 2 * (not plan.check.held))
     return dataclasses.replace(ranking, plans=tuple(plans))
-
-
-def _said(plan: GraspPlan) -> int:
-    """Return 0 for a plan that held, 1 for one that was not tried, 2 for one that failed."""
-    return 1 if plan.check is None else 2 * (not plan.check.held)
 
 
 def _simulation(
@@ -178,21 +159,7 @@ def _shape(piece: Piece, folder: Path, number: int) -> ObjectShape:
     if piece.kind in NUMBERS:
         return ObjectShape(piece.kind, piece.size)
     path = folder / f"piece-{number}.stl"
-    path.write_bytes(_stl(piece))
-    return ObjectShape("mesh", path=path)
-
-
-def _stl(piece: Piece) -> bytes:
-    """Return the hull of a piece as a binary STL file; MuJoCo makes the hull of its corners."""
-    points = piece.points
-    count = len(points)
     # Any triangles that hold all points will do, since MuJoCo takes the corners alone.
-    corners = points[
-        np.stack(
-            [np.arange(count), np.roll(np.arange(count), -1), np.roll(np.arange(count), -2)], axis=1
-        )
-    ]
-    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    triangles = np.zeros(count, dtype=record)
-    triangles["corners"] = corners
-    return bytes(80) + count.to_bytes(4, "little") + triangles.tobytes()
+    corners = np.stack([np.roll(piece.points, -i, axis=0) for i in range(3)], axis=1)
+    path.write_bytes(binary_stl(corners))
+    return ObjectShape("mesh", path=path)

@@ -9,12 +9,7 @@ from rtee.trials.sweep import Bench
 
 
 def recorder_for(ready: Bench, folder: Path) -> Recorder:
-    """Return a recorder that drops nothing, however fast simulated time runs.
-
-    Args:
-        ready: The hand.
-        folder: Where the recording is written.
-    """
+    """Return a recorder that drops nothing, however fast simulated time runs."""
     files = {
         file.relative_to(ready.folder).as_posix(): file.read_bytes()
         for file in [

@@ -15,12 +15,12 @@ from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.log.playback import write_hand
-from rtee.log.recording import Channel, Recording
+from rtee.log.recording import Recording
 from rtee.object_description import CONTACTS, ObjectPart, contact_rows
 from rtee.render.camera import choose_view, fit_camera
 from rtee.render.hand import link_colours
 from rtee.render.image import encode, linear_rgb
-from rtee.render.mesh import HandMesh, Mesh, smooth_normals
+from rtee.render.mesh import HandMesh, Mesh
 from rtee.render.raycast import RayCaster, check_pictures
 from rtee.render.renderer import Renderer, Shading
 from rtee.render.strip import SIZE, write_strip
@@ -43,10 +43,6 @@ _THICK: Final = 0.006
 
 def write_pictures(recording: Recording, path: Path) -> bool:
     """Write a strip of pictures, before the first action and at the end of each.
-
-    Args:
-        recording: The recording.
-        path: The file.
 
     Returns:
         Whether there is an object to be seen; without one no file is written.
@@ -90,10 +86,11 @@ class _Strip:
         self._order = [states.names.index(name) for name in hand.actuator_names]
         self._mesh = HandMesh(HandGeometry(hand, visual=True))
         thing = recording.object_description
-        self._parts = [_triangles(part) for part in thing.parts] if thing is not None else []
         links = len(self._mesh.links)
+        parts = [_triangles(part) for part in thing.parts] if thing is not None else []
+        self._parts = [(Mesh.of(triangles, links), place) for triangles, place in parts]
         colours = [*link_colours(hand, self._mesh.links), linear_rgb(_OBJECT), linear_rgb(_FORCE)]
-        self._object, self._force = links, links + 1
+        self._force = links + 1
         back, up = choose_view(self._mesh.geometry)[:2]
         self._size = float(
             np.linalg.norm(np.ptp(self._hand_at(0.0).corners.reshape(-1, 3), axis=0))
@@ -111,34 +108,23 @@ class _Strip:
 
     def _hand_at(self, at: float) -> Mesh:
         states = self._recording.actuator_states
-        row = max(0, int(np.searchsorted(states.t, at, side="right")) - 1)
-        return self._mesh.at(states.position[row, self._order])
+        return self._mesh.at(states.position[_row(states.t, at), self._order])
 
     def _at(self, at: float) -> Mesh:
-        hand = self._hand_at(at)
-        corners, normals, links = [hand.corners], [hand.normals], [hand.links]
-
-        def add(triangles: Triangles, pose: FloatArray, link: int) -> None:
-            vertices, faces = triangles
-            turn, to = pose[:3, :3], pose[:3, 3]
-            corners.append(vertices[faces] @ turn.T + to)
-            normals.append(smooth_normals(vertices, faces) @ turn.T)
-            links.append(np.full(len(faces), link))
-
+        meshes = [self._hand_at(at)]
         channels = {
-            name.rpartition("/")[2]: _value(channel, at)
+            name.rpartition("/")[2]: channel.values[_row(channel.t, at)]
             for name, channel in self._recording.channels.items()
         }
         pose = pose_in_hand(channels)
         if pose is not None:
-            for triangles, place in self._parts:
-                add(triangles, pose_matrix(pose) @ place, self._object)
+            meshes += [part.placed(pose_matrix(pose) @ place) for part, place in self._parts]
         for row in contact_rows(channels.get(CONTACTS, np.zeros(0))):
             length = self._arrow(row)
             if length > 0.0:
-                shaft = cylinder(_THICK * self._size, length)
-                add(shaft, _along(row[:3], row[3:6], length), self._force)
-        return Mesh(np.concatenate(corners), np.concatenate(normals), np.concatenate(links))
+                shaft = Mesh.of(cylinder(_THICK * self._size, length), self._force)
+                meshes.append(shaft.placed(_along(row[:3], row[3:6], length)))
+        return Mesh.joined(meshes)
 
     def _arrow(self, row: FloatArray) -> float:
         strength = float(np.linalg.norm(row[3:6]))
@@ -146,8 +132,9 @@ class _Strip:
         return _LONGEST * self._size * strength / (strength + _HALF)
 
 
-def _value(channel: Channel, at: float) -> FloatArray:
-    return channel.values[max(0, int(np.searchsorted(channel.t, at, side="right")) - 1)]
+def _row(times: FloatArray, at: float) -> int:
+    """Return the row of the last values before a time, or else the first row."""
+    return max(0, int(np.searchsorted(times, at, side="right")) - 1)
 
 
 def _along(point: FloatArray, force: FloatArray, length: float) -> FloatArray:

@@ -75,12 +75,6 @@ def misfit(library: ActionLibrary, action: Action, thing: GraspObject, variation
     """Return why an object does not fit a hand; empty if it does.
 
     With variations, the largest and the heaviest one has to.
-
-    Args:
-        library: The hand's actions.
-        action: What is to grasp the object.
-        thing: The object.
-        variations: How many variations of it there are.
     """
     hand = library.hand
     mass = thing.mass * (1.0 + MASS if variations else 1.0)

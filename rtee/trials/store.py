@@ -107,11 +107,6 @@ def from_document(entry: Mapping[str, Any]) -> TrialResult:
 def write_results(path: Path, made_with: Fingerprints, results: Iterable[TrialResult]) -> None:
     """Write results, sorted; the text depends on nothing else.
 
-    Args:
-        path: The file.
-        made_with: What the hand's files and actions are.
-        results: The results, made with these.
-
     Raises:
         ConfigError: if it cannot be written.
     """
@@ -148,10 +143,6 @@ def read_results(path: Path, made_with: Fingerprints | None = None) -> dict[str,
 def parse_results(text: str, path: Path) -> dict[str, TrialResult]:
     """Return the results that the text of such a file holds, by the keys of their trials.
 
-    Args:
-        text: The text; nothing is found in an empty one.
-        path: Where it is from, for messages.
-
     Raises:
         ConfigError: if the text is something else.
     """
@@ -163,10 +154,6 @@ def outdated(text: str, path: Path) -> frozenset[str]:
 
     A running hand sends the text with what its files and actions are now, as ``present``,
     ``present_model`` and ``present_actions``.
-
-    Args:
-        text: The text.
-        path: The file it is from, for messages.
 
     Raises:
         ConfigError: if the text is something else.

@@ -19,14 +19,11 @@ from typing import Any
 
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RteeError, WorkerLost, needing_extra
-from rtee.hand.config import HandConfig
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
 from rtee.loop.configure import loop_settings
 from rtee.loop.settings import LoopSettings
-from rtee.trials.result import CHOOSING as CHOOSING
-from rtee.trials.result import OBJECTS as OBJECTS
-from rtee.trials.result import mass_of as mass_of
+from rtee.trials.result import CHOOSING, OBJECTS, mass_of
 from rtee.trials.trial import Trial, TrialResult, run_trial
 
 RATE = 250.0
@@ -35,14 +32,7 @@ RATE = 250.0
 
 @dataclass(frozen=True)
 class Bench:
-    """A hand ready for trials.
-
-    Attributes:
-        hand: The hand.
-        library: Its actions.
-        settings: Its loop's settings.
-        folder: Its folder.
-    """
+    """A hand ready for trials."""
 
     hand: Hand
     library: ActionLibrary
@@ -52,11 +42,7 @@ class Bench:
 
 @lru_cache(maxsize=4)
 def bench(name: str, rate: float = RATE) -> Bench:
-    """Load a hand for trials.
-
-    Args:
-        name: The hand, by name or folder.
-        rate: Ticks per second of its trials [Hz].
+    """Load a hand, by name or folder, for trials at a rate [Hz].
 
     Raises:
         UserError: for every mistake in its files.
@@ -64,12 +50,7 @@ def bench(name: str, rate: float = RATE) -> Bench:
     hand, config = load_configured(name)
     folder = hand_folder(name)[0]
     library = ActionLibrary.load(hand, folder / "actions")
-    return Bench(hand, library, settings_of(config, rate), folder)
-
-
-def settings_of(config: HandConfig, rate: float = RATE) -> LoopSettings:
-    """Return the loop's settings for a trial with so many ticks per second [Hz]."""
-    return loop_settings(config, rate=rate)
+    return Bench(hand, library, loop_settings(config, rate=rate), folder)
 
 
 def all_trials(
@@ -168,9 +149,6 @@ def end_with(leash: Connection) -> None:
     """End this process as soon as the other end of a pipe is closed, whatever it is doing.
 
     That end closes when the process that holds it is killed, too.
-
-    Args:
-        leash: This end of the pipe.
     """
 
     def watch() -> None:

@@ -219,13 +219,7 @@ class _Bench:
         )
         place, mount = stance.place, stance.mount
         if variation is not None:
-            options = options.model_copy(
-                update={
-                    "object_mass": transfer.mass * variation.mass,
-                    "object_scale": variation.size,
-                    "friction": variation.friction,
-                }
-            )
+            options = options.model_copy(update=variation.options(transfer.mass))
             place, mount = stance.varied(variation, self._shape)
         lands = stance.place[:3, 3] if stance.lands is None else stance.lands
         # The container is where the hand leaves the object, turned and carried as it will be.

@@ -225,11 +225,7 @@ def _scanned(best: _Tried, varied: _Varied, free: Places) -> _Tried:
 
 
 def _middle(shares: dict[int, float]) -> int:
-    """Return the place in a row whose share, and whose neighbours', is largest.
-
-    Args:
-        shares: Share of the tries that are held, by the number of the place in the row.
-    """
+    """Return the place in a row whose share of held tries, and whose neighbours', is largest."""
 
     def mean(step: int) -> float:
         here = shares[step]
@@ -293,15 +289,7 @@ def _simulation(
     variation: Variation | None = None,
     built: Built | None = None,
 ) -> Simulation:
-    """Return the hand with the object of a trial, or with a variation of it.
-
-    Args:
-        hand: The hand.
-        settings: Its loop's settings.
-        trial: The trial.
-        variation: The variation, if it is one.
-        built: The hand's model, where it is known.
-    """
+    """Return the hand with the object of a trial, or with a variation of it."""
     options = SimOptions(
         object=trial.object,
         object_mass=trial.mass,
@@ -310,12 +298,9 @@ def _simulation(
         carrier="arm",
     )
     if variation is not None:
-        friction = variation.friction if trial.friction is None else trial.friction
-        changes = {
-            "object_mass": trial.mass * variation.mass,
-            "object_scale": variation.size,
-            "friction": friction,
-        }
+        changes = variation.options(trial.mass)
+        if trial.friction is not None:  # what the user gives does not vary
+            del changes["friction"]
         options = options.model_copy(update=changes)
     return make_simulation(hand, options, hand.actuator_names, settings.period, built=built)
 
@@ -353,12 +338,7 @@ class _Varied:
         return TrialRun(headless, self._trial, place)
 
     def good(self, here: _Tried, best: _Tried | None) -> bool:
-        """Return whether a place is good enough for no other one to be tried.
-
-        Args:
-            here: The place.
-            best: The best one so far.
-        """
+        """Return whether a place is good enough for no other one to be tried."""
         self.choose(here, _FIRST, best)
         if not here.result.held or here.lost:
             return False
@@ -373,13 +353,10 @@ class _Varied:
         *,
         until_good: bool = False,
     ) -> None:
-        """Try a place with variation until there are so many tries, to compare it with others.
+        """Try a place with variation until there are ``count`` tries, to compare it with others.
 
-        Args:
-            here: The place.
-            count: How many tries.
-            best: It is tried no further once it cannot rank above this one.
-            until_good: It is tried no further once it is good enough whatever the others show.
+        It is tried no further once it cannot rank above ``best``, or, ``until_good``, once it is
+        good enough whatever the others show.
         """
         # No more than are wanted afterwards: two variations are asked for to be quick. A scan
         # compares neighbours, for which as few would say nothing.
@@ -407,10 +384,7 @@ class _Varied:
     def at(self, place: Place, free: Places, origin: _Tried) -> _Tried:
         """Return how the trial ends at a place that another one was moved to.
 
-        Args:
-            place: The place; it is moved back until the open hand is clear of the object.
-            free: Tells whether it is.
-            origin: The other place.
+        The place is moved back until the open hand is clear of the object.
         """
         place = replace(place, pose=free.freed(place))
         result = replace(self.run(place).result(), places=origin.result.places)
@@ -419,9 +393,7 @@ class _Varied:
     def shifted(self, place: Place, round_: int) -> tuple[Place, float]:
         """Return a place amid those around one where an object is held, and the share of those.
 
-        Args:
-            place: The place.
-            round_: How often a place was moved before; each round uses other draws.
+        ``round_``: how often the place was moved before; each round uses other draws.
         """
         # The place itself, where the object was held; the mean exists if no other one holds.
         held = [np.zeros(3)]

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from rtee.hand.frames import rotation
 from rtee.sample import FloatArray
 from rtee.trials.result import CHOOSING
 
@@ -74,8 +75,19 @@ class Variation:
         """Return where an object is that would be at a pose ``(4, 4)`` in the base frame."""
         found = np.array(pose)
         found[:3, 3] += self.position
-        found[:3, :3] = _rotation(np.array(self.turn)) @ found[:3, :3]
+        turn = np.array(self.turn)
+        angle = float(np.linalg.norm(turn))
+        if angle:
+            found[:3, :3] = rotation((turn / angle).tolist(), angle) @ found[:3, :3]
         return found
+
+    def options(self, mass: float) -> dict[str, float]:
+        """Return the options of a simulation that vary, for an object of a mass [kg]."""
+        return {
+            "object_mass": mass * self.mass,
+            "object_scale": self.size,
+            "friction": self.friction,
+        }
 
 
 def draw(seed: int, number: int) -> Variation:
@@ -124,16 +136,3 @@ def interval(successes: int, tries: int) -> tuple[float, float]:
     scale = 1.0 + square / tries
     # Rounding may lead out of 0 to 1 when all tries succeed, or none.
     return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
-
-
-def _rotation(turn: FloatArray) -> FloatArray:
-    """Return the rotation ``(3, 3)`` of an axis times an angle [rad], by Rodrigues' formula."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = turn / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: FloatArray = (
-        np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
-    )
-    return turned

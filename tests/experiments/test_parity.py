@@ -14,6 +14,7 @@ pytest.importorskip("mujoco")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from experiments.kinematic import KinematicPlay
 from experiments.wires import on_the_wire, wired
 from rtee.actions.build import generic
 from rtee.actions.library import ActionLibrary
@@ -24,7 +25,6 @@ from rtee.hand.catalog import hand_names
 from rtee.hand.model import Hand
 from rtee.run import PreparedHand
 from rtee.trials.headless import HeadlessHand
-from rtee.trials.kinematic import KinematicPlay
 from rtee.types import Goal
 
 TOLERANCE = 0.02

@@ -29,6 +29,7 @@ from rtee.trials import trial as trial_module
 from rtee.trials import variation as variation_module
 from rtee.trials.grasp_placement import Places
 from rtee.trials.recorded import recorder_for
+from rtee.trials.result import OBJECTS
 from rtee.trials.robust_places import robust_places
 from rtee.trials.store import (
     FILE_NAME,
@@ -38,7 +39,6 @@ from rtee.trials.store import (
     write_results,
 )
 from rtee.trials.sweep import (
-    OBJECTS,
     all_trials,
     attempt,
     bench,

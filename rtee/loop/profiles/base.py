@@ -44,11 +44,7 @@ class Profile(ABC):
         return len(self.position)
 
     def seed(self, positions: Mapping[int, float]) -> None:
-        """Set some actuators to a position, at rest; the others continue.
-
-        Args:
-            positions: Position by index [rad | m].
-        """
+        """Set some actuators to positions by index [rad | m], at rest; the others continue."""
         for index, position in positions.items():
             self.position[index] = position
             self.velocity[index] = 0.0
@@ -58,8 +54,7 @@ class Profile(ABC):
     def resume(self, states: Mapping[int, tuple[float, float]]) -> None:
         """Take over some actuators in motion, and brake them; the others continue.
 
-        Args:
-            states: Position [rad | m] and velocity [rad/s | m/s] by index.
+        The states are position [rad | m] and velocity [rad/s | m/s] by index.
         """
         for index, (position, velocity) in states.items():
             self.position[index] = self.target[index] = position

@@ -216,11 +216,7 @@ class Approach:
         return min(speed, bounds.velocity)
 
     def _fastest(self, way: float) -> float:
-        """Return the largest speed that does not pass the target [rad/s | m/s].
-
-        Args:
-            way: Distance of the target beyond the nearest stop [rad | m].
-        """
+        """Return the largest speed that does not pass the target, ``way`` beyond the next stop."""
         high = self._bounds.velocity
         left_high = self._sign * self._left(self._sign * high)[0]
         if left_high >= 0.0:

@@ -63,12 +63,7 @@ class StreamHold:
             self._contact.aim(i, target)
 
     def look(self, stream: StreamPlayer, stamp: float, measured: Measured) -> bool:
-        """Evaluate the actuators of a stream; restore the effort of those that hold nothing.
-
-        Args:
-            stream: The stream.
-            stamp: Now [s].
-            measured: The measured state.
+        """Evaluate a stream's actuators now [s]; restore the effort of those that hold nothing.
 
         Returns:
             Whether an eased actuator has reached its reference, and is eased no longer.

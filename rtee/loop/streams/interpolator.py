@@ -165,7 +165,9 @@ class Interpolator:
         self._fresh.clear()
         self._knots.append(self._knot(positions, velocities, time))
         self.newest = time
-        self._forget(play)
+        # Played samples are discarded, except for the two that determine the velocity.
+        while len(self._knots) > 3 and self._knots[2].time <= play:
+            self._knots.popleft()
         self._jump(before, self._motions(play, period), now, period)
         self._coasts = play >= time
 
@@ -214,11 +216,6 @@ class Interpolator:
             return 3.0 * slope
         return velocity
 
-    def _forget(self, play: float) -> None:
-        """Discard played samples, except for the two that determine the velocity."""
-        while len(self._knots) > 3 and self._knots[2].time <= play:
-            self._knots.popleft()
-
     # --- the path ----------------------------------------------------------------------------
 
     def _base(self, play: float, period: float) -> tuple[_Knot, _Knot, tuple[_Weights, ...]]:
@@ -236,11 +233,6 @@ class Interpolator:
             right -= 1
         left = knots[right - 1]
         return left, knots[right], _hermite(left.time, knots[right].time, play)
-
-    def _positions(self, play: float, period: float) -> list[float]:
-        """Return the positions on the path between the samples, without the error."""
-        left, right, (weights, _, _) = self._base(play, period)
-        return _combined(left, right, weights)
 
     def _motions(self, play: float, period: float) -> list[Motion]:
         """Return the motions on the path between the samples, without the error."""
@@ -262,11 +254,7 @@ class Interpolator:
     ) -> None:
         """Turn a jump of the path into errors that decay, within the limits if possible.
 
-        Args:
-            before: Motions of the moving actuators before the jump.
-            after: Motions after the jump.
-            now: The time by the hand's clock [s].
-            period: Time between samples [s].
+        At ``now`` by the hand's clock [s]; ``period``: time between samples [s].
         """
         for place, index in enumerate(self.indices):
             if before[place] == after[place]:
@@ -342,7 +330,8 @@ class Interpolator:
         passed, self._now = max(now - self._now, dt), now
         if play >= self.newest and not self._coasts:
             self._coast(now, period)
-        base = self._positions(play, period)
+        left, right, (weights, _, _) = self._base(play, period)
+        base = _combined(left, right, weights)
         for place, index in enumerate(self.indices):
             target = base[place]
             if now < self._error[place][1] + self._error[place][2]:

@@ -77,10 +77,6 @@ class StreamPlayer:
 
         A sample far from the last one is dropped; if the next one is far, too, the motion is
         intended.
-
-        Args:
-            sample: The sample.
-            positions: Its positions by actuator [rad | m].
         """
         if abs(sample.stamp - self._newest) < _SAME:
             self._duplicates += 1

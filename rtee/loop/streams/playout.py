@@ -121,10 +121,7 @@ class Playout:
         self._faster = 0.0
 
     def advance(self, now: float) -> bool:
-        """Advance to a tick.
-
-        Args:
-            now: Due time of the tick [s].
+        """Advance to a tick, by its due time [s].
 
         Returns:
             Whether the stream's time has jumped, because the client's clock has.

@@ -88,11 +88,6 @@ class _Blend:
 class Targets:
     """The actuators behind the names of a sample; made once for samples with the same names.
 
-    Args:
-        names: The names.
-        hand: The hand.
-        library: Its actions.
-
     Attributes:
         indices: The actuators that the names refer to.
 
