@@ -157,11 +157,6 @@ def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
     return {servo.actuator: servo for servo in servos}
 
 
-def write_calibration(path: Path, servos: list[Calibrated]) -> None:
-    """Write a calibration; raises `ConfigError` if the file cannot be written."""
-    write_json(path, {"servos": [asdict(servo) for servo in servos]})
-
-
 def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[float]:
     """Return the calibrated zeros of servos [counts].
 
@@ -219,5 +214,5 @@ class CalibratesServos(Driver):
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
         servos = await self.take_zeros(rest)
-        write_calibration(path, servos)
+        write_json(path, {"servos": [asdict(servo) for servo in servos]})
         return servos

@@ -95,10 +95,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     """Time between two steps [s]: it leaves API mode by itself, without any traffic."""
 
     def __init__(
-        self,
-        properties: AbilityProperties | None = None,
-        *,
-        baudrate: int = codec.BAUDRATES[0],
+        self, properties: AbilityProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
     ) -> None:
         super().__init__()
         self.properties = made = properties or AbilityProperties()

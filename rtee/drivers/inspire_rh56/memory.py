@@ -184,11 +184,6 @@ class Memory:
         self._put(Register.STROKE, table(stroke))
         return self._get(address, size)
 
-    def press(self, area: str, taxel: int, value: int) -> None:
-        """Set the measured value of a taxel of an area."""
-        at = next(a for a in tactile.AREAS if a.name == area).address - tactile.FIRST + 2 * taxel
-        self.taxels[at : at + 2] = value.to_bytes(2, "little")
-
     def report(self) -> Report:
         """Return its measurements."""
         return Report(

@@ -86,6 +86,11 @@ class ListParser:
         self._buffer = bytearray()
         self.errors = 0
 
+    @property
+    def pending(self) -> int:
+        """Bytes kept because the list may still be completed."""
+        return len(self._buffer)
+
     def reset(self) -> None:
         """Forget what has come in."""
         self._buffer.clear()

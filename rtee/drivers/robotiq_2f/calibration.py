@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
-from rtee.drivers.json_files import read_calibration_file, write_json
+from rtee.drivers.json_files import read_calibration_file
 from rtee.errors import CalibrationError
 
 _LEAST_RANGE = 100
@@ -54,8 +54,3 @@ def read_end_stops(path: Path, device: str, model: str, unit: int) -> EndStops:
             f"unit {unit}; calibrate again",
         )
     return checked(stops, device)
-
-
-def write_end_stops(path: Path, stops: EndStops) -> None:
-    """Store a calibration; raises `ConfigError` if the file cannot be written."""
-    write_json(path, asdict(stops))

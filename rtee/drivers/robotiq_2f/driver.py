@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -12,9 +12,10 @@ from pydantic import BaseModel, Field
 from rtee.buses.pool import BusPool
 from rtee.capabilities import GripForce
 from rtee.drivers.deadlines import time_limit
+from rtee.drivers.json_files import write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
-from rtee.drivers.robotiq_2f.calibration import EndStops, checked, read_end_stops, write_end_stops
+from rtee.drivers.robotiq_2f.calibration import EndStops, checked, read_end_stops
 from rtee.drivers.robotiq_2f.codec import COUNT, FAULTS, MODELS, Command, Grasp, Scale, Status
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
@@ -220,7 +221,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         stops = checked(
             EndStops(self.options.model, self.options.unit, opened, closed), self.spec.name
         )
-        write_end_stops(path, stops)
+        write_json(path, asdict(stops))
         return stops
 
     async def _end_stop(self, request: int) -> int:

@@ -336,10 +336,9 @@ class Wsg50Emulator(Emulator, Grasps):
         width, speed = target
         self._running = command
         self._blocked, self._reached, self._building = State(0), False, 0.0
-        self._grasping = {
-            Command.GRASP: Grasping.CLOSING,
-            Command.RELEASE: Grasping.RELEASING,
-        }.get(command, Grasping.IDLE)
+        self._grasping = {Command.GRASP: Grasping.CLOSING, Command.RELEASE: Grasping.RELEASING}.get(
+            command, Grasping.IDLE
+        )
         # A grasp looks for the part a little beyond its width.
         beyond = self.properties.clamping if command is Command.GRASP else 0.0
         self.axis.target = max(width - beyond, 0.0)

@@ -124,11 +124,7 @@ class WsgLink(Unhurried):
         Raises `WsgRefusal` if the gripper refuses it, and `BusError`.
         """
         answer = await self.bus.transact(
-            request.to_bytes(),
-            self._frames,
-            self.deadline,
-            retries,
-            accept=_answers(request),
+            request.to_bytes(), self._frames, self.deadline, retries, accept=_answers(request)
         )
         status = answer.status
         if status not in (Status.OK, Status.PENDING):
