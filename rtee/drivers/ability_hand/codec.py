@@ -121,6 +121,11 @@ class _Parser(ABC, Generic[F]):
         self._run = bytearray()
         self.errors = 0
 
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a frame may still be completed."""
+        return len(self._run)
+
     def reset(self) -> None:
         """Forget what has come in."""
         self._run.clear()
