@@ -127,7 +127,6 @@ class Calibrated:
 
     Attributes:
         actuator: The actuator that it drives, or its own name if two servos drive one together.
-        id: Its id.
         model: Its model number.
         drive_mode: Its drive mode, which includes the sense of rotation.
         homing_offset: Its homing offset [counts].

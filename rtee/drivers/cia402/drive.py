@@ -32,7 +32,6 @@ class DriveLink:
 
     Attributes:
         bus: The network.
-        options: Its options.
         name: The actuator that it drives.
         scale: Its units.
         status: Its newest status, ``None`` before the first.

@@ -114,7 +114,6 @@ class Drive:
     Attributes:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
-        state: Its state.
         zero: Position at which its counter is 0 [counts of the axis]; set by homing.
         cause: Error code whose cause persists, so that it comes back after a reset; 0: none.
     """

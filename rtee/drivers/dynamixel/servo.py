@@ -59,7 +59,6 @@ class Servo(EmulatedServo):
     """A servo's control table and its motor; the axis counts pulses over all turns.
 
     Attributes:
-        properties: Its properties.
         unplugged: Whether it never answers.
         cause: Hardware errors whose cause persists: they come back after a reboot.
     """

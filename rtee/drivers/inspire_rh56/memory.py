@@ -79,7 +79,6 @@ class Memory:
     """The registers, and the six motors behind them.
 
     Attributes:
-        properties: Its properties.
         axes: The motors, in counts of their angles and in grams.
         moves: Number of angle set-points received.
         begun: Force limits when the last motion began [g].

@@ -126,7 +126,6 @@ class Follower:
 
     Attributes:
         joint: Its name.
-        actuator: The actuator.
         coupling: How it follows.
         master: A joint on a spring that it follows instead, rigidly and linearly; or ``None``.
         elastic: It follows by a spring.

@@ -75,9 +75,7 @@ def tips(hand: Hand, u: FloatArray) -> FloatArray:
 def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
     """Return the middle of the fingertips ``(3,)`` [m] in the base frame.
 
-    Args:
-        hand: The hand.
-        closure: Share of the way from rest to the far limits at which it is taken.
+    It is taken at `closure`, a share of the way from rest to the far limits.
     """
     origins = tips(hand, from_rest(hand.rest, closed(hand), closure))
     return np.asarray(origins.mean(axis=0)) if len(origins) else np.zeros(3)

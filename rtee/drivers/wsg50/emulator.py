@@ -83,7 +83,6 @@ class Wsg50Emulator(Emulator, Grasps):
 
     Attributes:
         axis: Its fingers; position is the width [mm], effort the force [N].
-        limits: Its limits.
         moves: Number of motions started.
         begun: The force limit when the last motion started [N].
         homings: Number of completed homings.

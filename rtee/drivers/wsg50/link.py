@@ -30,7 +30,6 @@ class WsgRefusal(BusError):
     """The gripper refused a command.
 
     Attributes:
-        command: The command.
         status: The reason.
     """
 
