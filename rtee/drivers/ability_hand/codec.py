@@ -288,8 +288,8 @@ def _touch_bytes(words: Sequence[int]) -> bytes:
 # --- units ---------------------------------------------------------------------------------------
 
 
-def _clipped(value: float, most: int = 32767) -> int:
-    return round(min(max(value, -most), most))
+def _clipped(value: float) -> int:
+    return round(min(max(value, -32767), 32767))
 
 
 def angle(counts: int) -> float:
