@@ -71,11 +71,7 @@ class CanBus(Bus):
         self._count("tx", frame.data, time.monotonic(), frame.id.to_bytes(4, "big"))
 
     async def request(
-        self,
-        frame: CanFrame,
-        accept: Callable[[CanFrame], bool],
-        deadline: float,
-        retries: int = 0,
+        self, frame: CanFrame, accept: Callable[[CanFrame], bool], deadline: float, retries: int = 0
     ) -> CanFrame:
         """Send a frame and return the first one that ``accept`` identifies as its answer.
 

@@ -42,7 +42,6 @@ class AnswerParser:
 
     Args:
         framer: pymodbus's framer for RTU or TCP.
-        request: The request.
         head: Bytes between the function and the registers of its answer: the number of bytes, or,
             for a write, its address and number of registers.
         behind: How much smaller the transaction number of an answer may be than that of its

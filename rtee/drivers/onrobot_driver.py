@@ -21,7 +21,7 @@ from rtee.drivers.onrobot_common import (
     serial_number,
     version,
 )
-from rtee.drivers.register_blocks import PATIENT, Blocks, ExchangingDriver
+from rtee.drivers.register_blocks import Blocks, ExchangingDriver
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import BusError, BusTimeout, FrameError, HandshakeError, NotConnected
 from rtee.types import DeviceSpec, Reference
@@ -91,7 +91,6 @@ class OnRobotDriver(ExchangingDriver[S]):
                 output=TARGETS,
                 source=self.SOURCE,
                 count=self.COUNT,
-                deadline=PATIENT,
                 kind=options.exchange,
                 # No document gives a refresh time, so only the wire limits the rate.
                 refresh=0.0,

@@ -61,14 +61,13 @@ class Blocks(Unhurried):
         output: int,
         source: int,
         count: int,
-        deadline: float,
         kind: ExchangeKind = "auto",
         function: int = READ_HOLDING,
         refresh: float = _REFRESH,
     ) -> None:
         self.bus = bus
         self.unit = unit
-        self.deadline = deadline
+        self.deadline = PATIENT
         self._output = output
         self._source = source
         self._count = count

@@ -120,7 +120,6 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
                 output=output,
                 source=source,
                 count=self.COUNT,
-                deadline=PATIENT,
                 kind="separate" if mixed else settings.exchange,
                 function=function,
             ),

@@ -69,7 +69,6 @@ class ServoLine(Emulator, Generic[S]):
     """Servos on one line.
 
     Args:
-        servos: The servos.
         parser: The parser of requests.
 
     Attributes:

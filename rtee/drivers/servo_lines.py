@@ -127,7 +127,6 @@ class Calibrated:
 
     Attributes:
         actuator: The actuator that it drives, or its own name if two servos drive one together.
-        id: Its id.
         model: Its model number.
         drive_mode: Its drive mode, which includes the sense of rotation.
         homing_offset: Its homing offset [counts].
@@ -155,11 +154,6 @@ def read_calibration(path: Path, device: str) -> dict[str, Calibrated]:
 
     servos = read_calibration_file(path, device, servos_of, of=" of servos")
     return {servo.actuator: servo for servo in servos}
-
-
-def write_calibration(path: Path, servos: list[Calibrated]) -> None:
-    """Write a calibration; raises `ConfigError` if the file cannot be written."""
-    write_json(path, {"servos": [asdict(servo) for servo in servos]})
 
 
 def zeros_of(path: Path, device: str, servos: Sequence[Calibrated]) -> list[float]:
@@ -219,5 +213,5 @@ class CalibratesServos(Driver):
         await self.deactivate()
         await ready("Put every joint into the rest posture; the servos are without torque.")
         servos = await self.take_zeros(rest)
-        write_calibration(path, servos)
+        write_json(path, {"servos": [asdict(servo) for servo in servos]})
         return servos

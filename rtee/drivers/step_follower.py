@@ -16,8 +16,7 @@ begin."""
 Settle = Annotated[
     float,
     Field(
-        ge=0.0,
-        description="time after which a resting reference is sent, however close it is [s]",
+        ge=0.0, description="time after which a resting reference is sent, however close it is [s]"
     ),
 ]
 """The option that becomes the argument ``settle`` of `StepFollower`."""

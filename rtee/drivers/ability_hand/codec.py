@@ -121,6 +121,11 @@ class _Parser(ABC, Generic[F]):
         self._run = bytearray()
         self.errors = 0
 
+    @property
+    def pending(self) -> int:
+        """Bytes kept because a frame may still be completed."""
+        return len(self._run)
+
     def reset(self) -> None:
         """Forget what has come in."""
         self._run.clear()
@@ -283,8 +288,8 @@ def _touch_bytes(words: Sequence[int]) -> bytes:
 # --- units ---------------------------------------------------------------------------------------
 
 
-def _clipped(value: float, most: int = 32767) -> int:
-    return round(min(max(value, -most), most))
+def _clipped(value: float) -> int:
+    return round(min(max(value, -32767), 32767))
 
 
 def angle(counts: int) -> float:

@@ -54,7 +54,6 @@ class AbilityProperties:
     """Properties of the emulated hand.
 
     Attributes:
-        address: Its address.
         start: Closure at power-up, 0 to 1.
         touch: Whether it has touch sensors.
         fast: Fast mode: a reply has the variant that the previous request selected.
@@ -81,7 +80,6 @@ class AbilityHandEmulator(Emulator, Grasps):
         baudrate: Rate that its line is set to [baud].
 
     Attributes:
-        properties: Its properties.
         axes: Its motors: angles of the joints on the wire [rad], efforts [N·m].
         moves: Number of set-points received.
         api: Whether it is in API mode.
@@ -95,10 +93,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     """Time between two steps [s]: it leaves API mode by itself, without any traffic."""
 
     def __init__(
-        self,
-        properties: AbilityProperties | None = None,
-        *,
-        baudrate: int = codec.BAUDRATES[0],
+        self, properties: AbilityProperties | None = None, *, baudrate: int = codec.BAUDRATES[0]
     ) -> None:
         super().__init__()
         self.properties = made = properties or AbilityProperties()

@@ -122,7 +122,6 @@ class AllegroEmulator(Emulator, Grasps):
     """The hand.
 
     Attributes:
-        properties: Its properties.
         joints: Its joints, in the order of the wire.
         periods: Periods at which it sends data by itself.
         servo: Whether its motors are on.

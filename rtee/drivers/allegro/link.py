@@ -27,7 +27,6 @@ class AllegroLink:
     """Talks to one hand; up to four share the bus by their numbers.
 
     Attributes:
-        bus: The bus.
         hand: The hand's number on it.
         deadline: Longest time to wait for an answer [s].
     """

@@ -112,7 +112,6 @@ class Abort(IntEnum):
     TOGGLE = 0x0503_0000
     COMMAND = 0x0504_0001
     UNSUPPORTED = 0x0601_0000
-    WRITE_ONLY = 0x0601_0001
     READ_ONLY = 0x0601_0002
     NO_OBJECT = 0x0602_0000
     NOT_MAPPABLE = 0x0604_0041
@@ -121,7 +120,6 @@ class Abort(IntEnum):
     NO_SUBINDEX = 0x0609_0011
     RANGE = 0x0609_0030
     GENERAL = 0x0800_0000
-    STATE = 0x0800_0022
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import time
 from collections.abc import Callable
@@ -32,7 +33,6 @@ class DriveLink:
 
     Attributes:
         bus: The network.
-        options: Its options.
         name: The actuator that it drives.
         scale: Its units.
         status: Its newest status, ``None`` before the first.
@@ -287,10 +287,8 @@ class DriveLink:
         self._notify()
 
     def _receive_motion(self, frame: CanFrame) -> None:
-        try:
+        with contextlib.suppress(CanopenFrameError):
             self.motion = Motion.from_bytes(frame.data)
-        except CanopenFrameError:
-            return
 
     def _receive_heartbeat(self, frame: CanFrame) -> None:
         try:

@@ -97,8 +97,7 @@ class Cia402Driver(Driver):
         bus = cycle.bus
         identities = [
             await bus.run(
-                partial(identify, drive, self.spec.name, options.channel, cycle.mode),
-                SET_UP_WITHIN,
+                partial(identify, drive, self.spec.name, options.channel, cycle.mode), SET_UP_WITHIN
             )
             for drive in cycle.drives
         ]

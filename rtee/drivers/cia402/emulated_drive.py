@@ -114,7 +114,6 @@ class Drive:
     Attributes:
         node: Its CANopen side.
         axis: Its motor [counts]; effort in 0.1 % of the rated torque.
-        state: Its state.
         zero: Position at which its counter is 0 [counts of the axis]; set by homing.
         cause: Error code whose cause persists, so that it comes back after a reset; 0: none.
     """
@@ -152,7 +151,7 @@ class Drive:
         made, node = self.properties, self.node
         node.add(Object.DEVICE_TYPE, 0, "I", 0x0002_0000 | made.device_type, writable=False)
         node.add(Object.ERROR_REGISTER, 0, "B", 0, writable=False)
-        node.objects[Object.DEVICE_NAME, 0] = Entry(made.name.encode(), writable=False, text=True)
+        node.objects[Object.DEVICE_NAME, 0] = Entry(made.name.encode(), writable=False)
         node.add(Object.CONSUMER_HEARTBEAT, 0, "B", 1, writable=False)
         node.add(Object.CONSUMER_HEARTBEAT, 1, "I", 0, changed=node.watch_anew)
         node.add(Object.PRODUCER_HEARTBEAT, 0, "H", 0)
@@ -416,7 +415,7 @@ class Drive:
 def way_home(
     method: int, here: float, *, negative: Leg, positive: Leg, turn: int, slow: float
 ) -> list[Leg]:
-    """Return the legs of a homing method; the last one ends at home.
+    """Return the legs of one of the homing `METHODS`; the last one ends at home.
 
     Args:
         method: 1, 2 (limit switch and index pulse), 17, 18 (limit switch), 33, 34 (index pulse),
@@ -431,19 +430,13 @@ def way_home(
     def pulse(start: float, direction: int) -> Leg:
         return Leg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
 
-    match method:
-        case 1:
-            return [negative, pulse(negative.end, 1)]
-        case 2:
-            return [positive, pulse(positive.end, -1)]
-        case 17:
-            return [negative]
-        case 18:
-            return [positive]
-        case 33:
-            return [pulse(here, -1)]
-        case 34:
-            return [pulse(here, 1)]
-        case 35 | 37:
-            return [Leg(here, slow)]
-    raise ValueError(f"homing method {method} is not emulated")
+    return {
+        1: [negative, pulse(negative.end, 1)],
+        2: [positive, pulse(positive.end, -1)],
+        17: [negative],
+        18: [positive],
+        33: [pulse(here, -1)],
+        34: [pulse(here, 1)],
+        35: [Leg(here, slow)],
+        37: [Leg(here, slow)],
+    }[method]

@@ -21,7 +21,6 @@ class Cia402Emulator(Emulator, Grasps):
     """One or several drives on a CAN bus.
 
     Attributes:
-        properties: Their properties.
         drives: The drives by node id.
     """
 

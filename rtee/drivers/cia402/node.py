@@ -36,15 +36,11 @@ class Entry:
     Attributes:
         value: Its bytes.
         writable: Whether a host may write it.
-        readable: Whether a host may read it.
-        text: Whether it may have any length.
         changed: Called with its value after a host has written it; may return an abort code.
     """
 
     value: bytes
     writable: bool = True
-    readable: bool = True
-    text: bool = False
     changed: Callable[[int], Abort | None] | None = None
 
 
@@ -211,8 +207,6 @@ class Node:
         return Sdo.aborted(*key, Abort.COMMAND).to_bytes()
 
     def _read(self, key: tuple[int, int], entry: Entry) -> bytes:
-        if not entry.readable:
-            return Sdo.aborted(*key, Abort.WRITE_ONLY).to_bytes()
         if 0 < len(entry.value) <= 4:
             return Sdo.uploaded(*key, entry.value).to_bytes()
         self._upload = _Upload(entry.value)
@@ -238,7 +232,7 @@ class Node:
             return Sdo.aborted(*key, Abort.READ_ONLY).to_bytes()
         if not request.command & 0x2:
             return Sdo.aborted(*key, Abort.UNSUPPORTED).to_bytes()
-        if request.size != len(entry.value) and not entry.text:
+        if request.size != len(entry.value):
             return Sdo.aborted(*key, Abort.LENGTH).to_bytes()
         before, entry.value = entry.value, request.data[: request.size]
         if entry.changed is not None:

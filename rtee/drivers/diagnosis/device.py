@@ -73,7 +73,7 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
         ConfigError: if its options cannot be used.
     """
     driver = find_driver(spec.driver, source=spec.source)(spec, pool)
-    options = _options(driver, spec)
+    options = default_options(type(driver).Options) | dict(spec.options)
     address = None if spec.emulated else address_of(options)
     network = address is not None and "://" in address
     found: list[Check] = []
@@ -99,11 +99,6 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
 def _unreached(found: list[Check]) -> bool:
     """Return whether the driver could not open its bus."""
     return any(check.verdict is Verdict.WRONG and check.subject == "bus" for check in found)
-
-
-def _options(driver: Driver, spec: DeviceSpec) -> dict[str, Any]:
-    """Return the options with the driver's defaults filled in."""
-    return default_options(type(driver).Options) | dict(spec.options)
 
 
 async def _connected(driver: Driver, pool: BusPool, plan: Plan | None) -> list[Check]:

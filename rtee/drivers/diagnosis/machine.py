@@ -21,7 +21,7 @@ _LIMITS = "/etc/security/limits.d/rtee.conf"
 def check_machine(root: Path = Path("/")) -> list[Check]:
     """Check the computer, whose ``sys`` and ``proc`` are below ``root``."""
     return [
-        _python(),
+        ok("Python", platform.python_version()),
         _kernel(root),
         _governor(root),
         _priority(),
@@ -29,10 +29,6 @@ def check_machine(root: Path = Path("/")) -> list[Check]:
         _processors(),
         _disk(),
     ]
-
-
-def _python() -> Check:
-    return ok("Python", platform.python_version())
 
 
 def _kernel(root: Path) -> Check:

@@ -40,7 +40,6 @@ class Plan:
     """The probes for one address.
 
     Attributes:
-        address: The address.
         about: The system's description of it.
         probes: The probes, in order.
     """

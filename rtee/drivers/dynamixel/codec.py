@@ -91,9 +91,9 @@ def _crc_table() -> tuple[int, ...]:
 _CRC = _crc_table()
 
 
-def crc16(data: Iterable[int], start: int = 0) -> int:
+def crc16(data: Iterable[int]) -> int:
     """Return the CRC of bytes: polynomial 0x8005, neither reflected nor inverted."""
-    value = start
+    value = 0
     for byte in data:
         value = (value << 8 & 0xFFFF) ^ _CRC[(value >> 8 ^ byte) & 0xFF]
     return value

@@ -40,7 +40,6 @@ class ServoCycle:
 
     Args:
         spec: The device.
-        options: Its options.
         bus: The line.
 
     Attributes:

@@ -59,7 +59,6 @@ class Servo(EmulatedServo):
     """A servo's control table and its motor; the axis counts pulses over all turns.
 
     Attributes:
-        properties: Its properties.
         unplugged: Whether it never answers.
         cause: Hardware errors whose cause persists: they come back after a reboot.
     """
@@ -128,8 +127,10 @@ class Servo(EmulatedServo):
         self._memory.write(address, data)
         if self.get(table.OPERATING_MODE) != mode:
             self._enter_mode()
-        if self.get(table.TORQUE) and not powered:
-            self._torque_on()
+        # A servo that is powered stays where it is.
+        begins = self.get(table.TORQUE) and not powered
+        if begins and self.get(table.OPERATING_MODE) in _POSITION_MODES:
+            self.set(table.GOAL_POSITION, self.position)
         self._act()
         return Error.NONE
 
@@ -213,10 +214,6 @@ class Servo(EmulatedServo):
         self.set(table.GOAL_POSITION, self.position)
         self.set(table.GOAL_CURRENT, self.get(table.CURRENT_LIMIT))
         self._act()
-
-    def _torque_on(self) -> None:
-        if self.get(table.OPERATING_MODE) in _POSITION_MODES:
-            self.set(table.GOAL_POSITION, self.position)
 
     def fail(self, error: Hardware) -> None:
         """Set a hardware error; if the shutdown mask contains it, disable the torque."""

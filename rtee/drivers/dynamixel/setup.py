@@ -35,10 +35,8 @@ class Found:
     """The registers of a servo as found.
 
     Attributes:
-        id: Its id.
         model: Its model number.
         firmware: Its firmware's version.
-        drive_mode: Its drive mode.
         mode: Its operating mode.
         homing_offset: Its homing offset [pulse].
         return_delay: Its return delay [2 µs].

@@ -156,7 +156,6 @@ class Model:
     """The differences between models.
 
     Attributes:
-        name: Its name.
         current_unit: Current per count [A]; ``NaN`` if it measures load instead.
         torque_per_ampere: Stall torque per stall current at its recommended voltage [N·m/A]; a good
             approximation at standstill, too large in motion.

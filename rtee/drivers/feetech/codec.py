@@ -161,7 +161,6 @@ class GroupParser:
     """Finds the replies of several servos to one request, and returns them together.
 
     Args:
-        ids: Their ids.
         size: Data bytes of each reply; replies of other sizes belong to other requests.
     """
 

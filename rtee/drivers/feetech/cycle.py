@@ -39,7 +39,6 @@ class ServoCycle:
 
     Args:
         spec: The device.
-        options: Its options.
 
     Attributes:
         link: The line.

@@ -44,8 +44,6 @@ class LineProperties:
     """Properties of an emulated line of servos.
 
     Attributes:
-        family: Their family.
-        ids: Their ids.
         servo: Properties of all servos.
         special: Properties of individual servos, by id.
         latency: Latency of the adapter per answer [s].

@@ -110,7 +110,6 @@ class Joints:
 
     Args:
         spec: The device.
-        options: Its options.
 
     Attributes:
         names: The names of the servos, in the order of the actuators.

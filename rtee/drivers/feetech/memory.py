@@ -5,11 +5,7 @@ from __future__ import annotations
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.table import END, FULL, RAM, Family, Register
 
-_COMMON = {
-    table.ID: 1,
-    table.RETURN_DELAY: 0,
-    table.RESPONSE_LEVEL: 1,
-}
+_COMMON = {table.ID: 1, table.RETURN_DELAY: 0, table.RESPONSE_LEVEL: 1}
 _SCS = {
     table.MIN_ANGLE: 20,
     table.MAX_ANGLE: 1003,

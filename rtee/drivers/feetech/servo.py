@@ -64,11 +64,9 @@ class Servo(EmulatedServo):
     """A servo's registers and its motor.
 
     Args:
-        family: Its family.
         number: Its id.
 
     Attributes:
-        properties: Its properties.
         axis: Its shaft, in counts of its encoder and 0.1 % of its largest torque.
         cause: Errors whose cause persists.
     """

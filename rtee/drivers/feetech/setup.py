@@ -29,7 +29,6 @@ class Found:
     """The registers of a servo as found.
 
     Attributes:
-        id: Its id.
         model: Its model number.
         firmware: Its firmware's version.
         phase: Its phase bits; 0 if they have another meaning.

@@ -183,8 +183,6 @@ class Model:
     """A known model.
 
     Attributes:
-        name: Its name.
-        family: Its family.
         stall_torque: Largest torque at its rated voltage [N·m]; ``NaN``: several variants share the
             model number.
     """

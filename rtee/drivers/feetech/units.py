@@ -20,7 +20,6 @@ class Scale:
     """The units of one servo.
 
     Attributes:
-        family: Its family.
         zero: Position at 0 rad [counts].
         direction: +1 or -1: sign of its positions relative to the angle.
         gear: Turns of the servo per turn of the angle.

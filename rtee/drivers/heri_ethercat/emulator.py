@@ -116,7 +116,6 @@ class HeriEmulator(Emulator, Grasps):
     """The boards of one hand.
 
     Attributes:
-        properties: Their properties.
         boards: The boards by position.
         state: Their EtherCAT state.
         timeout: Process data watchdog [s]; 0: off.

@@ -34,7 +34,6 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
     """The hand.
 
     Args:
-        properties: Its properties.
         framing: Of Modbus; ``None``: its own frames.
         baudrate: Rate that its line is set to [baud].
 

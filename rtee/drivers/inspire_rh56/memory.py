@@ -79,7 +79,6 @@ class Memory:
     """The registers, and the six motors behind them.
 
     Attributes:
-        properties: Its properties.
         axes: The motors, in counts of their angles and in grams.
         moves: Number of angle set-points received.
         begun: Force limits when the last motion began [g].
@@ -183,11 +182,6 @@ class Memory:
         stroke = [round((OPEN - angle) * 2) for angle in report.angles]  # 0 to 2000, closed
         self._put(Register.STROKE, table(stroke))
         return self._get(address, size)
-
-    def press(self, area: str, taxel: int, value: int) -> None:
-        """Set the measured value of a taxel of an area."""
-        at = next(a for a in tactile.AREAS if a.name == area).address - tactile.FIRST + 2 * taxel
-        self.taxels[at : at + 2] = value.to_bytes(2, "little")
 
     def report(self) -> Report:
         """Return its measurements."""

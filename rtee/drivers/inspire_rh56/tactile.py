@@ -33,7 +33,6 @@ class Area:
     """An array of taxels.
 
     Attributes:
-        name: Its name.
         address: Its first register.
         grid: Rows and columns.
     """

@@ -63,7 +63,6 @@ class Model:
     """A kind of hand.
 
     Attributes:
-        name: Its name.
         motors: Its motors, in the order of every table.
         ranges: Positions at the values 255 and 0 according to the maker's SDK [rad].
         registers: First input register of each table; the holding registers have the same numbers.

@@ -70,9 +70,6 @@ class LinkerProperties:
 class LinkerHandEmulator(ModbusEmulator, Grasps):
     """The hand.
 
-    Args:
-        properties: Its properties.
-
     Attributes:
         model: The kind of hand.
         axes: Its motors, in counts of position and of torque.

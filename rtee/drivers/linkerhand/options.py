@@ -31,8 +31,7 @@ class LinkerHandOptions(DeviceOptions):
 
     model: Literal["o6", "l10"] = Field("o6", description="the kind of hand")
     port: str = Field(
-        "/dev/ttyUSB0",
-        description="RS-485: a tty, socket:// or rfc2217://; without `channel`",
+        "/dev/ttyUSB0", description="RS-485: a tty, socket:// or rfc2217://; without `channel`"
     )
     channel: str | None = Field(None, description="CAN channel instead, for example can0")
     interface: str = Field("socketcan", description="python-can interface of the channel")

@@ -126,7 +126,6 @@ class Follower:
 
     Attributes:
         joint: Its name.
-        actuator: The actuator.
         coupling: How it follows.
         master: A joint on a spring that it follows instead, rigidly and linearly; or ``None``.
         elastic: It follows by a spring.
@@ -322,10 +321,7 @@ def _add_springs(
             tendon.wrap_joint(group[number].joint, share)
         tendon.wrap_joint(motor, -1.0)
         equality = spec.add_equality(
-            name=name,
-            name1=name,
-            type=mujoco.mjtEq.mjEQ_TENDON,
-            objtype=mujoco.mjtObj.mjOBJ_TENDON,
+            name=name, name1=name, type=mujoco.mjtEq.mjEQ_TENDON, objtype=mujoco.mjtObj.mjOBJ_TENDON
         )
         equality.solref, equality.solimp = _SOLREF, _SOLIMP
     how = {

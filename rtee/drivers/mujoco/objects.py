@@ -34,11 +34,7 @@ _PRELOAD = 0.008
 
 
 def add_object(
-    spec: mujoco.MjSpec,
-    shape: ObjectShape,
-    *,
-    mass: float,
-    pose: FloatArray,
+    spec: mujoco.MjSpec, shape: ObjectShape, *, mass: float, pose: FloatArray
 ) -> mujoco.MjsBody:
     """Add a free object to a model and return its body.
 

@@ -72,14 +72,9 @@ def tips(hand: Hand, u: FloatArray) -> FloatArray:
     return np.array(origins).reshape(-1, 3)
 
 
-def grasp_centre(hand: Hand, closure: float = 0.5) -> FloatArray:
-    """Return the middle of the fingertips ``(3,)`` [m] in the base frame.
-
-    Args:
-        hand: The hand.
-        closure: Share of the way from rest to the far limits at which it is taken.
-    """
-    origins = tips(hand, from_rest(hand.rest, closed(hand), closure))
+def grasp_centre(hand: Hand) -> FloatArray:
+    """Return the middle ``(3,)`` [m] of half closed fingertips in the base frame."""
+    origins = tips(hand, from_rest(hand.rest, closed(hand), 0.5))
     return np.asarray(origins.mean(axis=0)) if len(origins) else np.zeros(3)
 
 

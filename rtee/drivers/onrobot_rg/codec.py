@@ -48,7 +48,6 @@ class Model:
     """The differences between the models.
 
     Attributes:
-        name: Its name.
         stroke: Largest width without fingertips [m].
         force: Largest force [N].
         link: Length of a finger's links, from pivot to pivot [m].

@@ -37,8 +37,7 @@ _Finger = Literal["thumb", "index", "middle", "ring", "pinky"]
 _Taxels = Annotated[int, Field(ge=1, le=0xFFFF)]  # its count is a word of 16 bits
 
 
-def _taxels() -> dict[_Finger, _Taxels]:
-    return {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
+_TAXELS: dict[_Finger, _Taxels] = {"thumb": 51, "index": 87, "middle": 87, "ring": 87, "pinky": 51}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class OrcaTouchProperties:
         period: Time between two frames [s]; 0: the shortest that the line allows.
     """
 
-    taxels: dict[_Finger, _Taxels] = field(default_factory=_taxels)
+    taxels: dict[_Finger, _Taxels] = field(default_factory=_TAXELS.copy)
     encoders: bool = False
     period: Duration = 0.0
 
@@ -92,14 +91,6 @@ class OrcaTouchEmulator(Emulator):
         """Make the board that the option ``emulator`` of a device describes."""
         rate = int(options.get("baudrate", codec.BAUDRATES[0]))
         return cls(read_properties(OrcaTouchProperties, options), baudrate=rate)
-
-    def press(self, finger: str, force: float, taxel: int | None = None) -> None:
-        """Press on a fingertip: on one taxel, or on all of them together [N]."""
-        forces = np.zeros_like(self.forces[finger])
-        forces[slice(None) if taxel is None else taxel, 2] = force / (
-            len(forces) if taxel is None else 1
-        )
-        self.forces[finger] = forces
 
     def _pace(self) -> None:
         counts = [len(self.forces[finger]) for finger in self.fingers]

@@ -61,8 +61,6 @@ class Frame:
 
     Attributes:
         device: Number of the device that is addressed, or that answers.
-        command: Its command.
-        data: Its data.
     """
 
     device: int

@@ -201,10 +201,9 @@ class QbSoftHandEmulator(Emulator, Grasps):
     def _reply(self, command: int, data: bytes = b"") -> bytes:
         return Frame(self._number, command, data).to_bytes()
 
-    def _acknowledge(self, command: int, good: bool = True) -> bytes:
-        if self.options.generation == "legacy":
-            return self._reply(int(good))
-        return self._reply(command, bytes([good]))
+    def _acknowledge(self, command: int) -> bytes:
+        legacy = self.options.generation == "legacy"
+        return self._reply(1) if legacy else self._reply(command, b"\x01")
 
     def _answer(self, frame: Frame) -> bytes | None:
         """Return the reply to a frame; ``None`` for a command without an acknowledgement."""

@@ -41,7 +41,6 @@ class Parameter:
 
     Attributes:
         kind: 0 flag, 1/2 8-bit, 3/4 16-bit, 5/6 32-bit (signed/unsigned), 7 float, 8 double.
-        values: Its values.
         label: Its name in words.
     """
 
@@ -85,6 +84,11 @@ class ListParser:
         self._device = device
         self._buffer = bytearray()
         self.errors = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes kept because the list may still be completed."""
+        return len(self._buffer)
 
     def reset(self) -> None:
         """Forget what has come in."""

@@ -79,7 +79,4 @@ class TwoMotors:
         total = first + second
         # At the lower limit of both motors, no manipulation is possible, and none is measured.
         reach = total - 2.0 * self.lower
-        return (
-            total / (2.0 * self.half),
-            (first - second) / reach if abs(reach) >= 1.0 else 0.0,
-        )
+        return (total / (2.0 * self.half), (first - second) / reach if abs(reach) >= 1.0 else 0.0)

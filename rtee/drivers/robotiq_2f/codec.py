@@ -54,7 +54,6 @@ class Model:
     """The differences between the models.
 
     Attributes:
-        name: Its name.
         stroke: Distance of the fingertips when open [m].
         speed: Slowest and fastest closing, of one fingertip relative to the other [m/s].
         force: Weakest and strongest grip [N].

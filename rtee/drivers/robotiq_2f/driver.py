@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -12,9 +12,9 @@ from pydantic import BaseModel, Field
 from rtee.buses.pool import BusPool
 from rtee.capabilities import GripForce
 from rtee.drivers.deadlines import time_limit
+from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
-from rtee.drivers.robotiq_2f.calibration import EndStops, checked, read_end_stops, write_end_stops
 from rtee.drivers.robotiq_2f.codec import COUNT, FAULTS, MODELS, Command, Grasp, Scale, Status
 from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
 from rtee.drivers.robotiq_driver import RobotiqDriver
@@ -25,6 +25,9 @@ from rtee.types import DeviceSpec, Reference
 
 _MORE = 6
 """Registers that published programs also read from a two-finger gripper."""
+
+_LEAST_RANGE = 100
+"""Smallest plausible travel [counts]; a gripper that moves freely has about 227."""
 
 
 class Robotiq2FOptions(RobotiqOptions):
@@ -46,6 +49,26 @@ class Robotiq2FOptions(RobotiqOptions):
     function: Literal[3, 4] | None = Field(
         None, description="Modbus function to read with; by default 3, or 4 with `register_base`"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class EndStops:
+    """The measured end stops of a gripper. It has no serial number, so model and unit identify it.
+
+    Attributes:
+        model: The model it was made with.
+        unit: The gripper's Modbus number.
+        open_count: gPO when fully open.
+        closed_count: gPO when fully closed.
+    """
+
+    model: str
+    unit: int
+    open_count: int
+    closed_count: int
+
+    def __str__(self) -> str:
+        return f"open at {self.open_count}, closed at {self.closed_count} counts"
 
 
 class Robotiq2FDriver(RobotiqDriver[Status, Command]):
@@ -90,7 +113,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         """Read the calibration, open the line, check that such a gripper answers."""
         options = self.options
         if options.calibration is not None:
-            stops = read_end_stops(options.calibration, self.spec.name, options.model, options.unit)
+            stops = self._read_stops(options.calibration)
             self.scale = self._scaled(stops.open_count, stops.closed_count)
         await super().configure()
         weak, strong = MODELS[self.options.model].force
@@ -217,10 +240,8 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         # Closed first, so that the gripper ends open.
         closed = await self._end_stop(255)
         opened = await self._end_stop(0)
-        stops = checked(
-            EndStops(self.options.model, self.options.unit, opened, closed), self.spec.name
-        )
-        write_end_stops(path, stops)
+        stops = self._checked(EndStops(self.options.model, self.options.unit, opened, closed))
+        write_json(path, asdict(stops))
         return stops
 
     async def _end_stop(self, request: int) -> int:
@@ -240,6 +261,29 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
             await self._write(command.to_registers())
             await self._until(arrived)
         return self._status.position
+
+    def _read_stops(self, path: Path) -> EndStops:
+        """Return the stored calibration of this gripper; raises `CalibrationError`."""
+        device, model, unit = self.spec.name, self.options.model, self.options.unit
+        stops = read_calibration_file(path, device, lambda stored: EndStops(**stored))
+        if (stops.model, stops.unit) != (model, unit):
+            raise CalibrationError(
+                device,
+                f"{path} was made with a {stops.model}, unit {stops.unit}, not with this {model}, "
+                f"unit {unit}; calibrate again",
+            )
+        return self._checked(stops)
+
+    def _checked(self, stops: EndStops) -> EndStops:
+        """Return a calibration; raises `CalibrationError` if it does not cover the whole range."""
+        travel = stops.closed_count - stops.open_count
+        if travel < _LEAST_RANGE:
+            raise CalibrationError(
+                self.spec.name,
+                f"it moved {travel} counts between open and closed, at least {_LEAST_RANGE} are "
+                "expected: is something between the fingers?",
+            )
+        return stops
 
 
 def _holds(status: Status) -> bool:

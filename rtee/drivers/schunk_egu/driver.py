@@ -170,7 +170,6 @@ class SchunkEguDriver(BlocksDriver):
                 output=Parameter.OUTPUT.register,
                 source=Parameter.INPUT.register,
                 count=IMAGE,
-                deadline=PATIENT,
                 # The gripper has no function that writes and reads at once.
                 kind="separate",
                 refresh=0.0,

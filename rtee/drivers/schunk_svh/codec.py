@@ -61,9 +61,7 @@ class Packet:
     """A request or a reply.
 
     Attributes:
-        command: Its command.
         channel: Its channel; 0 if the command has none.
-        data: Its data.
         index: The host's packet counter, 0 to 254; a reply carries that of its request.
     """
 

@@ -75,11 +75,7 @@ def _retrieve_error(task: asyncio.Future[None]) -> None:
 
 
 async def _seek(
-    link: SvhLink,
-    device: str,
-    channel: Channel,
-    current: codec.CurrentSettings,
-    timeout: float,
+    link: SvhLink, device: str, channel: Channel, current: codec.CurrentSettings, timeout: float
 ) -> int:
     threshold = channel.reset_factor * current.maximum
     far = channel.direction * _FAR

@@ -83,7 +83,6 @@ class Wsg50Emulator(Emulator, Grasps):
 
     Attributes:
         axis: Its fingers; position is the width [mm], effort the force [N].
-        limits: Its limits.
         moves: Number of motions started.
         begun: The force limit when the last motion started [N].
         homings: Number of completed homings.
@@ -336,10 +335,9 @@ class Wsg50Emulator(Emulator, Grasps):
         width, speed = target
         self._running = command
         self._blocked, self._reached, self._building = State(0), False, 0.0
-        self._grasping = {
-            Command.GRASP: Grasping.CLOSING,
-            Command.RELEASE: Grasping.RELEASING,
-        }.get(command, Grasping.IDLE)
+        self._grasping = {Command.GRASP: Grasping.CLOSING, Command.RELEASE: Grasping.RELEASING}.get(
+            command, Grasping.IDLE
+        )
         # A grasp looks for the part a little beyond its width.
         beyond = self.properties.clamping if command is Command.GRASP else 0.0
         self.axis.target = max(width - beyond, 0.0)

@@ -30,7 +30,6 @@ class WsgRefusal(BusError):
     """The gripper refused a command.
 
     Attributes:
-        command: The command.
         status: The reason.
     """
 
@@ -124,11 +123,7 @@ class WsgLink(Unhurried):
         Raises `WsgRefusal` if the gripper refuses it, and `BusError`.
         """
         answer = await self.bus.transact(
-            request.to_bytes(),
-            self._frames,
-            self.deadline,
-            retries,
-            accept=_answers(request),
+            request.to_bytes(), self._frames, self.deadline, retries, accept=_answers(request)
         )
         status = answer.status
         if status not in (Status.OK, Status.PENDING):

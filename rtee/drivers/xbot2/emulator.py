@@ -24,7 +24,6 @@ class ServerProperties:
     """Properties of the emulated server.
 
     Attributes:
-        joints: Its joints.
         lower: Lower end of all joints.
         upper: Upper end of all joints.
         start: Their position at first.
@@ -51,7 +50,6 @@ class XBot2Emulator(Emulator, Grasps):
     """The server.
 
     Attributes:
-        properties: Its properties.
         axes: Its joints by name.
         commands: Number of commands received.
     """

@@ -13,7 +13,7 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.drivers.connection import owner_of
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
-from rtee.drivers.inspire_rh56.tactile import AREAS, LAST, blocks
+from rtee.drivers.inspire_rh56.tactile import AREAS, FIRST, LAST, blocks
 from rtee.errors import ConfigError
 from rtee.hand.frames import origin
 from rtee.hand.load import load_hand
@@ -42,6 +42,12 @@ async def reading(**options: Any) -> AsyncIterator[tuple[InspireRh56Driver, Any]
         await driver.configure()
         yield driver, pool.played(owner_of(driver.spec)).memory
         await driver.close()
+
+
+def press(memory: Any, area: str, taxel: int, value: int) -> None:
+    """Let one taxel measure `value`."""
+    at = next(a for a in AREAS if a.name == area).address - FIRST + 2 * taxel
+    memory.taxels[at : at + 2] = value.to_bytes(2, "little")
 
 
 async def a_round(driver: InspireRh56Driver) -> list[TouchReading]:
@@ -78,15 +84,15 @@ async def test_taxels_are_read_by_turns_while_the_motors_are() -> None:
     async with reading(**TCP) as (driver, memory):
         assert sum(sensor.taxels for sensor in driver.capabilities.touch) == 1062
         assert {sensor.unit for sensor in driver.capabilities.touch} == {"counts"}
-        memory.press("index_tip", 4, 300)
-        memory.press("palm", 111, 4095)
+        press(memory, "index_tip", 4, 300)
+        press(memory, "palm", 111, 4095)
         [first] = await a_round(driver)
         areas = [area.name for area in AREAS]
         starts = dict(zip(areas, np.cumsum([0, *(a.taxels for a in AREAS)]).tolist(), strict=False))
         assert first.values[starts["index_tip"] + 4] == 300.0
         assert first.values[-1] == 4095.0
         assert first.values.sum() == 4395.0
-        memory.press("index_tip", 4, 0xFFFF)
+        press(memory, "index_tip", 4, 0xFFFF)
         later = await a_round(driver)
         assert np.isnan(later[-1].values[starts["index_tip"] + 4]), "no taxel measures that"
         assert first.values.sum() == 4395.0, "what was handed over stays"

@@ -50,6 +50,14 @@ async def sensed(
             await anyio.sleep(0.002)
 
 
+def press(emulator: OrcaTouchEmulator, finger: str, force: float, taxel: int | None = None) -> None:
+    """Press a finger pad straight down by `force` newtons, on one taxel or on all alike."""
+    forces = np.zeros_like(emulator.forces[finger])
+    at = slice(None) if taxel is None else taxel
+    forces[at, 2] = force / (len(forces) if taxel is None else 1)
+    emulator.forces[finger] = forces
+
+
 def pressed(state: ActuatorState) -> bool:
     return state.touch is not None and bool(state.touch.values.any())
 
@@ -65,7 +73,7 @@ async def test_taxels_and_resultants_in_newtons() -> None:
             ("pinky", 51, "N"),
         ]
         emulator.forces["index"][3] = (-0.5, 0.2, 4.0)
-        emulator.press("pinky", 15.0, taxel=50)
+        press(emulator, "pinky", 15.0, taxel=50)
         state = await sensed(driver, lambda s: pressed(s) and s.touch.values[-1] > 0.0)
         assert state.position.shape == (0,)
         assert state.touch is not None
@@ -84,7 +92,7 @@ async def test_resultants_alone_make_one_value_of_each_tip() -> None:
             ("thumb", 1),
             ("ring", 1),
         ]
-        emulator.press("ring", 8.7)
+        press(emulator, "ring", 8.7)
         emulator.angles[5] = 4096
         state = await sensed(driver, pressed)
         assert state.touch is not None
@@ -97,7 +105,7 @@ async def test_an_error_of_the_board_is_told_and_its_data_are_not_taken() -> Non
     async with connected() as (driver, emulator):
         await sensed(driver, lambda s: s.touch is not None)
         emulator.inject("error")
-        emulator.press("index", 5.0)
+        press(emulator, "index", 5.0)
         state = await sensed(driver, lambda s: bool(s.warnings))
         assert "0x01" in state.warnings[0]
         assert not pressed(state)
@@ -111,7 +119,7 @@ async def test_a_board_that_was_reset_is_started_again(monkeypatch: pytest.Monke
     async with connected() as (driver, emulator):
         await sensed(driver, lambda s: s.touch is not None)
         emulator.power_cycle(0.0)
-        emulator.press("thumb", 5.0)
+        press(emulator, "thumb", 5.0)
         await sensed(driver, pressed)
         assert emulator.streaming
 
