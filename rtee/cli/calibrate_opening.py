@@ -40,14 +40,10 @@ _BEYOND: Final = 0.01
 
 
 def calibrate_opening(name: str, words: Sequence[str]) -> None:
-    """Measure the openings of actions, block by block.
+    """Measure the openings of actions of a running hand, block by block.
 
-    Args:
-        name: Name of the running hand.
-        words: The actions, as for `rtee compose`; empty: all actions with an opening.
-
-    Raises:
-        UserError: if an action has no opening, or hand.yaml cannot be changed.
+    The actions are given as for `rtee compose`; without any, all that have an opening are measured.
+    Raises `UserError` if an action has none, or hand.yaml cannot be changed.
     """
     from rtee.cli._online import with_hand
     from rtee.hand.own_copy import own, own_place
@@ -218,15 +214,10 @@ async def typed_line(text: str) -> str:
 
 
 def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) -> Path:
-    """Write the measured openings of one action into hand.yaml; comments stay.
+    """Write the intensities and openings [m] measured for an action into hand.yaml; comments stay.
 
-    Args:
-        home: The hand's folder.
-        words: The action and its elements, with spaces between them.
-        pairs: Intensities and openings [m].
-
-    Raises:
-        ConfigError: if the file cannot be changed; the message has the line to type.
+    The words are the action and its elements. Raises `ConfigError` if the file cannot be changed;
+    its message has the line to type.
     """
     from rtee.actions.comments import rewritten
     from rtee.hand.catalog import FILE_NAME

@@ -266,9 +266,8 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
 def measured_openings(folder: Path) -> Openings:
     """Return the openings of the actions in a hand's folder, computed from its model.
 
-    Raises:
-        MissingExtra: The extra ``extract`` is not installed.
-        ModelError: A mesh is missing or cannot be read.
+    Raises `MissingExtra` without the extra ``extract``, and `ModelError` if a mesh is missing or
+    cannot be read.
     """
     from rtee.errors import needing_extra
 

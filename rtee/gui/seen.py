@@ -36,12 +36,7 @@ _SHARP: Final = 0.25
 
 
 class ObjectView:
-    """The object at its pose relative to the hand, both taken from the channels of the states.
-
-    Args:
-        scene: The browser's scene.
-        size: Size of the hand [m].
-    """
+    """The object at its pose relative to the hand, both taken from the channels of the states."""
 
     def __init__(self, scene: viser.SceneApi, size: float) -> None:
         self._scene, self._size = scene, size
@@ -71,12 +66,7 @@ class ObjectView:
                 _add(self._scene, f"/object/{index}", part, OBJECT)
 
     def show(self, channels: Mapping[str, FloatArray], *, forces: bool) -> None:
-        """Move the object to its pose, and draw the contact forces.
-
-        Args:
-            channels: The further channels of a state.
-            forces: Whether to draw the forces.
-        """
+        """Move the object to its pose in the channels of a state, and draw the contact forces."""
         by_kind = {name.rpartition("/")[2]: values for name, values in channels.items()}
         pose = pose_in_hand(by_kind)
         if self._frame is not None:
@@ -126,11 +116,8 @@ class ObjectView:
 def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
 
-    The length of an arrow grows with the force F as F / (F + 10 N).
-
-    Args:
-        rows: The contacts; see `rtee.object_description.CONTACTS`.
-        size: Size of the hand [m].
+    The length of an arrow grows with the force F as F / (F + 10 N), and with the size of the hand
+    [m]. The contacts are rows of `rtee.object_description.CONTACTS`.
     """
     points, forces = rows[:, :3], rows[:, 3:6]
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
@@ -143,10 +130,8 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
-    Args:
-        rows: The contacts; see `rtee.object_description.CONTACTS`.
-        links: Names of the links, in the order of the URDF.
-        most: Largest number of links named.
+    The contacts are rows of `rtee.object_description.CONTACTS`, the links in the order of the URDF;
+    at most so many are named.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:

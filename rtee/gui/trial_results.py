@@ -20,13 +20,10 @@ _CELL = "padding:0 0.5em 0 0;text-align:left;vertical-align:top"
 
 @dataclass(frozen=True)
 class Tried:
-    """Results of trials.
+    """Results of trials by action: the stored ones, and those started in this page, newest last.
 
-    Attributes:
-        results: The stored results by action.
-        outdated: Keys of the trials since which the hand, the action or how trials are made has
-            changed.
-        own: The results of trials started in this page, by action; the newest last.
+    ``outdated`` has the keys of trials since which the hand, the action or how trials are made has
+    changed.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
@@ -47,10 +44,9 @@ def key_of(action: Action) -> Key:
 
 
 def tried_in(text: str) -> Tried:
-    """Return the results in the text of a hand's file of trials, by action.
+    """Return the results in the text of a file of trials, by action.
 
-    Raises:
-        ConfigError: if the text is not such a file.
+    Raises `ConfigError` if the text is not such a file.
     """
     found: dict[Key, list[TrialResult]] = {}
     for result in parse_results(text, Path(FILE_NAME)).values():

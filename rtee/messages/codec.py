@@ -79,13 +79,7 @@ def mapping(names: str, values: str) -> As:
 
 
 def word(name: str, kind: type[StrEnum], wrong: str) -> As:
-    """Return the conversion of an enumeration to a string.
-
-    Args:
-        name: Name of the field.
-        kind: The enumeration.
-        wrong: Error message for any other string.
-    """
+    """Return the conversion of an enumeration to a string, with the error for any other string."""
 
     def unpack(value: str) -> StrEnum:
         try:

@@ -35,10 +35,8 @@ _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a hand.
 
-    Args:
-        hand: The hand's name.
-        people: Roles by common name, of the certificates that are or may later be admitted.
-        plain: Whether clients without certificates are admitted.
+    The roles go by common name of the certificates that are or may later be admitted; with
+    ``plain``, clients without certificates are admitted.
     """
     ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
     subjects = [_subject(way) for way in ways]

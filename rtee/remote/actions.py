@@ -116,8 +116,7 @@ def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
 def action_of(fields: Fields) -> Action:
     """Return the action in the fields of a ``rtee_msgs/Action``.
 
-    Raises:
-        MessageError: if the fields do not describe an action.
+    Raises `MessageError` if the fields do not describe an action.
     """
     postures = [_posture_from(posture) for posture in fields["postures"]]
     name, kind, description = fields["name"], fields["kind"], fields["description"]
@@ -202,15 +201,10 @@ def _evidence_of(fields: Fields) -> Evidence:
 
 
 def build_action(library: ActionLibrary, fields: Fields) -> Action:
-    """Make the composed, timed or generic action that a client describes.
+    """Make the composed, timed or generic action in a client's ``rtee_msgs/Action``.
 
-    Args:
-        library: The hand's actions, in which the parts are looked up.
-        fields: Fields of a ``rtee_msgs/Action``; postures are computed from the parts.
-
-    Raises:
-        ActionError: if the action cannot be made.
-        MessageError: if the fields do not describe an action.
+    Its postures are computed from its parts, which are looked up in the hand's library. Raises
+    `ActionError` if the action cannot be made, `MessageError` if the fields do not describe one.
     """
     name, description = fields["name"], fields["description"]
     match fields["kind"]:

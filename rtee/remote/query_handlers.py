@@ -93,16 +93,7 @@ class Recording(Protocol):
 
 
 class QueryHandlers:
-    """Handles the requests of the group ``ask``.
-
-    Args:
-        loop: The hand's loop.
-        lease: The hand's lease.
-        thread: The loop's thread.
-        streams: The streams of states.
-        recording: The recorder, if there is one.
-        profile: The profile of the references, in words.
-    """
+    """Handles the requests of the group ``ask``; the profile of the references is in words."""
 
     def __init__(
         self,
@@ -142,8 +133,7 @@ class QueryHandlers:
     def handle(self, request: IncomingRequest) -> bytes | None:
         """Return the encoded answer to a request; ``None`` if it is sent later.
 
-        Raises:
-            RteeError: if the request is refused.
+        Raises `RteeError` if the request is refused.
         """
         name, fields = request.request.name, request.fields
         if name == "state":

@@ -42,39 +42,24 @@ class ClientGoal:
     async def result(self, timeout: float = math.inf) -> Outcome:
         """Wait for the end of the goal and return its outcome.
 
-        Args:
-            timeout: Longest time to wait [s].
-
-        Raises:
-            TimeoutError: if the goal has not ended by then.
-            NoHand: if the server has gone, or does not know the goal any more.
+        Raises `TimeoutError` if it has not ended within the timeout [s], and `NoHand` if the server
+        has gone, or does not know the goal any more.
         """
         return await self._client.result(self, timeout)
 
     async def cancel(self, timeout: float = _ANSWER_WITHIN) -> Refusal:
         """Request the server to cancel the goal; return its refusal, or `Refusal.NONE`.
 
-        Args:
-            timeout: Longest time until the answer [s].
-
-        Raises:
-            TimeoutError: if the server does not answer.
+        Raises `TimeoutError` if it does not answer within the timeout [s].
         """
         code, _ = await self._client.cancel(self.id, timeout=timeout)
         return code
 
 
 class ActionClient:
-    """A client of an action.
+    """A client of an action, of a type or a type's full name.
 
-    Args:
-        node: The node of the client.
-        name: Name of the action.
-        type_: Type of the action, or the type's full name.
-
-    Raises:
-        ConfigError: if ROS 2 would refuse the name.
-        MessageError: if there is no such type.
+    Raises `ConfigError` if ROS 2 would refuse the name, `MessageError` if there is no such type.
     """
 
     def __init__(self, node: Node, name: str, type_: str | ActionType) -> None:
@@ -107,14 +92,7 @@ class ActionClient:
         )
 
     async def wait_for_server(self, timeout: float = math.inf) -> None:
-        """Wait until there is a server.
-
-        Args:
-            timeout: Longest time [s].
-
-        Raises:
-            TimeoutError: if there is none.
-        """
+        """Wait until there is a server; raises `TimeoutError` if there is none by then [s]."""
         with anyio.move_on_after(timeout) as scope:
             await self._graph.wait_until(lambda: self.available)
         if scope.cancelled_caught:
@@ -132,12 +110,11 @@ class ActionClient:
         Args:
             goal: Message of the goal.
             on_feedback: Called in the event loop with the feedback of the goal.
-            timeout: Longest time until the server's answer [s].
+            timeout: Longest time until the server's answer [s]; then `TimeoutError`.
             goal_id: Identifier of the goal ``(16,)``; random unless given.
 
         Raises:
             GoalRejected: if the server rejects the goal; ROS 2 transmits no reason.
-            TimeoutError: if the server does not answer.
             MessageError: if a field of the goal holds what its type cannot.
         """
         goal_id = uuid.uuid4().bytes if goal_id is None else goal_id
@@ -191,19 +168,16 @@ class ActionClient:
     async def cancel(
         self, goal_id: bytes = NO_GOAL, until: int = 0, timeout: float = _ANSWER_WITHIN
     ) -> tuple[Refusal, list[bytes]]:
-        """Cancel goals, also those of other clients.
+        """Cancel goals, also those of other clients: one, or those accepted up to a time, or all.
+
+        Returns the server's refusal, or `Refusal.NONE`, and the identifiers of the cancelled goals.
+        Raises `TimeoutError` if the server does not answer within the timeout [s], and
+        `MessageError` if the code of the answer is not defined.
 
         Args:
             goal_id: The goal; `NO_GOAL`: the goals of ``until``, or all.
             until: Time since 1970 [ns]; also cancels all goals accepted up to then; 0: none.
             timeout: Longest time until the answer [s].
-
-        Returns:
-            The server's refusal, or `Refusal.NONE`, and the identifiers of the cancelled goals.
-
-        Raises:
-            TimeoutError: if the server does not answer.
-            MessageError: if the code of the answer is not defined.
         """
         stamp = self._time(**time_fields(until))
         info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)

@@ -48,13 +48,7 @@ class Refusal(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Outcome of a goal.
-
-    Attributes:
-        state: Succeeded, canceled or aborted.
-        result: Result of the action's type.
-        reason: Reason for an abortion, for the log.
-    """
+    """Outcome of a goal; the reason is that of an abortion, for the log."""
 
     state: GoalState
     result: Message
@@ -79,12 +73,9 @@ def names(action: str) -> Names:
 def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     """Return an action's type in all versions that differ in their feedback.
 
-    The feedback of FollowJointTrajectory changed with control_msgs 6.3, which a robot of any
-    distribution may have. Humble has no hashes, and so only one version.
-
-    Args:
-        kind: The action.
-        distro: Distribution of the robot; its version comes first.
+    That of the distribution comes first. The feedback of FollowJointTrajectory changed with
+    control_msgs 6.3, which a robot of any distribution may have. Humble has no hashes, and so only
+    one version.
     """
     by_hash = {kind.feedback_message.hash: kind}
     if distro != "humble":

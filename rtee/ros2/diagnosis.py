@@ -12,17 +12,11 @@ _ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: r
 
 
 async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
-    """Return the checks of the ROS graph.
+    """Return the checks of the ROS graph, and of a hand whose node should be there.
 
     rmw_zenoh is silent about nodes that use a topic, service or action with another type or hash:
-    they do not receive each other's messages, without any warning.
-
-    Args:
-        settings: Domain, distribution and router.
-        hand: A hand whose node should be there.
-
-    Raises:
-        ConfigError: if a setting or variable of rmw_zenoh cannot be used.
+    they do not receive each other's messages, without any warning. Raises `ConfigError` if a
+    setting or variable of rmw_zenoh cannot be used.
     """
     try:
         # Insecure is harmless here, since this publishes and requests nothing.

@@ -33,11 +33,7 @@ class Level(IntEnum):
 
 
 class Diagnostics(Part):
-    """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -59,12 +55,7 @@ class Diagnostics(Part):
             await anyio.sleep(_PERIOD)
 
     def message(self, status: HandStatus, wall_ns: int) -> Message:
-        """Return the message for a status of the hand.
-
-        Args:
-            status: The status of the hand.
-            wall_ns: The time since 1970 [ns].
-        """
+        """Return the message for a status of the hand at a time since 1970 [ns]."""
         entries = [self._loop(status), *map(self._device, status.devices)]
         temperatures = self._temperatures()
         if temperatures is not None:

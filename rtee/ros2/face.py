@@ -22,7 +22,6 @@ class Face:
     """A running hand and its node; made anew each time the hand starts.
 
     Attributes:
-        hand: Client of the hand.
         model: Model of the hand: names, limits and the transmission of all joints.
         info: Description of the hand at rest.
         openings: Openings and forces that goals may ask for.
@@ -83,8 +82,4 @@ class Part(Protocol):
         return ()
 
     async def run(self) -> None:
-        """Work until cancelled.
-
-        Raises:
-            NoHand: if the hand ends.
-        """
+        """Work until cancelled, or until the hand ends, with `NoHand`."""

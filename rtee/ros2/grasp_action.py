@@ -19,11 +19,7 @@ V = TypeVar("V")
 
 
 class Grasp(Part):
-    """Offers the action ``~/grasp``.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Offers the action ``~/grasp``."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -55,11 +51,7 @@ class Grasp(Part):
 def goal_of(message: Any) -> Goal:
     """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; leave checks of numbers to the hand.
 
-    Args:
-        message: The message.
-
-    Raises:
-        GoalRejected: if names and values do not match, or a keyword is unknown.
+    Raises `GoalRejected` if names and values do not match, or a keyword is unknown.
     """
     fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
     return Goal(

@@ -62,11 +62,7 @@ class Command:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            GoalRejected: if a number is out of range.
-        """
+        """Check the numbers; raises `GoalRejected` if one is out of range."""
         if not math.isfinite(self.position):
             raise GoalRejected(f"the position must be a finite number, not {self.position:g}")
         for what, value in (("effort", self.effort), ("velocity", self.speed)):
@@ -79,11 +75,7 @@ class Command:
 class Gripper(Part):
     """Offers the action ``~/gripper_cmd``.
 
-    Args:
-        face: The hand and its node.
-
-    Raises:
-        ConfigError: if the settings name an actuator that the hand does not have.
+    Raises `ConfigError` if the settings name an actuator that the hand does not have.
     """
 
     def __init__(self, face: Face) -> None:
@@ -273,27 +265,19 @@ class Gripper(Part):
 def is_stalled(state: State, limits: Sequence[float]) -> bool:
     """Return whether an object blocks the hand and all actuators stand still.
 
-    Args:
-        state: The newest state. An actuator whose velocity is not measured counts as still.
-        limits: Velocity limits of the actuators ``(n,)`` [rad/s | m/s].
+    An actuator whose velocity is not measured counts as still. The limits are those of the
+    velocities ``(n,)`` [rad/s | m/s].
     """
     moving = np.abs(state.velocity) > _STILL * np.asarray(limits)
     return bool(state.grasped.any()) and not bool(moving.any())
 
 
 def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
-    """Return the force of a goal for the ``max_effort`` of a command [N].
+    """Return the force of a goal for the ``max_effort`` of a command [N], needed at a gap [m].
 
     ROS 2's controllers take ``max_effort`` as an upper bound, and programs send one value to any
-    gripper.
-
-    Args:
-        effort: The upper bound [N].
-        gap: The gap at which the force is needed [m].
-        ranges: Openings and forces of the actions in question.
-
-    Returns:
-        The bound; or, if all of the actions are weaker at the gap, the force of the strongest.
+    gripper. So this is the bound; or, if all of the actions are weaker at the gap, the force of the
+    strongest.
     """
     strongest = max(
         (one.forces_at(gap)[1] for one in ranges if one.narrowest <= gap <= one.widest),
@@ -304,17 +288,10 @@ def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
 
 
 def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
-    """Return the goal that moves an actuator to a position.
+    """Return the goal that moves an actuator to the position of a command.
 
     Its action is the one that moves the fewest other actuators, at the intensity of the position.
-
-    Args:
-        command: The command.
-        actuator: The actuator of the command's joint.
-        actions: The actions of the hand.
-
-    Raises:
-        GoalRejected: if no action reaches the position.
+    Raises `GoalRejected` if no action reaches the position.
     """
     found: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]

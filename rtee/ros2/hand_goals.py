@@ -13,12 +13,10 @@ from rtee.types import Feedback, Result
 
 
 def state_of(result: Result, touch: bool = False) -> GoalState:
-    """Return the final state of an action's goal.
+    """Return the final state of an action's goal for the result of the hand's.
 
-    Args:
-        result: Result of the hand's goal, which succeeds if the posture was reached or an object
-            is held.
-        touch: Whether the goal was to touch; it then succeeds if a finger touched something.
+    This succeeds if the posture was reached or an object is held; one to touch if a finger touched
+    something.
     """
     if result.cancelled:
         return GoalState.CANCELED
@@ -46,12 +44,8 @@ def reason_of(result: Result, touch: bool = False) -> str:
 class HandJob:
     """Job of an action that follows a goal of the hand.
 
-    The hand has one goal at a time; a new goal of any client ends this one.
-
-    Args:
-        running: The running goal of the hand.
-        result: Converts the hand's result to that of the action.
-        feedback: Converts the hand's feedback to the fields of that of the action.
+    The hand has one goal at a time; a new goal of any client ends this one. Two functions convert
+    its result to that of the action, and its feedback to the fields of that of the action.
     """
 
     def __init__(

@@ -37,11 +37,8 @@ _TRIGGER = "std_srvs/srv/Trigger"
 class Services(Part):
     """Offers the actions and queries of a hand as services.
 
-    Args:
-        face: The hand and its node.
-        actions: The present actions of the hand.
-        gains: The gains of its devices, by device and gain.
-        grip_effort: Effort on a grasped object, as a fraction of the effort limit.
+    The gains of its devices go by device and gain, the effort on a grasped object is a fraction of
+    the effort limit.
     """
 
     def __init__(

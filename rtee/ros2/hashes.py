@@ -67,9 +67,7 @@ def referred(structure: Structure, find: Callable[[str], Structure]) -> list[Str
 def description(structure: Structure, find: Callable[[str], Structure]) -> Description:
     """Return the ``TypeDescription`` of a structure, with all structures that it refers to.
 
-    Args:
-        structure: The structure.
-        find: Function that returns a structure by its full name.
+    ``find`` returns a structure by its full name.
     """
     others = [describe(one) for one in referred(structure, find)]
     return {"type_description": describe(structure), "referenced_type_descriptions": others}

@@ -28,16 +28,13 @@ class Sort(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A node, topic, service or action of the graph.
+    """A node, topic, service or action of the graph; a node has no type.
 
     Entities of the same name with another type or hash are listed separately, since they do not
     exchange messages.
 
     Attributes:
-        sort: Node, topic, service or action.
-        name: Fully qualified name.
-        type: Full name of the type; empty for a node.
-        type_hash: Hash of the type, for an action that of its ``send_goal``; empty for a node.
+        type_hash: Hash of the type, for an action that of its ``send_goal``.
         offered: Nodes that publish the topic, or offer the service or action.
         used: Nodes that subscribe to the topic, or are clients.
     """
@@ -53,9 +50,7 @@ class Listed:
 def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
     """Return the rows of a list of the graph, ordered by sort and name.
 
-    Args:
-        entities: The entities of the graph.
-        parts: Whether to list the topics and services of actions, too.
+    With ``parts``, lists the topics and services of actions, too.
     """
     nodes: set[str] = set()
     found: dict[tuple[Sort, str, str, str], tuple[set[str], set[str]]] = {}
@@ -81,11 +76,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
 
 
 def unheard(rows: Iterable[Listed]) -> list[str]:
-    """Return a sentence for each topic, service or action used with a type that nobody offers.
-
-    Args:
-        rows: Rows of the graph; see `listed`.
-    """
+    """Return a sentence for each topic, service or action used with a type that nobody offers."""
     rows = list(rows)
     offered: dict[tuple[Sort, str], list[Listed]] = {}
     for row in rows:

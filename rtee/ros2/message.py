@@ -152,12 +152,7 @@ def _plain(value: Any) -> Any:
 
 
 def message_class(structure: Structure, find: Find) -> type[Message]:
-    """Return the class of a message.
-
-    Args:
-        structure: Definition of the message.
-        find: Function that returns the class of a nested message by its full name.
-    """
+    """Return the class of a message; ``find`` returns that of a nested one by its full name."""
     inner = {one.name: find(one.base) for one in structure.members if one.nested}
     members = structure.members
     space: dict[str, Any] = dict(structure.constants)

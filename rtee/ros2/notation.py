@@ -130,12 +130,8 @@ def _value(text: str, base: str) -> Any:
 def parse(name: str, text: str) -> Structure:
     """Return the structure of a definition without ``---``.
 
-    Args:
-        name: Full name; its package is that of types named without a package.
-        text: The definition.
-
-    Raises:
-        MessageError: if a line defines neither a field nor a constant.
+    The package of the full name is that of types named without one. Raises `MessageError` if a line
+    defines neither a field nor a constant.
     """
     package = name.partition("/")[0]
     members: list[Member] = []

@@ -73,13 +73,9 @@ ament_package()
 
 
 def write_package(parent: Path) -> Path:
-    """Write the package into a new folder, and return that folder.
+    """Write the package into a new folder in a parent such as ``src``, and return that folder.
 
-    Args:
-        parent: Folder of the new one, such as ``src`` of a workspace.
-
-    Raises:
-        ConfigError: if the new folder exists already or cannot be written.
+    Raises `ConfigError` if it exists already or cannot be written.
     """
     folder = parent / NAME
     files = interface_files()

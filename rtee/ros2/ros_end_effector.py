@@ -69,12 +69,7 @@ def name_here(name: str) -> str:
 
 
 class RosEndEffector:
-    """Offers the services.
-
-    Args:
-        node: The hand's node.
-        hand: The hand.
-    """
+    """Offers the services."""
 
     def __init__(self, node: Node, hand: RemoteHand) -> None:
         self._hand, self._interfaces = hand, node.context.interfaces

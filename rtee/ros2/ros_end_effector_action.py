@@ -27,11 +27,7 @@ _FULL = 100.0
 
 
 class ActionCommand(Part):
-    """Offers the action ``action_command``.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Offers the action ``action_command``."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -61,12 +57,8 @@ class ActionCommand(Part):
 def goal_of(asked: Any) -> Goal:
     """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
 
-    Args:
-        asked: The message. Its percentage is a fraction, 0 to 1, and is ignored for a timed
-            action, as in ROS End-Effector.
-
-    Raises:
-        GoalRejected: if its type is unknown, or it has commands for single motors.
+    Its percentage is a fraction, 0 to 1, and is ignored for a timed action, as in ROS End-Effector.
+    Raises `GoalRejected` if its type is unknown, or it has commands for single motors.
     """
     if any(asked.optional_motors_commands):
         raise GoalRejected(

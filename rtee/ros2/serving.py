@@ -53,7 +53,6 @@ class Shown:
     """A hand to show as a node.
 
     Attributes:
-        name: Name of the hand.
         settings: Domain, distribution, router and namespace.
         insecure: Allow a router on another computer without certificates.
         configured: Model of the hand if it is configured here, else ``None``.
@@ -77,8 +76,7 @@ class Shown:
 def warnings(hands: Sequence[Shown]) -> list[str]:
     """Return sentences about the risks of showing these hands.
 
-    Raises:
-        ConfigError: if a namespace is malformed, or two hands would have the same node.
+    Raises `ConfigError` if a namespace is malformed, or two hands would have the same node.
     """
     found = [
         f"whoever reaches the router of ROS 2 at {router} can move {_listed(names)}: ROS 2 knows no"
@@ -105,8 +103,7 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
 def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
     """Return settings with the options of a command line that are not ``None``.
 
-    Raises:
-        ConfigError: if an option has an invalid value.
+    Raises `ConfigError` if an option has an invalid value.
     """
     changes = {name: value for name, value in given.items() if value is not None}
     distro = changes.get("distro")
@@ -124,15 +121,9 @@ def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings
 async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = None) -> None:
     """Show hands as nodes of ROS 2 while they run, until cancelled.
 
-    Hands with the same domain, distribution and router share a session.
-
-    Args:
-        hands: The hands.
-        environment: Environment variables of rmw_zenoh; by default those of the process.
-
-    Raises:
-        ConfigError: if a setting cannot be used.
-        MissingExtra: if the extra ``ros2`` is not installed.
+    Hands with the same domain, distribution and router share a session. The variables of rmw_zenoh
+    are those of the process unless an environment is given. Raises `ConfigError` if a setting
+    cannot be used, and `MissingExtra` if the extra ``ros2`` is not installed.
     """
     sessions: dict[tuple[int, Distro, str, bool], list[Shown]] = {}
     for hand in hands:
@@ -187,13 +178,7 @@ async def shown(
 ) -> AsyncIterator[Collection[Part]]:
     """Make the node of a running hand, which leaves the graph at the end of the context.
 
-    Args:
-        context: Context of the node.
-        hand: The hand.
-        remote: Client of the hand.
-
-    Yields:
-        The parts of the node, whose ``run`` the caller has to start.
+    Yields its parts, whose ``run`` the caller has to start.
     """
     # Query the hand before making the node: a hand that ends meanwhile never shows in the graph.
     model = await model_of(remote, hand.configured)

@@ -52,11 +52,9 @@ def ros_name(name: str) -> str:
 
 
 def description(model: Hand, urdf: str) -> str:
-    """Return a URDF with the absolute addresses of the meshes that exist on this computer.
+    """Return the URDF of a running hand with absolute addresses of the meshes on this computer.
 
-    Args:
-        model: Model of the hand, with the folders of its meshes.
-        urdf: Text of the URDF of the running hand.
+    They are looked for in the folders of the model.
     """
     addresses = {}
     links = model.urdf.links.values()
@@ -75,9 +73,6 @@ class JointStates:
 
     Velocities and efforts that are not measured are ``NaN``, as in joint_state_broadcaster; efforts
     are those of the actuators.
-
-    Args:
-        model: The hand.
     """
 
     def __init__(self, model: Hand) -> None:
@@ -95,11 +90,7 @@ class JointStates:
 
 
 class Topics(Part):
-    """Publishes the states of a hand, its description, and the feedback and results of goals.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes the states of a hand, its description, and the feedback and results of goals."""
 
     def __init__(self, face: Face) -> None:
         self._face, node, model = face, face.node, face.model
@@ -200,11 +191,7 @@ class Topics(Part):
 
 
 class TouchTopics:
-    """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -237,9 +224,6 @@ class ControllerStates:
     """Publishes ``~/controller_state`` as the joint_trajectory_controller of ros2_control does.
 
     The message holds the set-points of the actuators, their measured states, and the differences.
-
-    Args:
-        face: The hand and its node.
     """
 
     def __init__(self, face: Face) -> None:

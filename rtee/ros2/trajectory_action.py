@@ -74,28 +74,17 @@ class Code(IntEnum):
 
 
 class Tolerance(NamedTuple):
-    """Largest errors allowed of a joint; infinite: any error.
-
-    Attributes:
-        position: Error of the position [rad | m].
-        velocity: Error of the velocity [rad/s | m/s].
-    """
+    """Largest errors of position [rad | m] and velocity [rad/s | m/s]; infinite: any error."""
 
     position: float
     velocity: float
 
 
 def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Tolerance]:
-    """Return the tolerances of those joints that have one.
+    """Return the tolerances of those joints that have one, ``control_msgs/msg/JointTolerance``.
 
-    Ignores tolerances of accelerations, which are not measured.
-
-    Args:
-        given: Messages ``control_msgs/msg/JointTolerance``.
-        names: The joints of the trajectory.
-
-    Raises:
-        MessageError: if a tolerance is invalid; begins with the name of the error code.
+    Ignores tolerances of accelerations, which are not measured. Raises `MessageError` if a
+    tolerance is invalid; it begins with the name of the error code.
     """
     found = {}
     for one in given:
@@ -120,12 +109,7 @@ def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Toler
 
 
 class TrajectoryAction:
-    """Serves the action.
-
-    Args:
-        face: The hand and its node.
-        player: Streams trajectories to the hand, also those of topics.
-    """
+    """Serves the action; the player streams also the trajectories of topics to the hand."""
 
     def __init__(self, face: Face, player: Player) -> None:
         self.face, self.player = face, player

@@ -50,13 +50,9 @@ class Sink(Protocol):
 def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
     """Return the actions by axis.
 
-    Args:
-        actions: Actions with their elements, such as ``PinchTight index thumb``; an axis may
-            precede one, as in ``lt=Trig ring``, and the others get the next free axes.
-        axes: The axes of the input device.
-
-    Raises:
-        ConfigError: if an axis does not exist or is given twice, or there are too few axes.
+    An action comes with its elements, as in ``PinchTight index thumb``. An axis may precede it, as
+    in ``lt=Trig ring``; the others get the next free axes. Raises `ConfigError` if an axis does not
+    exist or is given twice, or there are too few axes.
     """
     found: dict[str, str] = {}
     given = [action.partition("=") for action in actions]
@@ -82,14 +78,9 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
 async def samples_of(
     source: Input, actions: Mapping[str, str], rate: float = RATE
 ) -> AsyncIterator[dict[str, float]]:
-    """Yield targets of an input device at a rate.
+    """Yield targets of an input device, with an action by axis, at a rate [Hz].
 
     Yields nothing until the person moves an axis, so that the hand stays as it is.
-
-    Args:
-        source: The input device.
-        actions: Action by axis.
-        rate: Samples per second [Hz].
     """
     due = time.monotonic()
     while True:
@@ -103,12 +94,9 @@ async def samples_of(
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A recorded sample.
+    """A recorded sample: targets and velocities as for `rtee.remote.stream.Stream.send`.
 
-    Attributes:
-        time: Time since the first sample [s].
-        targets: Targets, as for `rtee.remote.stream.Stream.send`.
-        velocity: Velocities at the targets.
+    The time is since the first sample [s].
     """
 
     time: float
@@ -121,10 +109,7 @@ def recorded(path: Path) -> list[Played]:
 
     The first line of a table has the names: ``t``, the time [s], and the targets. An empty cell
     leaves a target out. Takes the newest recording of a folder, and the newest stream of a
-    recording.
-
-    Raises:
-        LogError: if the file cannot be read or holds no samples.
+    recording. Raises `LogError` if the file cannot be read or holds no samples.
     """
     found = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
     if not found:
@@ -186,13 +171,7 @@ def rate_of(samples: Sequence[Played]) -> float:
 async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
     """Send recorded samples when they are due, with their recorded stamps.
 
-    Args:
-        samples: The samples.
-        stream: The stream.
-        speed: Scale of time: 2 is twice as fast.
-
-    Raises:
-        ConfigError: if the speed is not above 0.
+    At a speed of 2, which must be above 0, else `ConfigError`, twice as fast.
     """
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")

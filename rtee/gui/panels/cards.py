@@ -40,12 +40,7 @@ _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as
 
 
 class Card:
-    """One action, or all primitives of one name.
-
-    Attributes:
-        name: Name of the action.
-        words: Text that the search field is compared with, in lower case.
-    """
+    """One action, or all primitives of one name; `words` is what the search is compared with."""
 
     def __init__(
         self,
@@ -59,17 +54,10 @@ class Card:
         remark: Callable[[Action], str] = lambda action: "",
         fingers: Callable[[Action], Sequence[str]] = lambda action: action.fingers,
     ) -> None:
-        """Add the card to the current container.
+        """Add the card of the primitives of one name, or of one other action.
 
-        Args:
-            bridge: Carries clicks.
-            hand: The hand.
-            actions: The primitives of one name, or one other action.
-            show: Shows a posture as a ghost.
-            expanded: Whether the card is open at first.
-            order: Position among the cards.
-            remark: Function that returns a remark about an action, or ``""``.
-            fingers: Function that returns the fingers that an action moves.
+        ``show`` shows a posture as a ghost. ``remark`` returns a remark about an action, or ``""``,
+        and ``fingers`` the fingers that it moves.
         """
         self.name = actions[0].name
         self._bridge = bridge
