@@ -87,8 +87,7 @@ def _in_graph(
 async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
     """Return the type given for a topic, service or action, else its type in the graph.
 
-    Raises:
-        ConfigError: if no type is given and the graph has none, or several.
+    Raises `ConfigError` if no type is given and the graph has none, or several.
     """
     from rtee.ros2.listing import listed
 
@@ -117,8 +116,7 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
 def _message(kind: type[Message], text: str | None, what: str) -> Any:
     """Return a message with the fields given as YAML.
 
-    Raises:
-        ConfigError: if the text is not YAML, or has a field that the message lacks.
+    Raises `ConfigError` if the text is not YAML, or has a field that the message lacks.
     """
     from rtee.hand.yamlfile import parse_yaml
 
@@ -372,7 +370,7 @@ def router(
     ] = False,
 ) -> None:
     """Be the router of a ROS graph, until Ctrl-C: a stand-in for rmw_zenohd."""
-    from rtee.ros2.router import router as open_router
+    from rtee.ros2.session import open_router
 
     async def main() -> None:
         async with open_router(listen, insecure=insecure):
