@@ -16,7 +16,7 @@ import typer
 from rtee.cli._common import JsonOption
 from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
-from rtee.cli.ros2_serve import serve
+from rtee.cli.ros2_serve import environment_without, serve
 from rtee.errors import ConfigError, MessageError, RemoteError, suggestion
 
 if TYPE_CHECKING:
@@ -62,17 +62,12 @@ def _in_graph(
     work: Callable[[Context], Coroutine[Any, Any, T]],
 ) -> T:
     """Open a context, wait for the graph, call a function with it and return its result."""
-    from rtee.hand.config_schema import Distro, Ros2Settings
+    from rtee.hand.config_schema import Ros2Settings
     from rtee.ros2 import Context
+    from rtee.ros2.session import overridden
 
-    try:
-        settings = Ros2Settings(router=router, domain=domain or 0, distro=Distro(distro))
-    except ValueError:
-        known = ", ".join(distribution.value for distribution in Distro)
-        raise ConfigError(f"--distro {distro}: there are {known}") from None
-    environment = dict(os.environ)
-    if domain is not None:
-        environment.pop("ROS_DOMAIN_ID", None)  # the option takes precedence
+    given = {"router": router, "domain": domain, "distro": distro}
+    settings, environment = overridden(Ros2Settings(), given), environment_without(domain)
 
     async def main() -> T:
         # These commands reveal nothing of a hand, so that an unsecured router will do.

@@ -13,7 +13,6 @@ import anyio
 from rtee.remote.monitoring import HandStatus
 from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
-from rtee.ros2.topics import stamped
 from rtee.types import DeviceStatus, Lifecycle, LoopStatistics
 
 _PERIOD = 1.0
@@ -60,19 +59,17 @@ class Diagnostics(Part):
         temperatures = self._temperatures()
         if temperatures is not None:
             entries.append(temperatures)
-        message: Message = self._array(header=stamped(self._face, wall_ns), status=entries)
-        return message
+        return self._array(header=self._face.header(wall_ns), status=entries)
 
     def _entry(self, name: str, level: Level, message: str, values: Mapping[str, Any]) -> Message:
         hand = self._face.hand.name
-        entry: Message = self._status(
+        return self._status(
             level=level,
             name=f"{hand}: {name}",
             message=message,
             hardware_id=hand,
             values=[self._pair(key=key, value=_text(value)) for key, value in values.items()],
         )
-        return entry
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics

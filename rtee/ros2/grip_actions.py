@@ -19,11 +19,10 @@ from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face, Part
-from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
-from rtee.ros2.topics import stamped
 from rtee.types import ActuatorSpec, Feedback, Goal, Result
 
 GRIPPER = "~/gripper_cmd"
@@ -72,7 +71,7 @@ class Command:
                 )
 
 
-class Gripper(Part):
+class Gripper(ActionPart):
     """Offers the action ``~/gripper_cmd``.
 
     Raises `ConfigError` if the settings name an actuator that the hand does not have.
@@ -117,10 +116,6 @@ class Gripper(Part):
         if name:
             self._actuator(name)
 
-    async def run(self) -> None:
-        """Offer the action until cancelled, and then cancel its active goals."""
-        await self._server.run()
-
     # --- commands
 
     async def _accept_simple(self, message: Any) -> HandJob:
@@ -150,13 +145,12 @@ class Gripper(Part):
         name = names or [joint or GAP]
 
         def state(fields: dict[str, Any]) -> Message:
-            made: Message = self._joint_state(
-                header=stamped(self._face, self._face.latest.wall_ns),
+            return self._joint_state(
+                header=self._face.header(self._face.latest.wall_ns),
                 name=name,
                 position=[fields["position"]],
                 effort=[fields["effort"]],
             )
-            return made
 
         def ended(fields: dict[str, Any]) -> Message:
             return self._parallel.result(
@@ -206,15 +200,15 @@ class Gripper(Part):
         if not action and self._face.openings:
             # The hand's best action for a width opens wider than it, to get around an object. To
             # open as wide as possible, take the action that opens widest.
-            widest = max(self._face.openings, key=lambda one: one.widest)
+            widest = max(self._face.openings, key=lambda known: known.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
         # The hand, too, finds actions whatever their spelling and the order of their elements.
         wanted = normalise(action), sorted(elements)
         ranges = [
-            one
-            for one in self._face.openings
-            if not action or (normalise(one.action), sorted(one.elements)) == wanted
+            known
+            for known in self._face.openings
+            if not action or (normalise(known.action), sorted(known.elements)) == wanted
         ]
         return Goal(
             action,
@@ -229,7 +223,7 @@ class Gripper(Part):
     def _now(self, joint: str, _: Feedback) -> dict[str, Any]:
         """Return the fields of feedback."""
         position, effort = self._measured(joint)
-        limits = [one.velocity for one in self._face.model.actuators]
+        limits = [actuator.velocity for actuator in self._face.model.actuators]
         return {
             "position": position,
             "effort": effort,
@@ -280,7 +274,7 @@ def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
     strongest.
     """
     strongest = max(
-        (one.forces_at(gap)[1] for one in ranges if one.narrowest <= gap <= one.widest),
+        (each.forces_at(gap)[1] for each in ranges if each.narrowest <= gap <= each.widest),
         default=0.0,
     )
     # If no force can be limited, pass the bound on: the hand refuses it with the reason.
@@ -293,7 +287,7 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
     Its action is the one that moves the fewest other actuators, at the intensity of the position.
     Raises `GoalRejected` if no action reaches the position.
     """
-    found: list[tuple[int, float, Action]] = []
+    suitable: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]
     for action in actions:
         # A timed action takes no intensity that could stop it on the way.
@@ -304,13 +298,13 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
         if end != actuator.rest:
             share = (command.position - actuator.rest) / (end - actuator.rest)
             if -_BEYOND <= share <= 1.0 + _BEYOND:
-                found.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
-    if not found:
+                suitable.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
+    if not suitable:
         raise GoalRejected(
             f"the hand's actions bring '{actuator.name}' from {min(reached):.4g} to"
             f" {max(reached):.4g}, not to {command.position:.4g}"
         )
-    _, share, action = min(found, key=lambda each: each[:2])
+    _, share, action = min(suitable, key=lambda each: each[:2])
     speed = command.speed / actuator.velocity
     return Goal(
         action.name,

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from rtee.remote.goal import RunningGoal
-from rtee.ros2.action_server import ServerGoal
+from rtee.ros2.action_server import ActionServer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.face import Part
 from rtee.ros2.message import Message
 from rtee.types import Feedback, Result
 
@@ -39,6 +40,16 @@ def reason_of(result: Result, touch: bool = False) -> str:
     if touch:
         return "nothing was touched"
     return f"the hand stopped short of it by {result.error:.3g} rad or m, and holds nothing"
+
+
+class ActionPart(Part):
+    """A part of a hand's node whose constructor makes the server of an action."""
+
+    _server: ActionServer
+
+    async def run(self) -> None:
+        """Offer the action until cancelled, and then cancel its active goals."""
+        await self._server.run()
 
 
 class HandJob:

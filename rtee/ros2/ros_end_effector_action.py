@@ -10,8 +10,8 @@ from typing import Any
 from rtee.actions.types import ActionKind
 from rtee.errors import GoalRejected
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face, Part
-from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.ros_end_effector import name_here
 from rtee.types import Feedback, Goal, Result
@@ -26,17 +26,13 @@ _FULL = 100.0
 """Progress of a completed action in its feedback [%]; its goals have fractions instead."""
 
 
-class ActionCommand(Part):
+class ActionCommand(ActionPart):
     """Offers the action ``action_command``."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
         self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
         self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
-
-    async def run(self) -> None:
-        """Offer the action until cancelled, and then cancel its active goals."""
-        await self._server.run()
 
     async def _accept(self, message: Any) -> HandJob:
         asked = message.goal_action

@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import anyio.to_thread
 import zenoh
 
 from rtee.errors import ConfigError, NoRouter
-from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.remote.credentials import identity
 from rtee.remote.session import TLS, check_endpoints, is_safe
 
@@ -80,6 +81,24 @@ _CLIENT: dict[str, Any] = {
 }
 """Settings of sessions whose messages all pass through the router: those of another computer, since
 a router does not forward messages between peers, and those with certificates, which it checks."""
+
+
+def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
+    """Return settings with the options of a command line that are not ``None``.
+
+    Raises `ConfigError` if an option has an invalid value.
+    """
+    changes = {name: value for name, value in given.items() if value is not None}
+    distro = changes.get("distro")
+    if distro is not None:
+        if distro not in list(Distro):
+            known = ", ".join(Distro)
+            raise ConfigError(f"--distro {distro}: there are {known}")
+        changes["distro"] = Distro(distro)
+    try:
+        return replace(settings, **changes)
+    except ValueError as error:
+        raise ConfigError(f"the command line: {error}") from None
 
 
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:

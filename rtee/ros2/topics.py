@@ -41,9 +41,6 @@ RATE = "rate"
 _TRANSFORMS = Qos(depth=100)
 """QoS of ``/tf``, that of tf2_ros."""
 
-_NANO = 1_000_000_000
-"""Nanoseconds of a second."""
-
 
 def ros_name(name: str) -> str:
     """Return a name that ROS 2 allows: letters, digits and underscores, with no digit first."""
@@ -180,13 +177,12 @@ class Topics(Part):
 
     def _publish_forces(self, state: State) -> None:
         forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+        wrench: Any = self._face.message("geometry_msgs/msg/WrenchStamped")
         # All tips share a header, since a message is encoded before the next one changes it.
-        header = stamped(self._face, state.wall_ns)
-        wrench = self._face.message("geometry_msgs/msg/WrenchStamped")
+        message = wrench(header=self._face.header(state.wall_ns))
         for (frame, publisher), force in zip(self._tips, tip_forces(forces), strict=False):
             if not math.isnan(force):
-                message = wrench(header=header)
-                header.frame_id, message.wrench.force.z = frame, force
+                message.header.frame_id, message.wrench.force.z = frame, force
                 publisher.publish(message)
 
 
@@ -241,8 +237,8 @@ class ControllerStates:
     def _message(self, state: State) -> Message:
         point = self._point
         reference = point(positions=state.reference_position, velocities=state.reference_velocity)
-        message: Message = self._kind(
-            header=stamped(self._face, state.wall_ns),
+        return self._kind(
+            header=self._face.header(state.wall_ns),
             joint_names=list(state.names),
             reference=reference,
             feedback=point(
@@ -255,14 +251,6 @@ class ControllerStates:
             output=reference,
             speed_scaling_factor=1.0,
         )
-        return message
-
-
-def stamped(face: Face, wall_ns: int) -> Any:
-    """Return a ``std_msgs/msg/Header`` for a time since 1970 [ns]."""
-    header = face.message("std_msgs/msg/Header")()
-    header.stamp.sec, header.stamp.nanosec = divmod(wall_ns, _NANO)
-    return header
 
 
 def _ends(frames: Iterable[tuple[str, str]]) -> tuple[list[str], list[str]]:
