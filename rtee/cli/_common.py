@@ -309,6 +309,15 @@ def actions_of(name: str | None) -> ActionLibrary:
     return ActionLibrary.load(load_hand(folder), folder / "actions")
 
 
+def owned(folder: Path) -> Path:
+    """Return the folder in which a hand can be changed: a shipped hand is copied, with a notice."""
+    from rtee.hand.own_copy import own
+
+    home = own(folder)
+    report_copy(folder, home)
+    return home
+
+
 def report_copy(before: Path | None, after: Path | None) -> None:
     """Print a notice if a change of a hand, or of its actions, copied the shipped folder."""
     if before is None or after is None or before == after:

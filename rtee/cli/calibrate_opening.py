@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from rtee.cli._common import actions_of, hand_folder, report_copy
+from rtee.cli._common import actions_of, hand_folder, owned
 from rtee.errors import ActionError, ConfigError, GoalRejected, RequestRejected
 
 if TYPE_CHECKING:
@@ -46,15 +46,14 @@ def calibrate_opening(name: str, words: Sequence[str]) -> None:
     Raises `UserError` if an action has none, or hand.yaml cannot be changed.
     """
     from rtee.cli._online import with_hand
-    from rtee.hand.own_copy import own, own_place
+    from rtee.hand.own_copy import own_place
 
     folder = hand_folder(name)
     own_place(folder)  # a folder that cannot be written is refused before the work
     library = actions_of(name)
     chosen = _chosen(library, words)
     # Before the first block, since each pair is stored as soon as it is measured.
-    home = own(folder)
-    report_copy(folder, home)
+    home = owned(folder)
 
     async def execute(remote: RemoteHand) -> None:
         # A person's fingers are at the hand: no other client may move it between blocks.
