@@ -39,10 +39,10 @@ _STICKY: Final = """<style>
 
 def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
     """Return the message of the first of several errors."""
-    found: BaseException | None = errors
-    while isinstance(found, BaseExceptionGroup):
-        found = found.exceptions[0]
-    return str(found)
+    error: BaseException | None = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error)
 
 
 class App:

@@ -20,7 +20,7 @@ _NOTHING: Final = asyncio.subprocess.DEVNULL
 class Jobs:
     """Runs one job at a time for all windows; call its methods in the event loop.
 
-    The title of the running job is empty if there is none.
+    `running` is the title of the job, empty if there is none.
     """
 
     def __init__(self) -> None:

@@ -247,7 +247,7 @@ def reader_of(field: Field) -> Read:
 def parse(
     name: str, definition: str, nested: Callable[[str], MessageType] | None = None
 ) -> MessageType:
-    """Return the type of a definition; ``nested`` finds other types, by default in `message_type`.
+    """Return the type of a definition; ``nested`` returns other types, by default `message_type`.
 
     Raises `MessageError` if a line is outside the supported subset of the notation.
     """

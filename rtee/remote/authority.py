@@ -62,7 +62,7 @@ T = TypeVar("T")
 def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     """Make a hand's authority and its certificate, valid for some days, in a folder.
 
-    See `rtee.remote.credentials.secure_folder`. Raises `ConfigError` if there is an authority
+    This is `rtee.remote.credentials.secure_folder`. Raises `ConfigError` if there is an authority
     already, or the folder cannot be written.
     """
     if (folder / AUTHORITY_KEY).exists():

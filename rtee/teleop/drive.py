@@ -171,7 +171,7 @@ def rate_of(samples: Sequence[Played]) -> float:
 async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
     """Send recorded samples when they are due, with their recorded stamps.
 
-    At a speed of 2, which must be above 0, else `ConfigError`, twice as fast.
+    Time passes ``speed`` times as fast; raises `ConfigError` if that is not above 0.
     """
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")

@@ -12,7 +12,6 @@ import termios
 import tty
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 from rtee.errors import ConfigError, needing_extra
@@ -202,12 +201,7 @@ class Keyboard:
         tty.setcbreak(self._file)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
 
     def read(self) -> Mapping[str, float]:

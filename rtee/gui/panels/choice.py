@@ -27,10 +27,10 @@ class ElementChoice:
         changed: Callable[[], None],
         noun: str,
     ) -> None:
-        """Add the dropdowns to the current container, for at least one combination, all as long.
+        """Add the dropdowns to the current container.
 
-        ``changed`` is called when the choice has changed; the noun of an element is ``Finger`` or
-        ``Actuator``.
+        There is at least one combination, and all have the same length. ``changed`` is called when
+        the choice has changed; the noun of an element is ``Finger`` or ``Actuator``.
         """
         self.combinations = tuple(combinations)
         self._changed = changed
