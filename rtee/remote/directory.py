@@ -83,8 +83,9 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
 
 
-def _is_trusted(status: os.stat_result, owner: int, forbidden: int) -> bool:
-    return status.st_uid == owner and not status.st_mode & forbidden
+def _is_trusted(status: os.stat_result, owner: int) -> bool:
+    others = stat.S_IWGRP | stat.S_IWOTH
+    return status.st_uid == owner and not status.st_mode & others
 
 
 def _own_folder(*, make: bool) -> int | None:
@@ -99,7 +100,7 @@ def _own_folder(*, make: bool) -> int | None:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
         # Checks the open folder, not its path, which somebody could replace in between.
-        if _is_trusted(os.fstat(descriptor), os.getuid(), 0o022):
+        if _is_trusted(os.fstat(descriptor), os.getuid()):
             return descriptor
     except FileNotFoundError:
         return None
@@ -214,14 +215,6 @@ def claimed(hand: str) -> Iterator[Place]:
 
 
 @contextlib.contextmanager
-def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
-    """Announce a hand with its endpoints here during the context; raises what `claimed` does."""
-    with claimed(hand) as place:
-        place.write(endpoints)
-        yield place.path
-
-
-@contextlib.contextmanager
 def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket | None]:
     """Keep a name in the kernel, where no cleaner removes it: an abstract Unix socket of Linux.
 
@@ -269,7 +262,7 @@ def _locked(path: Path, hand: str) -> int:
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
         status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid(), 0o022):
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid()):
             os.close(descriptor)
             raise ConfigError("must be a file that only you can write to; remove it", path=path)
         # The previous server may have removed the file between opening and locking it.
@@ -317,7 +310,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
     try:
         status = os.fstat(descriptor)
         owner = os.fstat(folder).st_uid
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner, 0o022):
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner):
             return None
         entry = _read(descriptor)
         pid, endpoints = entry.get("pid"), entry.get("endpoints")

@@ -11,13 +11,14 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from rtee.errors import ConfigError
 from rtee.remote import directory
-from rtee.remote.directory import announced, claimed, running
+from rtee.remote.directory import claimed, running
 
 NOBODY = 65534
 """The user that owns nothing."""
@@ -32,6 +33,14 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     monkeypatch.setenv(directory.VARIABLE, str(tmp_path / "run"))
     return tmp_path / "run"
+
+
+@contextmanager
+def announced(hand: str, endpoints: list[str]) -> Iterator[Path]:
+    """Announce a hand as its server does; yield its file."""
+    with claimed(hand) as place:
+        place.write(endpoints)
+        yield place.path
 
 
 def as_nobody(work: Callable[[], None]) -> None:
