@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from rtee.gui.colours import FORCE, OBJECT, Colour
+from rtee.gui.colours import FORCE, OBJECT
 from rtee.hand.frames import pose_in_hand
 from rtee.object_description import (
     CONTACTS,
@@ -63,7 +63,7 @@ class ObjectView:
         if description is not None:
             self._frame = self._scene.add_frame("/object", show_axes=False, visible=False)
             for index, part in enumerate(description.parts):
-                _add(self._scene, f"/object/{index}", part, OBJECT)
+                _add(self._scene, f"/object/{index}", part)
 
     def show(self, channels: Mapping[str, FloatArray], *, forces: bool) -> None:
         """Move the object to its pose in the channels of a state, and draw the contact forces."""
@@ -143,22 +143,22 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     return ", ".join(f"{name} {forces[name]:.1f} N" for name in chosen)
 
 
-def _add(scene: viser.SceneApi, name: str, part: ObjectPart, colour: Colour) -> None:
+def _add(scene: viser.SceneApi, name: str, part: ObjectPart) -> None:
     at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3], "opacity": _CLEAR}
     match part.kind:
         case "box":
             w, d, h = part.size
-            scene.add_box(name, color=colour, dimensions=(w, d, h), **at)
+            scene.add_box(name, color=OBJECT, dimensions=(w, d, h), **at)
         case "cylinder":
-            scene.add_cylinder(name, part.size[0], part.size[1], colour, **at)
+            scene.add_cylinder(name, part.size[0], part.size[1], OBJECT, **at)
         case "sphere":
-            scene.add_icosphere(name, part.size[0], colour, **at)
+            scene.add_icosphere(name, part.size[0], OBJECT, **at)
         case _:
             scene.add_mesh_simple(
                 name,
                 part.vertices,
                 part.faces,
-                color=colour,
+                color=OBJECT,
                 flat_shading=True,
                 side="double",
                 **at,

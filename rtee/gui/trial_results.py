@@ -34,7 +34,7 @@ class Tried:
         """Return a copy with a result of this page, which replaces an earlier one of its object."""
         trial = result.trial
         key = (trial.action, trial.elements)
-        others = [one for one in self.own.get(key, ()) if one.trial.object != trial.object]
+        others = [other for other in self.own.get(key, ()) if other.trial.object != trial.object]
         return replace(self, own={**self.own, key: [*others, result]})
 
 
@@ -48,11 +48,11 @@ def tried_in(text: str) -> Tried:
 
     Raises `ConfigError` if the text is not such a file.
     """
-    found: dict[Key, list[TrialResult]] = {}
+    by_action: dict[Key, list[TrialResult]] = {}
     for result in parse_results(text, Path(FILE_NAME)).values():
         trial = result.trial
-        found.setdefault((trial.action, trial.elements), []).append(result)
-    return Tried(found, outdated(text, Path(FILE_NAME)))
+        by_action.setdefault((trial.action, trial.elements), []).append(result)
+    return Tried(by_action, outdated(text, Path(FILE_NAME)))
 
 
 def object_name(text: str) -> str:

@@ -129,9 +129,9 @@ def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
     return True
 
 
-def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
+def _chunks(file: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
     """Yield the intact chunks, each with an index made from its messages."""
-    for place in found.chunks:
+    for place in file.chunks:
         content = place.record.read(stream)
         try:
             data, chunk = messages_of(content)
@@ -140,7 +140,7 @@ def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
         array = np.frombuffer(data, dtype=np.uint8)
         entries = {}
         for number, offsets in column_reader.walk(data).items():
-            if number in found.channels:
+            if number in file.channels:
                 starts = np.array(offsets, dtype=np.int64)
                 times = column_reader.log_times(array, starts).astype(np.uint64)
                 entries[number] = (times, starts.astype(np.uint64))

@@ -145,9 +145,9 @@ class Streams:
             every = every if self._has_room() else 1 << (every.bit_length() - 1)
         if every not in self._asked:
             # Replaced rather than changed, because the loop's thread iterates over it.
-            asked = dict(self._asked)
-            asked[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
-            self._replace(asked)
+            streams = dict(self._asked)
+            streams[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
+            self._replace(streams)
         return self._asked[every].outlet.topic
 
     def _has_room(self) -> bool:
@@ -162,8 +162,8 @@ class Streams:
         self._outlets.close(stream.outlet)
         return True
 
-    def _replace(self, asked: dict[int, Stream]) -> None:
-        self._asked, self._all = asked, (*self._fixed, *asked.values())
+    def _replace(self, streams: dict[int, Stream]) -> None:
+        self._asked, self._all = streams, (*self._fixed, *streams.values())
 
     def publish(self, record: TickRecord) -> None:
         """Queue the messages that are due at a tick."""

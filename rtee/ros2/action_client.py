@@ -88,7 +88,7 @@ class ActionClient:
         """Whether there is a server: all three services and both topics of the action."""
         services = self._send.available and self._result.available and self._cancel.available
         return services and all(
-            self._graph.of(Kind.PUBLISHER, one.name, one.type.name) for one in self._heard
+            self._graph.of(Kind.PUBLISHER, topic.name, topic.type.name) for topic in self._heard
         )
 
     async def wait_for_server(self, timeout: float = math.inf) -> None:
@@ -139,23 +139,23 @@ class ActionClient:
         gone = NoHand(f"the server of {self.name} has gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
         # The query has no timeout and may outlive its server, hence the watch on the graph.
-        asked = asyncio.ensure_future(self._result.call(request, math.inf))
+        call = asyncio.ensure_future(self._result.call(request, math.inf))
         watch = asyncio.ensure_future(self._graph.wait_until(lambda: not self._result.available))
         try:
             limit = None if math.isinf(timeout) else timeout
-            await asyncio.wait((asked, watch), timeout=limit, return_when="FIRST_COMPLETED")
-            if not asked.done() and not watch.done():
+            await asyncio.wait((call, watch), timeout=limit, return_when="FIRST_COMPLETED")
+            if not call.done() and not watch.done():
                 raise TimeoutError(f"the goal of {self.name} has not ended after {timeout:g} s")
-            if not asked.done():
+            if not call.done():
                 raise gone
             try:
-                answer = asked.result()
+                answer = call.result()
             except TimeoutError:  # Zenoh ended the query, since nobody is left to answer it
                 raise gone from None
         finally:
-            for task in (asked, watch):
+            for task in (call, watch):
                 task.cancel()
-            await asyncio.gather(asked, watch, return_exceptions=True)
+            await asyncio.gather(call, watch, return_exceptions=True)
         # Not after a timeout, since the goal then goes on and its feedback is still wanted.
         self._goals.pop(goal.id, None)
         # Other implementations may send states that are not defined.
@@ -182,7 +182,7 @@ class ActionClient:
         stamp = self._time(**time_fields(until))
         info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)
         answer = await self._cancel.call(self.type.cancel_goal.request(goal_info=info), timeout)
-        ids = [one.goal_id.uuid for one in answer.goals_canceling]
+        ids = [goal.goal_id.uuid for goal in answer.goals_canceling]
         try:
             return Refusal(answer.return_code), ids
         except ValueError:
@@ -194,11 +194,11 @@ class ActionClient:
             known[1](message.feedback)
 
     def _on_status(self, message: Any) -> None:
-        for one in message.status_list:
-            known = self._goals.get(one.goal_info.goal_id.uuid)
+        for status in message.status_list:
+            known = self._goals.get(status.goal_info.goal_id.uuid)
             if known is not None:
                 with suppress(ValueError):
-                    known[0].state = GoalState(one.status)
+                    known[0].state = GoalState(status.status)
 
     def close(self) -> None:
         """Leave the graph."""

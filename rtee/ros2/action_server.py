@@ -238,7 +238,7 @@ class ActionServer:
 
     def _log_refusal(self, reason: str) -> None:
         now = time.monotonic()
-        self._logged = {one: at for one, at in self._logged.items() if now - at < _LOGGED_AGAIN}
+        self._logged = {why: at for why, at in self._logged.items() if now - at < _LOGGED_AGAIN}
         if reason not in self._logged and self._limit.passes():
             self._logged[reason] = now
             self._context.log.warning("a goal of %s is refused: %s", self.name, reason)
@@ -351,7 +351,7 @@ class ActionServer:
         """Cancel the active goals, wait until their clients have the results, leave the graph."""
         self._finishing = True
         # Clients of a goal that has just ended may still wait for the result.
-        under_way = [one for one in self._goals.values() if one.waiting or not one.state.ended]
+        under_way = [goal for goal in self._goals.values() if goal.waiting or not goal.state.ended]
         with anyio.move_on_after(_LONGEST_END, shield=True):
             for goal in under_way:
                 if not goal.state.ended:

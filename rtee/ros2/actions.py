@@ -67,7 +67,7 @@ class Names(NamedTuple):
 
 def names(action: str) -> Names:
     """Return the names of the services and topics of an action."""
-    return Names(*(f"{action}/_action/{one}" for one in Names._fields))
+    return Names(*(f"{action}/_action/{part}" for part in Names._fields))
 
 
 def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:

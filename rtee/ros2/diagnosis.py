@@ -23,19 +23,19 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
         async with Context.open(settings, insecure=True, router_needed=True) as context:
             await context.graph.ready()
             rows = listed(context.graph.entities())
-            found = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
+            checks = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
     except MissingExtra as error:
         return [wrong("ROS 2", str(error), "pip install 'rtee[ros2]'")]
     except NoRouter as error:
         return [wrong("router", str(error), _ROUTER_REMEDY)]
     nodes = [row.name for row in rows if row.sort is Sort.NODE]
-    found.append(ok("nodes", f"{len(nodes)}: {', '.join(sorted(nodes))}" if nodes else "none"))
+    checks.append(ok("nodes", f"{len(nodes)}: {', '.join(sorted(nodes))}" if nodes else "none"))
     if hand is not None and not any(name.rpartition("/")[2] == hand for name in nodes):
-        found.append(
+        checks.append(
             warning("hand", f"there is no node '{hand}'", f"start it: rtee run {hand} --ros2")
         )
-    found += [
+    checks += [
         wrong("types", sentence, "use the same distribution: 'ros2: distro' in hand.yaml")
         for sentence in unheard(rows)
     ]
-    return found
+    return checks

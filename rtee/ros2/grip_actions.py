@@ -119,17 +119,17 @@ class Gripper(ActionPart):
     # --- commands
 
     async def _accept_simple(self, message: Any) -> HandJob:
-        asked = message.command
-        command = Command(self._configured_joint, asked.position, asked.max_effort)
+        request = message.command
+        command = Command(self._configured_joint, request.position, request.max_effort)
         return await self._begin(command, lambda fields: self._simple.result(**fields), dict)
 
     async def _accept_parallel(self, message: Any) -> HandJob:
-        asked = message.command
-        names = list(asked.name)
-        if len(asked.position) != 1 or len(names) > 1:
+        request = message.command
+        names = list(request.name)
+        if len(request.position) != 1 or len(names) > 1:
             raise GoalRejected(
-                f"a gripper takes one position and at most one name, not {len(asked.position)} and"
-                f" {len(names)}"
+                "a gripper takes one position and at most one name, not"
+                f" {len(request.position)} and {len(names)}"
             )
         if names in ([], [""]):
             joint = self._configured_joint
@@ -138,9 +138,9 @@ class Gripper(ActionPart):
             joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
         command = Command(
             joint,
-            float(asked.position[0]),
-            _single(asked.effort, "effort"),
-            _single(asked.velocity, "velocity"),
+            float(request.position[0]),
+            _single(request.effort, "effort"),
+            _single(request.velocity, "velocity"),
         )
         name = names or [joint or GAP]
 

@@ -176,8 +176,8 @@ class Services(Part):
     # --- queries
 
     async def _list_actions(self, request: Any) -> dict[str, Any]:
-        asked = {"kind": request.kind, "name": request.name, "elements": request.elements}
-        return await self._face.hand.ask("actions", asked)
+        fields = {"kind": request.kind, "name": request.name, "elements": request.elements}
+        return await self._face.hand.ask("actions", fields)
 
     async def _primitives(self, request: Any) -> dict[str, Any]:
         groups = (await self._face.hand.ask("primitives"))["groups"]
@@ -204,8 +204,8 @@ class Services(Part):
         return {"accepted": True}
 
     async def _info(self, request: Any) -> dict[str, Any]:
-        asked = {"name": request.name, "position": request.position}
-        return {"info": await self._face.hand.ask("info", asked)}
+        fields = {"name": request.name, "position": request.position}
+        return {"info": await self._face.hand.ask("info", fields)}
 
     async def _openings(self, _: Any) -> dict[str, Any]:
         return await self._face.hand.ask("openings")

@@ -206,7 +206,7 @@ def definitions(distro: str = "jazzy") -> dict[str, str]:
     differing = set(_NEWER.values())
     texts = dict(DEFINITIONS)
     folder = files("rtee.ros2").joinpath("interfaces")
-    for file in sorted(folder.iterdir(), key=lambda one: one.name):
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
         # A file of newer distributions would replace definitions of Jazzy.
         if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in differing:
             texts |= _read(file.read_text("utf-8"))

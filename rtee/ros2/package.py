@@ -32,7 +32,7 @@ def _needed(files: dict[str, str]) -> list[str]:
 
 def _package_xml(needed: list[str]) -> str:
     # No definition names action_msgs, but the generated code of actions needs it.
-    depends = "".join(f"  <depend>{one}</depend>\n" for one in needed)
+    depends = "".join(f"  <depend>{name}</depend>\n" for name in needed)
     return f"""\
 <?xml version="1.0"?>
 <package format="3">
@@ -54,7 +54,7 @@ def _package_xml(needed: list[str]) -> str:
 
 
 def _cmake(files: dict[str, str], needed: list[str]) -> str:
-    find = "".join(f"find_package({one} REQUIRED)\n" for one in needed)
+    find = "".join(f"find_package({name} REQUIRED)\n" for name in needed)
     listed = "".join(f'  "{path}"\n' for path in files)
     return f"""\
 cmake_minimum_required(VERSION 3.8)

@@ -127,13 +127,13 @@ class RosEndEffector:
             return {}  # as in ROS End-Effector, an unknown element has no partners
 
     async def _new_generic(self, request: Any) -> dict[str, Any]:
-        asked = request.new_action
-        positions = asked.action_motor_position
+        wanted = request.new_action
+        positions = wanted.action_motor_position
         if len(positions.name) != len(positions.position):
             return {"error_msg": "action_motor_position has more names than positions, or fewer"}
         where = dict(zip(positions.name, positions.position.tolist(), strict=True))
         counts = dict(
-            zip(asked.action_motor_count.name, asked.action_motor_count.count, strict=False)
+            zip(wanted.action_motor_count.name, wanted.action_motor_count.count, strict=False)
         )
         # Without a mask, motors at 0 are those that are not meant.
         where = {
@@ -142,7 +142,7 @@ class RosEndEffector:
             if (counts.get(name, 0) if counts else value != 0.0)
         }
         try:
-            await self._hand.add_generic(asked.action_name, where, store=request.emit_yaml)
+            await self._hand.add_generic(wanted.action_name, where, store=request.emit_yaml)
         except RteeError as error:
             return {"error_msg": str(error)}
         return {"accepted": True, "emitted": request.emit_yaml}

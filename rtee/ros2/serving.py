@@ -183,7 +183,7 @@ async def shown(
         # The node keeps the services of these two, which need no task.
         RosEndEffector(node, remote)
         TypeDescriptions(node)
-        face.declare(one for part in parts for one in part.parameters())
+        face.declare(parameter for part in parts for parameter in part.parameters())
         log.info("%s is the node %s of ROS 2", hand.name, node.name.full)
         yield parts
     finally:

@@ -176,7 +176,7 @@ def _from_file(file: str) -> zenoh.Config:
         path.read_bytes()
         return zenoh.Config.from_file(str(path))
     except (OSError, zenoh.ZError) as error:
-        words = error.strerror if isinstance(error, OSError) else str(error).partition(" at /")[0]
+        words = error.strerror if isinstance(error, OSError) else _words(error)
         raise ConfigError(f"{SESSION_CONFIG}: {words}", path=path) from None
 
 
@@ -184,8 +184,14 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
     try:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
-        words = str(error).partition(" at /")[0]
-        raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {words}") from None
+        raise ConfigError(
+            f"{source}: {key}={value} is not a setting of Zenoh: {_words(error)}"
+        ) from None
+
+
+def _words(error: zenoh.ZError) -> str:
+    """Return an error's text without the location in Zenoh's source."""
+    return str(error).partition(" at /")[0]
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
@@ -196,7 +202,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        words = str(error).partition(" at /")[0]
+        words = _words(error)
         # Zenoh has a single exception, whose text alone distinguishes the reasons.
         if words.startswith("Unable to connect"):
             raise NoRouter(words) from None
@@ -209,7 +215,7 @@ def close_session(session: zenoh.Session) -> None:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:
         # Its declarations vanish for others when the process ends and closes their links.
-        log.warning("the ROS 2 session did not close: %s", str(error).partition(" at /")[0])
+        log.warning("the ROS 2 session did not close: %s", _words(error))
 
 
 @asynccontextmanager
@@ -231,8 +237,7 @@ async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[N
         config.insert_json5("listen/endpoints", json.dumps([listen]))
         session = await anyio.to_thread.run_sync(zenoh.open, config)
     except zenoh.ZError as error:
-        words = str(error).partition(" at /")[0]
-        raise ConfigError(f"the router cannot listen on {listen}: {words}") from None
+        raise ConfigError(f"the router cannot listen on {listen}: {_words(error)}") from None
     try:
         yield
     finally:

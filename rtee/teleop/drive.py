@@ -54,25 +54,25 @@ def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
     in ``lt=Trig ring``; the others get the next free axes. Raises `ConfigError` if an axis does not
     exist or is given twice, or there are too few axes.
     """
-    found: dict[str, str] = {}
+    by_axis: dict[str, str] = {}
     given = [action.partition("=") for action in actions]
     for axis, mark, action in given:
         if not mark:
             continue
         if axis not in axes:
             raise ConfigError(f"there is no axis '{axis}'; there are: {', '.join(axes)}")
-        if axis in found:
+        if axis in by_axis:
             raise ConfigError(f"the axis '{axis}' is given twice")
-        found[axis] = action.strip()
-    left = [axis for axis in axes if axis not in found]
+        by_axis[axis] = action.strip()
+    left = [axis for axis in axes if axis not in by_axis]
     for action, mark, _ in given:
         if not mark:
             if not left:
                 raise ConfigError(f"there is no axis left for '{action}'")
-            found[left.pop(0)] = action.strip()
-    if len(set(found.values())) != len(found):
+            by_axis[left.pop(0)] = action.strip()
+    if len(set(by_axis.values())) != len(by_axis):
         raise ConfigError("an action is given twice")
-    return found
+    return by_axis
 
 
 async def samples_of(
@@ -111,23 +111,23 @@ def recorded(path: Path) -> list[Played]:
     leaves a target out. Takes the newest recording of a folder, and the newest stream of a
     recording. Raises `LogError` if the file cannot be read or holds no samples.
     """
-    found = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
-    if not found:
+    samples = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
+    if not samples:
         raise LogError("holds no samples of a stream", path=path)
-    begin = found[0].time
-    return [Played(each.time - begin, each.targets, each.velocity) for each in found]
+    begin = samples[0].time
+    return [Played(each.time - begin, each.targets, each.velocity) for each in samples]
 
 
 def _of_recording(path: Path) -> list[Played]:
     entries = read(path, only=[topics.STREAM_SAMPLES]).stream_samples
     taken = [e.value.command for e in entries if isinstance(e.value.command, StreamSample)]
     last = taken[-1].stream if taken else ""
-    found: list[Played] = []
+    played: list[Played] = []
     for sample in taken:
         # Skip duplicates and samples out of order.
-        if sample.stream == last and not (found and sample.stamp <= found[-1].time):
-            found.append(Played(sample.stamp, sample.targets, sample.velocity))
-    return found
+        if sample.stream == last and not (played and sample.stamp <= played[-1].time):
+            played.append(Played(sample.stamp, sample.targets, sample.velocity))
+    return played
 
 
 def _of_table(path: Path) -> list[Played]:
@@ -142,7 +142,7 @@ def _of_table(path: Path) -> list[Played]:
     if not rows or rows[0][:1] != ["t"] or len(rows[0]) < 2:
         raise LogError("should begin with a line of names, the first of them 't'", path=path)
     names = rows[0][1:]
-    found: list[Played] = []
+    played: list[Played] = []
     for number, row in enumerate(rows[1:], start=2):
         try:
             if len(row) != len(rows[0]):
@@ -152,13 +152,13 @@ def _of_table(path: Path) -> list[Played]:
             for cell, value in zip(row, (when, *values), strict=True):
                 if cell.strip() and not math.isfinite(value):
                     raise ValueError(f"'{cell.strip()}' is not a finite number")
-            if not math.isfinite(when) or (found and when <= found[-1].time):
+            if not math.isfinite(when) or (played and when <= played[-1].time):
                 raise ValueError("the times must rise")
         except ValueError as error:
             raise LogError(f"makes no sense: {error}", path=path, line=number) from None
         pairs = zip(names, values, strict=True)
-        found.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
-    return found
+        played.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
+    return played
 
 
 def rate_of(samples: Sequence[Played]) -> float:

@@ -300,7 +300,7 @@ class Card:
         own = self._tried.own.get(key_of(self.action), ())
         html = ""
         if results:
-            outdated = any(one.trial.key in self._tried.outdated for one in results)
+            outdated = any(result.trial.key in self._tried.outdated for result in results)
             title = "Of the objects it was tried on in simulation (rtee try --all)"
             if outdated:
                 title += "; the hand, this action, or how trials are made, has changed since: try"
@@ -310,8 +310,8 @@ class Card:
                 f'<details><summary title="{title}">{summary}</summary>'
                 f"{tried_table(results)}</details>"
             )
-        for one in reversed(own):
-            summary = escape(f"{object_name(one.trial.object)}: {verdict(one)}")
+        for result in reversed(own):
+            summary = escape(f"{object_name(result.trial.object)}: {verdict(result)}")
             html += small(f"Tried now: {summary}")
         self._trials.content = html
         self._trials.visible = bool(results or own)
