@@ -116,12 +116,11 @@ class Codec(Generic[T]):
     code has left the processor's caches.
 
     Args:
-        kind: The type of the messages, which begin with a header.
         cls: The dataclass.
         held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
-        kind: The type of the messages.
+        kind: The type of the messages, which begin with a header.
     """
 
     def __init__(self, kind: str, cls: type[T], /, **held: As) -> None:

@@ -112,11 +112,7 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     ]
     # The access path is part of the key: nobody can say hello with another's certificate.
     keys = [f"{HELLO}/{way}", *(f"{request.group}/{request.name}" for request in allowed)]
-    yield _rule(_name(role, way), "ingress", ["query"], hand, keys)
+    yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
     put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]
     if put:
         yield _rule(f"put {way}", "ingress", ["put"], hand, put)
-
-
-def _name(role: Role, way: str) -> str:
-    return f"{role.name.lower()} {way}"

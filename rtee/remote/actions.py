@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rtee.actions.build import StepPlan, generic
@@ -88,10 +88,6 @@ def _known(value: float | None) -> float:
     return math.nan if value is None else value  # messages have no optional numbers
 
 
-def _flat(pairs: Sequence[tuple[str, ...]]) -> list[str]:
-    return [name for pair in pairs for name in pair[:2]]
-
-
 def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
     opposition = evidence.opposition
     return {
@@ -104,7 +100,7 @@ def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
         "clear": evidence.clear,
         "path_clear": evidence.path_clear,
         "clearance": _known(evidence.clearance),
-        "colliding": _flat(evidence.colliding),
+        "colliding": [name for pair in evidence.colliding for name in pair[:2]],
         "pair": [name for first, second, _ in evidence.pairs for name in (first, second)],
         "pair_depth": [depth for _, _, depth in evidence.pairs],
         "angles": opposition.angles if opposition else (),

@@ -97,10 +97,6 @@ Check = Callable[[Request, bytes | None, bytes], str]
 the request is refused."""
 
 
-def _always() -> bool:
-    return True
-
-
 def handle_request(
     message: zenoh.Query | zenoh.Sample,
     group: str,
@@ -108,7 +104,7 @@ def handle_request(
     handle: Handler,
     send: Send,
     later: Later | None = None,
-    answers_junk: Callable[[], bool] = _always,
+    answers_junk: Callable[[], bool] = lambda: True,
 ) -> None:
     """Check and handle a request of a group, and send the answer or a refusal.
 

@@ -34,7 +34,6 @@ class Stream:
     Args:
         link: The connection to the hand.
         monitoring: Returns the hand's status.
-        name: The stream's identifier.
         number: Label under which the hand refuses its samples; see `Link.refusals`.
 
     Attributes:
