@@ -11,7 +11,6 @@ import stat
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,8 @@ import pytest
 from rtee.errors import ConfigError
 from rtee.remote import directory
 from rtee.remote.directory import claimed, running
+
+from .serving import announced
 
 NOBODY = 65534
 """The user that owns nothing."""
@@ -33,14 +34,6 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     monkeypatch.setenv(directory.VARIABLE, str(tmp_path / "run"))
     return tmp_path / "run"
-
-
-@contextmanager
-def announced(hand: str, endpoints: list[str]) -> Iterator[Path]:
-    """Announce a hand as its server does; yield its file."""
-    with claimed(hand) as place:
-        place.write(endpoints)
-        yield place.path
 
 
 def as_nobody(work: Callable[[], None]) -> None:
