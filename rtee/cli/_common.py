@@ -44,11 +44,8 @@ def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
 def spelled_like(incomplete: str, names: Iterable[tuple[str, str]]) -> list[str]:
     """Return the completions of a text in the spelling that the user began.
 
-    ``pinch_t`` becomes ``pinch_tight``, and ``Pinch`` becomes ``PinchTight``.
-
-    Args:
-        incomplete: The text typed so far.
-        names: Names of actions, each with the text that follows it.
+    ``pinch_t`` becomes ``pinch_tight``, and ``Pinch`` becomes ``PinchTight``. The names of actions
+    come each with the text that follows it.
     """
     from rtee.actions.naming import snake_case
 
@@ -249,8 +246,7 @@ _FILES = 64
 def check_files() -> None:
     """Check that this process may open enough files; with too few, the Zenoh library panics.
 
-    Raises:
-        ConfigError: if the shell's limit is too low.
+    Raises `ConfigError` if the shell's limit is too low.
     """
     import resource
 
@@ -263,15 +259,10 @@ def check_files() -> None:
 
 
 def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]:
-    """Return the values given as NAME=VALUE, each parsed as YAML.
+    """Return the values given as NAME=VALUE to an option, each parsed as YAML.
 
-    Args:
-        words: The arguments of the option.
-        option: Name of the option.
-        what: Noun for a value in error messages.
-
-    Raises:
-        ConfigError: if a text has no name, or its value is not YAML.
+    Raises `ConfigError`, which calls a value ``what``, if a text has no name, or its value is not
+    YAML.
     """
     from rtee.hand.yamlfile import parse_yaml
 
@@ -288,8 +279,7 @@ def named_values(words: Sequence[str], option: str, what: str) -> dict[str, Any]
 def hand_folder(name: str | None) -> Path:
     """Return the folder of a hand given by name or path; ``None`` stands for the only hand.
 
-    Raises:
-        ConfigError: if there is no such hand, or there are several and none is given.
+    Raises `ConfigError` if there is no such hand, or there are several and none is given.
     """
     from rtee.hand.catalog import hand_names
     from rtee.hand.load import hand_folder as find_folder
@@ -307,8 +297,7 @@ def hand_folder(name: str | None) -> Path:
 def actions_of(name: str | None) -> ActionLibrary:
     """Return the stored actions of a hand; print warnings about them on stderr.
 
-    Raises:
-        UserError: if the hand or one of its files cannot be used.
+    Raises `UserError` if the hand or one of its files cannot be used.
     """
     import logging
 
@@ -320,13 +309,17 @@ def actions_of(name: str | None) -> ActionLibrary:
     return ActionLibrary.load(load_hand(folder), folder / "actions")
 
 
-def report_copy(before: Path | None, after: Path | None) -> None:
-    """Print a notice if a command copied a shipped hand in order to change it.
+def owned(folder: Path) -> Path:
+    """Return the folder in which a hand can be changed: a shipped hand is copied, with a notice."""
+    from rtee.hand.own_copy import own
 
-    Args:
-        before: Folder of the hand, or of its actions, before the change.
-        after: The same folder after it.
-    """
+    home = own(folder)
+    report_copy(folder, home)
+    return home
+
+
+def report_copy(before: Path | None, after: Path | None) -> None:
+    """Print a notice if a change of a hand, or of its actions, copied the shipped folder."""
     if before is None or after is None or before == after:
         return
     from rtee.hand.own_copy import copy_notice

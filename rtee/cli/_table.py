@@ -30,13 +30,7 @@ _PADDED: Final = 44
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table.
-
-    Attributes:
-        name: Heading of the column.
-        right: Whether cells are aligned to the right, as for numbers.
-        whole: Whether lines are never wrapped.
-    """
+    """A column of a table, aligned to the right for numbers; a whole line is never wrapped."""
 
     name: str
     right: bool = False
@@ -45,13 +39,10 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of a table.
+    """A row of a table, on a terminal dimmed if ``faint``.
 
-    Attributes:
-        cells: One text per column; each line of a text is an item of a list.
-        heading: On a terminal, consecutive rows with the same heading are listed below it; in a
-            pipe it is the first cell.
-        faint: Whether the row is dimmed.
+    Each line of a cell is an item of a list. On a terminal, consecutive rows with the same heading
+    are listed below it; in a pipe it is the first cell.
     """
 
     cells: tuple[str, ...]
@@ -61,13 +52,9 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns and rows.
+    """Columns and rows; the title is shown only on terminals.
 
-    Attributes:
-        columns: The columns.
-        rows: The rows.
-        title: Title, shown only on terminals.
-        heading: Name of the column of headings; empty if the rows have no heading.
+    ``heading`` is the name of the column of headings, empty if the rows have none.
     """
 
     columns: tuple[Column, ...]

@@ -80,9 +80,7 @@ def _use(use: ActionReference, prefix: str) -> str:
 def remarks(evidence: Evidence, prefix: str = "") -> str:
     """Return the evidence of a posture in words, one line per subject.
 
-    Args:
-        evidence: The evidence.
-        prefix: Prefix to remove from the names of links.
+    Names of links are shown without the prefix.
     """
     from rtee.actions.describe import clearance_text
 

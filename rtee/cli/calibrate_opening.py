@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from rtee.cli._common import actions_of, hand_folder, report_copy
+from rtee.cli._common import actions_of, hand_folder, owned
 from rtee.errors import ActionError, ConfigError, GoalRejected, RequestRejected
 
 if TYPE_CHECKING:
@@ -40,25 +40,20 @@ _BEYOND: Final = 0.01
 
 
 def calibrate_opening(name: str, words: Sequence[str]) -> None:
-    """Measure the openings of actions, block by block.
+    """Measure the openings of actions of a running hand, block by block.
 
-    Args:
-        name: Name of the running hand.
-        words: The actions, as for `rtee compose`; empty: all actions with an opening.
-
-    Raises:
-        UserError: if an action has no opening, or hand.yaml cannot be changed.
+    The actions are given as for `rtee compose`; without any, all that have an opening are measured.
+    Raises `UserError` if an action has none, or hand.yaml cannot be changed.
     """
     from rtee.cli._online import with_hand
-    from rtee.hand.own_copy import own, own_place
+    from rtee.hand.own_copy import own_place
 
     folder = hand_folder(name)
     own_place(folder)  # a folder that cannot be written is refused before the work
     library = actions_of(name)
     chosen = _chosen(library, words)
     # Before the first block, since each pair is stored as soon as it is measured.
-    home = own(folder)
-    report_copy(folder, home)
+    home = owned(folder)
 
     async def execute(remote: RemoteHand) -> None:
         # A person's fingers are at the hand: no other client may move it between blocks.
@@ -218,15 +213,10 @@ async def typed_line(text: str) -> str:
 
 
 def write_pairs(home: Path, words: str, pairs: Sequence[tuple[float, float]]) -> Path:
-    """Write the measured openings of one action into hand.yaml; comments stay.
+    """Write the intensities and openings [m] measured for an action into hand.yaml; comments stay.
 
-    Args:
-        home: The hand's folder.
-        words: The action and its elements, with spaces between them.
-        pairs: Intensities and openings [m].
-
-    Raises:
-        ConfigError: if the file cannot be changed; the message has the line to type.
+    The words are the action and its elements. Raises `ConfigError` if the file cannot be changed;
+    its message has the line to type.
     """
     from rtee.actions.comments import rewritten
     from rtee.hand.catalog import FILE_NAME

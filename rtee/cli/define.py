@@ -135,10 +135,8 @@ def generic(
 def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     """Store a new action, confirm it on stdout and print warnings about it.
 
-    An action without a description inherits that of the action it replaces.
-
-    Raises:
-        UserError: if the name is taken or the file cannot be written.
+    An action without a description inherits that of the action it replaces. Raises `UserError` if
+    the name is taken or the file cannot be written.
     """
     from rtee.actions.build import warnings_of
 

@@ -17,7 +17,7 @@ from rtee.cli._common import (
     JsonOption,
     complete_hand,
     hand_folder,
-    report_copy,
+    owned,
 )
 
 if TYPE_CHECKING:
@@ -243,7 +243,6 @@ def calibrate(
     from rtee.cli.calibrate_opening import typed_line
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
-    from rtee.hand.own_copy import own
 
     specs = _devices_of(hand, device, emulated)
 
@@ -258,9 +257,7 @@ def calibrate(
         path = Path(str(stored)) if stored else folder / "calibration" / f"{spec.name}.json"
         if out is not None or not path.resolve().is_relative_to(folder.resolve()):
             return out or path
-        copy = own(folder)
-        report_copy(folder, copy)
-        return copy / path.resolve().relative_to(folder.resolve())
+        return owned(folder) / path.resolve().relative_to(folder.resolve())
 
     async def execute() -> None:
         async with BusPool() as pool:

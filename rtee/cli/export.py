@@ -26,8 +26,8 @@ def export(
     """Write a hand's model for other programs: URDF, MJCF and SRDF, or those asked for."""
     from rtee.exchange.export import Kind, export_hand
 
-    asked = {Kind.URDF: urdf, Kind.MJCF: mjcf, Kind.SRDF: srdf}
-    kinds = [kind for kind, wanted in asked.items() if wanted] or list(Kind)
+    paths = {Kind.URDF: urdf, Kind.MJCF: mjcf, Kind.SRDF: srdf}
+    kinds = [kind for kind, wanted in paths.items() if wanted] or list(Kind)
     exported = export_hand(hand_folder(hand), target, kinds)
     for note in exported.notes:
         print(f"note: {note}")

@@ -22,7 +22,7 @@ from rtee.cli._common import (
     actions_of,
     complete_hand,
     hand_folder,
-    report_copy,
+    owned,
 )
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
@@ -109,7 +109,7 @@ def extract(
     # Refuse all mistakes before the search, which may take minutes.
     if save and folder is None:
         raise ConfigError("--save needs a hand of the configuration; with a file give --out")
-    from rtee.hand.own_copy import own, own_place
+    from rtee.hand.own_copy import own_place
 
     home = own_place(folder) if save and folder else None
     targets = [*([out] if out else []), *([home / "actions"] if home else [])]
@@ -133,7 +133,7 @@ def extract(
         page = {} if report is None else {report: _report(model, extraction, folder, jobs)}
     if home is not None and folder is not None:
         # Copied only now, so that a search that fails leaves no copy behind.
-        report_copy(folder, own(folder))
+        owned(folder)
     _write(targets, page, model, extraction)
     stored = []
     if home is not None:
@@ -266,9 +266,8 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
 def measured_openings(folder: Path) -> Openings:
     """Return the openings of the actions in a hand's folder, computed from its model.
 
-    Raises:
-        MissingExtra: The extra ``extract`` is not installed.
-        ModelError: A mesh is missing or cannot be read.
+    Raises `MissingExtra` without the extra ``extract``, and `ModelError` if a mesh is missing or
+    cannot be read.
     """
     from rtee.errors import needing_extra
 

@@ -71,13 +71,8 @@ def _changes(
 ) -> dict[str, dict[str, float]]:
     """Return the gains to set, by device and by name of the gain.
 
-    Args:
-        status: The hand's status, which lists the gains of its devices.
-        actuator: Actuator whose gains to set; ``None``: all.
-        values: Value of each kind of gain: ``kp``, ``ki``, ``kd``.
-
-    Raises:
-        ConfigError: if no device has such a gain, or none for this actuator.
+    The values go by kind of gain: ``kp``, ``ki``, ``kd``; without an actuator, they are for all.
+    Raises `ConfigError` if no device has such a gain, or none for this actuator.
     """
     gains = [(device.name, gain) for device in status.devices for gain in device.gains]
     if actuator is not None and not any(_of(gain, actuator) for _, gain in gains):

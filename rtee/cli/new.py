@@ -67,13 +67,9 @@ def new(
     with as_urdf(urdf, mjcf, arguments or [], package_dir or []) as model:
         new_hand = make_hand(
             name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
-            ask=_ask if ask else None, passive=model.passive, excluded=model.excluded,
+            ask=typer.confirm if ask else None, passive=model.passive, excluded=model.excluded,
         )  # fmt: skip
     _print(new_hand, model.notes)
-
-
-def _ask(question: str, default: bool) -> bool:
-    return typer.confirm(question, default=default)
 
 
 def _copy(folder: Path, target: Path) -> None:

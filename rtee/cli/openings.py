@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, report_copy
+from rtee.cli._common import Hand, JsonOption, actions_of, hand_folder, owned
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -46,14 +46,13 @@ def make(hand: str) -> None:
     """Make the tables of a hand's actions and store them in its folder."""
     from rtee.actions.openings import write_openings
     from rtee.cli.extract import measured_openings
-    from rtee.hand.own_copy import own, own_place
+    from rtee.hand.own_copy import own_place
 
     folder = hand_folder(hand)
     own_place(folder)  # a folder that cannot be written is refused before the work
     measured = measured_openings(folder)
     # Copied after the work, which leaves no copy behind if it fails.
-    home = own(folder)
-    report_copy(folder, home)
+    home = owned(folder)
     print(f"written to {write_openings(home, measured.hand, measured.tables)}", file=sys.stderr)
 
 

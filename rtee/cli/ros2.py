@@ -16,7 +16,7 @@ import typer
 from rtee.cli._common import JsonOption
 from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
-from rtee.cli.ros2_serve import serve
+from rtee.cli.ros2_serve import environment_without, serve
 from rtee.errors import ConfigError, MessageError, RemoteError, suggestion
 
 if TYPE_CHECKING:
@@ -62,17 +62,12 @@ def _in_graph(
     work: Callable[[Context], Coroutine[Any, Any, T]],
 ) -> T:
     """Open a context, wait for the graph, call a function with it and return its result."""
-    from rtee.hand.config_schema import Distro, Ros2Settings
+    from rtee.hand.config_schema import Ros2Settings
     from rtee.ros2 import Context
+    from rtee.ros2.session import overridden
 
-    try:
-        settings = Ros2Settings(router=router, domain=domain or 0, distro=Distro(distro))
-    except ValueError:
-        known = ", ".join(distribution.value for distribution in Distro)
-        raise ConfigError(f"--distro {distro}: there are {known}") from None
-    environment = dict(os.environ)
-    if domain is not None:
-        environment.pop("ROS_DOMAIN_ID", None)  # the option takes precedence
+    given = {"router": router, "domain": domain, "distro": distro}
+    settings, environment = overridden(Ros2Settings(), given), environment_without(domain)
 
     async def main() -> T:
         # These commands reveal nothing of a hand, so that an unsecured router will do.
@@ -87,8 +82,7 @@ def _in_graph(
 async def _the_type(context: Context, sort: Sort, name: str, given: str | None) -> str:
     """Return the type given for a topic, service or action, else its type in the graph.
 
-    Raises:
-        ConfigError: if no type is given and the graph has none, or several.
+    Raises `ConfigError` if no type is given and the graph has none, or several.
     """
     from rtee.ros2.listing import listed
 
@@ -117,8 +111,7 @@ async def _the_type(context: Context, sort: Sort, name: str, given: str | None) 
 def _message(kind: type[Message], text: str | None, what: str) -> Any:
     """Return a message with the fields given as YAML.
 
-    Raises:
-        ConfigError: if the text is not YAML, or has a field that the message lacks.
+    Raises `ConfigError` if the text is not YAML, or has a field that the message lacks.
     """
     from rtee.hand.yamlfile import parse_yaml
 
@@ -372,7 +365,7 @@ def router(
     ] = False,
 ) -> None:
     """Be the router of a ROS graph, until Ctrl-C: a stand-in for rmw_zenohd."""
-    from rtee.ros2.router import router as open_router
+    from rtee.ros2.session import open_router
 
     async def main() -> None:
         async with open_router(listen, insecure=insecure):

@@ -65,9 +65,7 @@ def serve(
     log_to_stderr(verbose)
     given = {"domain": domain, "namespace": namespace, "router": router, "distro": distro}
     shown = [_shown(hand, given, endpoint) for hand in hands]
-    environment = dict(os.environ)
-    if domain is not None:
-        environment.pop("ROS_DOMAIN_ID", None)  # the option takes precedence
+    environment = environment_without(domain)
     for warning in warnings(shown):
         print(f"rtee: warning: {warning}", file=sys.stderr, flush=True)
 
@@ -78,6 +76,14 @@ def serve(
     anyio.run(work_beside, beside, partial(serve_hands, shown, environment))
 
 
+def environment_without(domain: int | None) -> dict[str, str]:
+    """Return the environment, without ``ROS_DOMAIN_ID`` if the option gives a domain."""
+    environment = dict(os.environ)
+    if domain is not None:
+        environment.pop("ROS_DOMAIN_ID", None)
+    return environment
+
+
 def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Shown:
     """Return a hand with its settings; options take precedence over those in hand.yaml."""
     from rtee.errors import ConfigError
@@ -85,7 +91,8 @@ def _shown(hand: str, given: Mapping[str, object], endpoint: str | None) -> Show
     from rtee.hand.config_schema import Ros2Settings
     from rtee.hand.load import load_configured
     from rtee.hand.names import check_name
-    from rtee.ros2.serving import Shown, overridden
+    from rtee.ros2.serving import Shown
+    from rtee.ros2.session import overridden
 
     # A hand that runs elsewhere may be unknown here; its description comes over the network.
     if not Path(hand).exists() and hand not in hand_names():

@@ -129,10 +129,7 @@ def list_(hand: HandArgument) -> None:
 def checks(name: str, service: Needs | None = None) -> list[Check]:
     """Return the checks of a hand's certificates for `rtee doctor`; none if it needs none.
 
-    Args:
-        name: The hand's name, or its folder.
-        service: Needs of the hand's service on this computer, whose certificates are checked
-            instead of the user's.
+    If the hand's service has needs here, its certificates are checked instead of the user's.
     """
     from rtee.deploy.files import secure_command
     from rtee.drivers.diagnosis.checks import ok, warning, wrong

@@ -151,8 +151,7 @@ def _chosen(
 ) -> list[tuple[_Family, int]]:
     """Return the families to query, each with the rate of the line [baud].
 
-    Raises:
-        ConfigError: if no family has a rate that was given.
+    Raises `ConfigError` if no family has a rate that was given.
     """
     from rtee.errors import ConfigError
 
@@ -173,10 +172,8 @@ async def _find(
 ) -> tuple[_Family, int, int]:
     """Return the family, rate [baud] and id of the servo at a port.
 
-    Raises:
-        BusError: if the line fails.
-        ConfigError: if no id is given and there is no servo, or more than one.
-        NotConnected: if none has the id that was given.
+    Raises `BusError` if the line fails, `NotConnected` if none has the id that was given, and
+    `ConfigError` if no id is given and there is no servo, or more than one.
     """
     from rtee.errors import ConfigError, NotConnected
 

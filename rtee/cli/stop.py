@@ -76,7 +76,7 @@ def recover(
         return await remote.status()
 
     status = with_hand(hand, connect, "recover", execute)
-    now = {one.name: one.lifecycle for one in status.devices if device in (None, one.name)}
+    now = {entry.name: entry.lifecycle for entry in status.devices if device in (None, entry.name)}
     if as_json:
         print(to_json({status.hand: now}))
         return

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtee.cli._common import FrictionOption, complete_hand, report_copy
+from rtee.cli._common import FrictionOption, complete_hand, owned
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -248,7 +248,6 @@ def _all(
     from rtee.actions.fingerprints import Fingerprints
     from rtee.drivers.mujoco.objects import MESHES
     from rtee.errors import ConfigError
-    from rtee.hand.own_copy import own
     from rtee.object_shape import parse_object
     from rtee.trials.store import FILE_NAME, read_results
     from rtee.trials.sweep import bench, sweep, sweep_on_cluster
@@ -277,9 +276,7 @@ def _all(
     if todo:
         if out is None:
             # Copy a shipped hand only when there is something to write.
-            folder = own(ready.folder)
-            report_copy(ready.folder, folder)
-            path = folder / FILE_NAME
+            path = owned(ready.folder) / FILE_NAME
         keep = _Kept(_unfinished(path) if old else path, made_with, known)
         keep.write()  # fails now rather than after the trials, if the file cannot be written
         # A container or taskset may leave fewer processors than the computer has.

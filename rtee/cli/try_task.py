@@ -21,7 +21,6 @@ class TaskOptions:
     """Options of `rtee try --task`; quantities are texts with a unit, such as ``3N``.
 
     Attributes:
-        tasks: Names of the tasks.
         reflexes: With reflexes, without, or ``None``: both.
         force: Force to hold with.
         max_force: Force up to which a slip raises the force.
@@ -49,18 +48,9 @@ def try_tasks(
     options: TaskOptions,
     as_json: bool,
 ) -> None:
-    """Try tasks with an action, and print how often each succeeded.
+    """Try tasks with an action and a sphere, or other objects; print how often each succeeded.
 
-    Args:
-        hand: The hand, by name or folder.
-        action: Name of the action.
-        elements: Its elements.
-        objects: The objects; empty: a sphere.
-        options: The other options.
-        as_json: Print JSON.
-
-    Raises:
-        UserError: for every mistake on the command line and in the hand's files.
+    Raises `UserError` for every mistake on the command line and in the hand's files.
     """
     from rtee.errors import needing_extra
 

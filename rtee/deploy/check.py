@@ -24,12 +24,7 @@ def is_installed(hand: str, root: Path = Path("/")) -> bool:
 
 
 def check_service(needs: Needs, root: Path = Path("/")) -> list[Check]:
-    """Return the checks of a hand's service; a single one if it was never installed.
-
-    Args:
-        needs: The present needs of the hand.
-        root: Root folder of the system.
-    """
+    """Return the checks of a hand's service below a root folder; one if it was never installed."""
     install = f"sudo rtee deploy install {needs.hand}"
     try:
         installation = Installation(root)

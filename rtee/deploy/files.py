@@ -48,11 +48,7 @@ w- /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance
 
 
 def shipped() -> Path:
-    """Return the folder of the files shipped with rtee.
-
-    Raises:
-        ConfigError: if this installation has none.
-    """
+    """Return the folder of the files shipped with rtee; `ConfigError` if there is none."""
     package = Path(__file__).resolve().parents[1]
     # Inside the package in a wheel, beside it in a checkout.
     for place in (package / "_deploy", package.parent / "deploy"):
@@ -69,11 +65,8 @@ def own_program() -> str:
 def write_files(folder: Path) -> list[Path]:
     """Write the shipped files, with the `rtee` of this environment in the unit; return their paths.
 
-    Args:
-        folder: Folder to write to; made if it does not exist.
-
-    Raises:
-        ConfigError: if this installation has no such files, or they cannot be written.
+    Makes the folder if it does not exist. Raises `ConfigError` if this installation has no such
+    files, or they cannot be written.
     """
     source = shipped()
     make_folder(folder)
@@ -86,12 +79,9 @@ def write_files(folder: Path) -> list[Path]:
 
 
 def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, bytes]:
-    """Return the contents of the system files for a hand, by path.
+    """Return the contents of the system files for a hand, by path; the service starts a program.
 
-    Args:
-        needs: The needs of the hand.
-        program: The ``rtee`` that the service starts.
-        realtime: Also set the CPUs' governor, and isolate those of the loop.
+    With ``realtime``, also sets the CPUs' governor, and isolates those of the loop.
     """
     source = shipped()
     program = checked_path(program, "the program")
@@ -117,8 +107,7 @@ def system_files(needs: Needs, program: str, *, realtime: bool) -> dict[str, byt
 def drop_in(needs: Needs) -> dict[str, bytes]:
     """Return the additions to the unit for a hand, by path; empty if it needs none.
 
-    Raises:
-        ConfigError: if the path of the recordings is not valid in a unit.
+    Raises `ConfigError` if the path of the recordings is not valid in a unit.
     """
     lines = [f"# What {needs.hand} needs besides. Written by rtee deploy.", "[Service]"]
     kinds = sorted({port.kind for port in needs.ports} - {"", *_ALLOWED_PORTS})
@@ -144,9 +133,7 @@ def drop_in(needs: Needs) -> dict[str, bytes]:
 def kernel_words(cpus: Sequence[int], of: int | None = None) -> str:
     """Return the parameters of the kernel's command line that isolate CPUs from other programs.
 
-    Args:
-        cpus: The CPUs.
-        of: Number of all CPUs; if given, interrupts are kept off the CPUs, too.
+    With the number of all CPUs in ``of``, interrupts are kept off these CPUs, too.
     """
     these = ",".join(map(str, cpus))
     words = f"isolcpus={these} nohz_full={these} rcu_nocbs={these}"
@@ -162,10 +149,8 @@ def link_of(port: Port, hand: str) -> str:
 def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
     """Return the files of a hand that have to be copied for the service, by path.
 
-    Empty for hands shipped with the rtee of the service or already in `HANDS`.
-
-    Raises:
-        ConfigError: if a file cannot be read.
+    Empty for hands shipped with the rtee of the service or already in `HANDS`. Raises `ConfigError`
+    if a file cannot be read.
     """
     folder = needs.folder.resolve()
     inside = Path(__file__).resolve().parents[1] / "_config"
@@ -206,11 +191,8 @@ def _rules(needs: Needs) -> str:
 def advice(needs: Needs, program: str | None, *, realtime: bool, live: bool) -> list[str]:
     """Return sentences about what the user has to do, or may do, after the installation.
 
-    Args:
-        needs: The needs of the hand.
-        program: The ``rtee`` given by the user; ``None``: that of this environment.
-        realtime: Whether the real-time settings are written.
-        live: Whether the system is the running one.
+    ``program`` is the ``rtee`` given by the user, ``None`` that of this environment; the system is
+    ``live`` if it is the running one.
     """
     sentences: list[str] = []
     if (program or own_program()).startswith(("/home/", "/root/", "/run/user/")):

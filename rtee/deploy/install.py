@@ -66,11 +66,7 @@ class Manifest:
 
     @classmethod
     def read(cls, root: Path) -> Manifest:
-        """Return the manifest of a system; an empty one if it has none.
-
-        Raises:
-            ConfigError: if the manifest cannot be read or is invalid.
-        """
+        """Return a system's manifest, empty if it has none; `ConfigError` if it is invalid."""
         path = root / MANIFEST[1:]
         try:
             with path.open("rb") as file:
@@ -105,13 +101,9 @@ class Manifest:
 
 
 class Installation:
-    """The services of hands in a system.
+    """The services of hands in a system, whose root folder is ``/`` or the folder of an image.
 
-    Args:
-        root: Root folder of the system: ``/``, or the folder of an image.
-
-    Raises:
-        ConfigError: if it is not a folder, or its manifest is invalid.
+    Raises `ConfigError` if that is not a folder, or its manifest is invalid.
     """
 
     def __init__(self, root: Path = Path("/")) -> None:
@@ -128,9 +120,8 @@ class Installation:
     def compare(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
         """Return what `install` would do to each file, without changing anything.
 
-        Raises:
-            ConfigError: if a file exists that rtee did not write, or a folder of the system leads
-                out of it.
+        Raises `ConfigError` if a file exists that rtee did not write, or a folder of the system
+        leads out of it.
         """
         states: dict[str, State] = {}
         link = self._link(hand)
@@ -177,14 +168,9 @@ class Installation:
         return None
 
     def install(self, hand: str, files: Mapping[str, bytes]) -> dict[str, State]:
-        """Write the files of a hand, enable its service, and return the state of each file.
+        """Write a hand's files, enable its service, and return the state of each file, by path.
 
-        Args:
-            hand: Name of the hand.
-            files: Contents by path.
-
-        Raises:
-            ConfigError: if a file cannot be written; the manifest lists those that were.
+        Raises `ConfigError` if a file cannot be written; the manifest lists those that were.
         """
         states = self.compare(hand, files)
         # The hand may need fewer files than when it was installed before.
@@ -216,8 +202,7 @@ class Installation:
     def uninstall(self, hand: str) -> dict[str, State]:
         """Remove the files that only this hand needs, except those changed since.
 
-        Raises:
-            ConfigError: if the hand was not installed, or a file cannot be removed.
+        Raises `ConfigError` if the hand was not installed, or a file cannot be removed.
         """
         paths = self.manifest.of(hand)
         if not paths:
@@ -231,8 +216,7 @@ class Installation:
     def make_user(self) -> str:
         """Make the user that runs hands, unless it exists.
 
-        Returns:
-            A sentence about a problem that the user has to solve; empty if there is none.
+        Returns a sentence about a problem that the user has to solve; empty if there is none.
         """
         if self.has_user():
             return ""
@@ -280,11 +264,7 @@ class Installation:
     # --- within the system -------------------------------------------------------------------
 
     def _place(self, path: str) -> Path:
-        """Return the path of a file of the system below its root folder.
-
-        Raises:
-            ConfigError: if links lead out of the system.
-        """
+        """Return the path of a file below the system's root; `ConfigError` if links leave it."""
         return self._folder(str(Path(path).parent)) / Path(path).name
 
     def _folder(self, path: str) -> Path:

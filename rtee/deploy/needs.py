@@ -40,8 +40,7 @@ _OWN_NAME = re.compile(r"/dev/(?!serial/|tty)[A-Za-z0-9_][A-Za-z0-9_./-]*\Z")
 def checked_word(value: str, what: str) -> str:
     """Return a word unchanged if it is valid in a system file.
 
-    Raises:
-        ConfigError: if it contains anything but letters, digits and ``_ . : + @ -``.
+    Raises `ConfigError` if it contains anything but letters, digits and ``_ . : + @ -``.
     """
     if not _WORD.match(value):
         raise ConfigError(f"{what} must be of letters, digits and _ . : + @ -, not '{value}'")
@@ -51,8 +50,7 @@ def checked_word(value: str, what: str) -> str:
 def checked_path(value: Path | str, what: str) -> str:
     """Return an absolute path unchanged if it is valid in a system file.
 
-    Raises:
-        ConfigError: if it is relative, or contains characters with a meaning there.
+    Raises `ConfigError` if it is relative, or contains characters with a meaning there.
     """
     text = str(value)
     if not _PATH.match(text) or ".." in Path(text).parts:
@@ -64,13 +62,7 @@ def checked_path(value: Path | str, what: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A serial port of a device.
-
-    Attributes:
-        device: Name of the device.
-        path: Path in hand.yaml.
-        serial: Serial number of its adapter; empty if not given.
-    """
+    """A device's serial port: path in hand.yaml and, if given, its adapter's serial number."""
 
     device: str
     path: str
@@ -93,9 +85,6 @@ class Needs:
     """The needs of a hand from its computer.
 
     Attributes:
-        hand: Name of the hand.
-        folder: Folder of its files.
-        ports: Serial ports.
         can: Bit rates of CAN interfaces by name [bit/s].
         ethercat: Whether a device is on an EtherCAT bus, which needs raw frames.
         unknown: Devices with drivers of other packages, whose needs are unknown.
@@ -120,15 +109,11 @@ class Needs:
 
     @classmethod
     def of(cls, prepared: PreparedHand, serials: Mapping[str, str]) -> Needs:
-        """Return the needs of a hand.
+        """Return the needs of a hand that is prepared with the driver ``devices``.
 
-        Args:
-            prepared: The hand, prepared with the driver ``devices``.
-            serials: Serial numbers of the adapters of devices, by name of the device.
-
-        Raises:
-            ConfigError: if a device with a serial number has no port, a value is not valid in a
-                system file, or the service could not run with it.
+        The serial numbers of adapters go by name of the device. Raises `ConfigError` if a device
+        with one has no port, a value is not valid in a system file, or the service could not run
+        with it.
         """
         options = {device.spec.name: _options(device.spec) for device in prepared.devices}
         exposed(prepared.config.remote)  # the service would refuse to start
@@ -220,8 +205,7 @@ def _options(spec: DeviceSpec) -> dict[str, Any]:
 def _beyond(address: str, *, listens: bool = False) -> set[str]:
     """Return the address of another computer, ``any`` for a host name; empty for this computer.
 
-    Raises:
-        ConfigError: if the text is not an address.
+    Raises `ConfigError` if the text is not an address.
     """
     try:
         host = urlsplit(address if "://" in address else f"//{address}").hostname or ""

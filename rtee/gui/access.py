@@ -83,8 +83,7 @@ class Role(StrEnum):
 def addresses_of(host: str) -> list[str]:
     """Return the IP addresses of a host name of this computer.
 
-    Raises:
-        ConfigError: if it has none, or this computer cannot listen on the first.
+    Raises `ConfigError` if it has none, or this computer cannot listen on the first.
     """
     if not host.strip():
         raise ConfigError("--host is empty; give an address of this computer, such as 127.0.0.1")
@@ -107,14 +106,9 @@ def addresses_of(host: str) -> list[str]:
 
 
 def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return the TLS settings of a server.
+    """Return the TLS settings of a server for two PEM files, the key without a passphrase.
 
-    Args:
-        certificate: PEM file of the certificate and the intermediate ones.
-        key: PEM file of the private key, without a passphrase.
-
-    Raises:
-        ConfigError: if a file cannot be read, or the key is not that of the certificate.
+    Raises `ConfigError` if a file cannot be read, or the key is not that of the certificate.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
@@ -137,8 +131,7 @@ def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
 def public_origin(text: str) -> str:
     """Return the origin of a reverse proxy as browsers send it: ``https://hand.example.org``.
 
-    Raises:
-        ConfigError: if the text is not an HTTPS origin.
+    Raises `ConfigError` if the text is not an HTTPS origin.
     """
     try:
         url = urlsplit(text)
@@ -155,12 +148,7 @@ def public_origin(text: str) -> str:
 
 
 class Access:
-    """Tokens, address and encryption of the GUI.
-
-    Attributes:
-        address: IP address on which the GUI listens.
-        tls: TLS settings, if the GUI encrypts by itself.
-    """
+    """Tokens, IP address and encryption of the GUI; `tls` is set if it encrypts by itself."""
 
     def __init__(
         self,
@@ -172,14 +160,9 @@ class Access:
     ) -> None:
         """Make new tokens.
 
-        Args:
-            host: Address or name of this computer to listen on.
-            tls: TLS settings; needed beyond loopback, unless a proxy encrypts.
-            behind: Origin of the reverse proxy through which browsers reach the GUI.
-            observers: Whether to make a token for observers, too.
-
-        Raises:
-            ConfigError: if the host has no address here, or would be open without encryption.
+        TLS settings are needed beyond loopback, unless the reverse proxy at the origin ``behind``
+        encrypts. Raises `ConfigError` if the host has no address here, or would be open without
+        encryption.
         """
         addresses = addresses_of(host)
         numbers = [ipaddress.ip_address(each.partition("%")[0]) for each in addresses]
@@ -222,12 +205,7 @@ class Access:
     # --- checks of a request
 
     def judge(self, request: Request, port: int) -> Role | Response:
-        """Return the role of the person who sends a request, or the response that refuses it.
-
-        Args:
-            request: A request from a browser or any other program.
-            port: The port that received the request.
-        """
+        """Return the role of who sends a request to a port, or the response that refuses it."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_reached_by(hosts[0]):
             return _refusal(

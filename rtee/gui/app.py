@@ -39,20 +39,14 @@ _STICKY: Final = """<style>
 
 def _first(errors: BaseExceptionGroup[RteeError] | None) -> str:
     """Return the message of the first of several errors."""
-    found: BaseException | None = errors
-    while isinstance(found, BaseExceptionGroup):
-        found = found.exceptions[0]
-    return str(found)
+    error: BaseException | None = errors
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return str(error)
 
 
 class App:
-    """One page of the GUI, open in any number of browser windows.
-
-    Attributes:
-        server: The viser server of the page.
-        session: The session with the hand that is shown, if there is one.
-        message: Text of the banner.
-    """
+    """One page of the GUI, open in any number of browser windows; its banner has a `message`."""
 
     def __init__(
         self,
@@ -61,13 +55,10 @@ class App:
         endpoint: str | None,
         visitors: Visitors | None = None,
     ) -> None:
-        """Prepare the page; must be called in the event loop.
+        """Prepare the page of a hand, or of the one chosen in it; must be called in the event loop.
 
-        Args:
-            server: The viser server of the page.
-            hand: The hand to show; ``None`` for the one chosen in the page, at first any.
-            endpoint: Address of the hand, if it is not on this computer.
-            visitors: The visitors of the page, if there may be observers.
+        The ``endpoint`` is needed for a hand on another computer, the visitors if there may be
+        observers.
         """
         self.server = server
         self.session: Session | None = None
@@ -190,17 +181,10 @@ async def serve(
     port: int = 8080,
     endpoint: str | None = None,
 ) -> None:
-    """Serve the GUI until cancelled.
+    """Serve the GUI of a hand, or of any that runs, until cancelled.
 
-    Args:
-        hand: The hand to show; ``None`` for any that runs.
-        access: Tokens, and the address to listen on.
-        port: Port to listen on; if it is in use, the next free one, unless a proxy forwards to it.
-        endpoint: Address of the hand, if it is not on this computer.
-
-    Raises:
-        ConfigError: if the port to which a proxy forwards is in use.
-        LoopError: if the access checks cannot be added to the installed viser.
+    If the port is in use, takes the next free one, or raises `ConfigError` where a proxy forwards
+    to it. Raises `LoopError` if the access checks cannot be added to the installed viser.
     """
     visitors = Visitors(access)
     server = visitors.open_server(port)

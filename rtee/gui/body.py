@@ -20,12 +20,7 @@ _UNSEEN = 1e-4
 
 
 class HandBody:
-    """One appearance of a hand in the scene: the measured one, or a ghost.
-
-    Attributes:
-        root: Name of its root frame in the scene.
-        frames: Names of the links' frames.
-    """
+    """One appearance of a hand in the scene, the measured one or a ghost, by names of frames."""
 
     def __init__(
         self,
@@ -38,17 +33,7 @@ class HandBody:
         opacity: float | None = None,
         visible: bool = True,
     ) -> None:
-        """Build the tree of frames.
-
-        Args:
-            scene: The browser's scene.
-            root: Name of the root frame.
-            hand: The hand.
-            triangles: Function that returns the triangles of a link with meshes.
-            colours: Colour of each link.
-            opacity: Opacity of a ghost; ``None`` for a solid body.
-            visible: Whether the body is visible at first.
-        """
+        """Build the tree of frames below a root frame; a body without an opacity is solid."""
         self.root = root
         self._scene = scene
         self._opacity = opacity

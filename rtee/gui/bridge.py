@@ -22,20 +22,10 @@ _SECONDS: Final = 6.0
 
 
 class Bridge:
-    """Runs the work of clicks in the event loop, and shows errors as notifications.
-
-    Attributes:
-        server: The viser server of the page.
-        role: Role that the hand grants this GUI.
-    """
+    """Runs the work of clicks in the event loop, and shows errors as notifications."""
 
     def __init__(self, server: viser.ViserServer, visitors: Visitors | None = None) -> None:
-        """Use the running event loop; must be called in it.
-
-        Args:
-            server: The viser server of the page.
-            visitors: The visitors of the page, if there may be observers.
-        """
+        """Use the running event loop; must be called in it."""
         self.server = server
         self.role = Role.MAINTAINER
         self._visitors = visitors

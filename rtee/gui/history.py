@@ -40,13 +40,7 @@ class History:
     """Ring buffer of the newest states."""
 
     def __init__(self, actuators: int, joints: int, rate: float = 100.0) -> None:
-        """Allocate memory for the longest time that the plots can show.
-
-        Args:
-            actuators: Number of actuators.
-            joints: Number of joints.
-            rate: States per second [Hz].
-        """
+        """Allocate memory for the longest time that plots can show, at a rate of states [Hz]."""
         self._capacity = int(LONGEST * rate)
         self._time = np.full(self._capacity, np.nan)
         sizes = dict.fromkeys((*QUANTITIES, "reference"), actuators)
@@ -88,9 +82,7 @@ class History:
 def nice_range(lines: Sequence[FloatArray], least: float) -> tuple[float, float]:
     """Return a range for an axis that contains all lines and rarely changes as they move.
 
-    Args:
-        lines: Values; ``NaN`` where there are none.
-        least: Shortest length of the range.
+    The lines may have gaps of ``NaN``; the range has at least a given length.
     """
     known = [line[np.isfinite(line)] for line in lines]
     values = np.concatenate(known) if known else np.zeros(0)

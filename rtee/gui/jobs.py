@@ -20,8 +20,7 @@ _NOTHING: Final = asyncio.subprocess.DEVNULL
 class Jobs:
     """Runs one job at a time for all windows; call its methods in the event loop.
 
-    Attributes:
-        running: Title of the running job; empty if there is none.
+    `running` is the title of the job, empty if there is none.
     """
 
     def __init__(self) -> None:
@@ -37,14 +36,8 @@ class Jobs:
     async def run(self, job: Job, title: str, report: Report) -> bool:
         """Run a job to its end; return whether it was not cancelled.
 
-        Args:
-            job: The job.
-            title: Name of the job in messages.
-            report: Receives progress and results.
-
-        Raises:
-            RequestRejected: if another job is running, or this one fails, with the reason.
-            ConfigError: if an argument of the job is out of range.
+        Raises `RequestRejected` if another job is running, or this one fails, with the reason, and
+        `ConfigError` if an argument of the job is out of range.
         """
         self.check_free()
         job.check()

@@ -24,18 +24,12 @@ _OTHER = "#e69f00"
 
 
 class Playback:
-    """A recording and the time shown.
-
-    Attributes:
-        recording: The recording.
-        time: The time shown, since the start of the recording [s].
-    """
+    """A recording and the time shown, since its start [s]."""
 
     def __init__(self, recording: Recording, hand: Hand) -> None:
         """Prepare a recording of a hand for playback.
 
-        Raises:
-            LogError: if the recording is of another hand, or contains no measurements.
+        Raises `LogError` if it is of another hand, or contains no measurements.
         """
         self.recording = recording
         self._hand = hand
@@ -124,8 +118,7 @@ class Playback:
     ) -> dict[str, tuple[tuple[TouchSensor, ...], FloatArray, FloatArray]]:
         """Return the sums of touch sensors by device, thinned; see `TouchPanel`.
 
-        Args:
-            length: Length of the window that ends at the time shown [s].
+        The window of this length [s] ends at the time shown.
         """
         windows = {}
         for device, each in self.recording.touch.items():

@@ -34,13 +34,7 @@ _GHOST = 0.35
 
 
 class HandScene:
-    """The hand in the 3D view.
-
-    Attributes:
-        hand: The hand shown.
-        seen: The object and the contact forces.
-        taxels: The taxels on the measured hand.
-    """
+    """The hand in the 3D view, with the object, the contact forces and the hand's taxels."""
 
     def __init__(self, server: viser.ViserServer, hand: Hand) -> None:
         """Add a hand to the scene and aim the camera at it."""

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import viser
 
-from rtee.gui.colours import FORCE, OBJECT, Colour
+from rtee.gui.colours import FORCE, OBJECT
 from rtee.hand.frames import pose_in_hand
 from rtee.object_description import (
     CONTACTS,
@@ -36,12 +36,7 @@ _SHARP: Final = 0.25
 
 
 class ObjectView:
-    """The object at its pose relative to the hand, both taken from the channels of the states.
-
-    Args:
-        scene: The browser's scene.
-        size: Size of the hand [m].
-    """
+    """The object at its pose relative to the hand, both taken from the channels of the states."""
 
     def __init__(self, scene: viser.SceneApi, size: float) -> None:
         self._scene, self._size = scene, size
@@ -68,15 +63,10 @@ class ObjectView:
         if description is not None:
             self._frame = self._scene.add_frame("/object", show_axes=False, visible=False)
             for index, part in enumerate(description.parts):
-                _add(self._scene, f"/object/{index}", part, OBJECT)
+                _add(self._scene, f"/object/{index}", part)
 
     def show(self, channels: Mapping[str, FloatArray], *, forces: bool) -> None:
-        """Move the object to its pose, and draw the contact forces.
-
-        Args:
-            channels: The further channels of a state.
-            forces: Whether to draw the forces.
-        """
+        """Move the object to its pose in the channels of a state, and draw the contact forces."""
         by_kind = {name.rpartition("/")[2]: values for name, values in channels.items()}
         pose = pose_in_hand(by_kind)
         if self._frame is not None:
@@ -126,11 +116,8 @@ class ObjectView:
 def arrows_of(rows: FloatArray, size: float) -> FloatArray:
     """Return arrows ``(k, 2, 3)`` from the contact points along the forces [m].
 
-    The length of an arrow grows with the force F as F / (F + 10 N).
-
-    Args:
-        rows: The contacts; see `rtee.object_description.CONTACTS`.
-        size: Size of the hand [m].
+    The length of an arrow grows with the force F as F / (F + 10 N), and with the size of the hand
+    [m]. The contacts are rows of `rtee.object_description.CONTACTS`.
     """
     points, forces = rows[:, :3], rows[:, 3:6]
     strength = np.linalg.norm(forces, axis=1, keepdims=True)
@@ -143,10 +130,8 @@ def arrows_of(rows: FloatArray, size: float) -> FloatArray:
 def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     """Return the strongest contacts as text: ``index_tip 3.2 N, thumb_tip 3.1 N``.
 
-    Args:
-        rows: The contacts; see `rtee.object_description.CONTACTS`.
-        links: Names of the links, in the order of the URDF.
-        most: Largest number of links named.
+    The contacts are rows of `rtee.object_description.CONTACTS`, the links in the order of the URDF;
+    at most so many are named.
     """
     totals: dict[str, FloatArray] = {}
     for row in rows:
@@ -158,22 +143,22 @@ def strongest(rows: FloatArray, links: Sequence[str], most: int = 3) -> str:
     return ", ".join(f"{name} {forces[name]:.1f} N" for name in chosen)
 
 
-def _add(scene: viser.SceneApi, name: str, part: ObjectPart, colour: Colour) -> None:
+def _add(scene: viser.SceneApi, name: str, part: ObjectPart) -> None:
     at: dict[str, Any] = {"wxyz": part.pose[3:], "position": part.pose[:3], "opacity": _CLEAR}
     match part.kind:
         case "box":
             w, d, h = part.size
-            scene.add_box(name, color=colour, dimensions=(w, d, h), **at)
+            scene.add_box(name, color=OBJECT, dimensions=(w, d, h), **at)
         case "cylinder":
-            scene.add_cylinder(name, part.size[0], part.size[1], colour, **at)
+            scene.add_cylinder(name, part.size[0], part.size[1], OBJECT, **at)
         case "sphere":
-            scene.add_icosphere(name, part.size[0], colour, **at)
+            scene.add_icosphere(name, part.size[0], OBJECT, **at)
         case _:
             scene.add_mesh_simple(
                 name,
                 part.vertices,
                 part.faces,
-                color=colour,
+                color=OBJECT,
                 flat_shading=True,
                 side="double",
                 **at,

@@ -87,14 +87,7 @@ class Session:
     def __init__(
         self, bridge: Bridge, remote: RemoteHand, hand: Hand, top: viser.GuiFolderHandle
     ) -> None:
-        """Build the panels.
-
-        Args:
-            bridge: Carries clicks into the event loop.
-            remote: The running hand.
-            hand: Model of the hand.
-            top: Folder that stays visible when the panel is scrolled.
-        """
+        """Build the panels; the folder ``top`` stays visible when the panel is scrolled."""
         self._bridge = bridge
         self._remote = remote
         self._hand = hand
@@ -180,11 +173,7 @@ class Session:
         self._trying.show_actions(self._known)
 
     async def run(self) -> None:
-        """Update all panels until the hand ends.
-
-        Raises:
-            NoHand: when the hand has ended.
-        """
+        """Update all panels; ends with `NoHand` when the hand has ended."""
         # Subscribed first, so that no change of the actions is missed.
         events = self._remote.events()
         await self._refresh()

@@ -27,9 +27,8 @@ _COAL_ONLY: Final = (".3ds", ".fbx")
 def link_triangles(hand: Hand) -> LinkTriangles:
     """Return a function that gives the triangles of a link's collision shapes.
 
-    Raises:
-        MissingExtra: A mesh has a format that only Coal reads, which is not installed.
-        ModelError: Here or when the function is called, if a mesh is missing or cannot be read.
+    Here or when it is called, raises `ModelError` if a mesh is missing or cannot be read, and
+    `MissingExtra` if a mesh has a format that only Coal reads, which is not installed.
     """
     shapes = (shape for link in hand.urdf.links.values() for shape in link.collisions)
     formats = {Path(shape.mesh).suffix.lower() for shape in shapes if shape.kind == "mesh"}

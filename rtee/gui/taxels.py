@@ -39,14 +39,7 @@ Bytes = NDArray[np.uint8]
 
 
 class TaxelView:
-    """The taxels of a hand's touch sensors, as coloured points on its links.
-
-    Args:
-        scene: The browser's scene.
-        hand: The hand.
-        frames: Names of the links' frames in the scene.
-        size: Size of the hand [m].
-    """
+    """The taxels of a hand's touch sensors, as coloured points on its links, for its size [m]."""
 
     def __init__(
         self, scene: viser.SceneApi, hand: Hand, frames: Mapping[str, str], size: float
@@ -133,11 +126,9 @@ class TaxelView:
 
 
 def shades(values: FloatArray, most: float) -> NDArray[np.intp]:
-    """Return the index of the colour of each value ``(n,)``, the last one from ``most`` on.
+    """Return the index of the colour of each value ``(n,)``, the brightest from ``most`` on.
 
-    Args:
-        values: Values ``(n,)``; ``NaN`` counts as 0.
-        most: The value of the brightest colour.
+    ``NaN`` counts as 0.
     """
     share = np.clip(np.nan_to_num(values) / most, 0.0, 1.0)
     return np.rint(share * (_SHADES - 1)).astype(np.intp)

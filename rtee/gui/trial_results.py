@@ -20,13 +20,10 @@ _CELL = "padding:0 0.5em 0 0;text-align:left;vertical-align:top"
 
 @dataclass(frozen=True)
 class Tried:
-    """Results of trials.
+    """Results of trials by action: the stored ones, and those started in this page, newest last.
 
-    Attributes:
-        results: The stored results by action.
-        outdated: Keys of the trials since which the hand, the action or how trials are made has
-            changed.
-        own: The results of trials started in this page, by action; the newest last.
+    ``outdated`` has the keys of trials since which the hand, the action or how trials are made has
+    changed.
     """
 
     results: Mapping[Key, Sequence[TrialResult]] = field(default_factory=dict)
@@ -37,7 +34,7 @@ class Tried:
         """Return a copy with a result of this page, which replaces an earlier one of its object."""
         trial = result.trial
         key = (trial.action, trial.elements)
-        others = [one for one in self.own.get(key, ()) if one.trial.object != trial.object]
+        others = [other for other in self.own.get(key, ()) if other.trial.object != trial.object]
         return replace(self, own={**self.own, key: [*others, result]})
 
 
@@ -47,16 +44,15 @@ def key_of(action: Action) -> Key:
 
 
 def tried_in(text: str) -> Tried:
-    """Return the results in the text of a hand's file of trials, by action.
+    """Return the results in the text of a file of trials, by action.
 
-    Raises:
-        ConfigError: if the text is not such a file.
+    Raises `ConfigError` if the text is not such a file.
     """
-    found: dict[Key, list[TrialResult]] = {}
+    by_action: dict[Key, list[TrialResult]] = {}
     for result in parse_results(text, Path(FILE_NAME)).values():
         trial = result.trial
-        found.setdefault((trial.action, trial.elements), []).append(result)
-    return Tried(found, outdated(text, Path(FILE_NAME)))
+        by_action.setdefault((trial.action, trial.elements), []).append(result)
+    return Tried(by_action, outdated(text, Path(FILE_NAME)))
 
 
 def object_name(text: str) -> str:

@@ -65,8 +65,7 @@ class _Message(msgspec.Struct):
 class Visitors:
     """The people who have the page open, and their permissions.
 
-    Attributes:
-        guarded: Whether viser called the wrapper that checks access.
+    ``guarded`` is set once viser has called the wrapper that checks access.
     """
 
     def __init__(self, access: Access) -> None:
@@ -76,13 +75,9 @@ class Visitors:
         self._for_everybody: frozenset[str] = frozenset()
 
     def open_server(self, port: int) -> viser.ViserServer:
-        """Start the browser's server.
+        """Start the browser's server at a port, or at the next free one if it is in use.
 
-        Args:
-            port: Port to listen on; the next free one if it is in use.
-
-        Raises:
-            LoopError: if this version of viser opens its server in another way, unguarded.
+        Raises `LoopError` if this version of viser opens its server in another way, unguarded.
         """
         serve = websockets.asyncio.server.serve
 
@@ -161,8 +156,7 @@ class Visitors:
 class Visitor(ServerConnection):
     """The connection of a page, which drops messages that the person may not send.
 
-    Attributes:
-        role: Role of the person, once it is known.
+    It has no role until that is known.
     """
 
     visitors: Visitors

@@ -20,12 +20,7 @@ NOTHING: Final = "–"
 
 
 def outcome(result: Result, *, width: bool = False) -> tuple[str, str]:
-    """Return the outcome of a goal as a sentence, and the colour of that sentence.
-
-    Args:
-        result: The result of the goal.
-        width: Whether the goal was to hold an object of a given width.
-    """
+    """Return the outcome of a goal, maybe for an object of some width: a sentence, its colour."""
     at = "" if result.opening is None else f" at {grip_words(result)}"
     if width and result.grasped and not result.within:
         return f"something of another width is held{at}", WARN
@@ -69,11 +64,9 @@ def coloured(text: str, colour: str) -> str:
 
 
 def legend(names: Mapping[int, str], hint: str = "") -> str:
-    """Return the HTML legend of the lines of a plot.
+    """Return the HTML legend of the lines of a plot, whose index selects colour and dashes.
 
-    Args:
-        names: Name of each line by the index that selects its colour and dashes.
-        hint: HTML of a hint at the end.
+    A hint in HTML may follow.
     """
     items = "".join(
         '<span style="white-space:nowrap;margin-right:0.8em">'

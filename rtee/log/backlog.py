@@ -28,10 +28,8 @@ class PackedTicks:
 
     As records, the ticks of some seconds are a hundred thousand objects. Other objects settle
     between them, so that the process would never return their memory to the system. Here they are
-    rows of one separate mapping, which is returned with this object.
-
-    Args:
-        like: A tick; all added ticks have arrays of the same lengths.
+    rows of one separate mapping, which is returned with this object. All have arrays of the same
+    lengths as the tick ``like``.
     """
 
     def __init__(self, like: TickRecord) -> None:

@@ -63,14 +63,11 @@ class PackedChunk:
     """A compressed chunk with its index, ready to be written.
 
     Attributes:
-        record: The chunk record.
-        index: The message index records that follow it.
+        index: The message index records that follow the chunk record.
         index_offsets: Channel to the offset of its record in ``index``.
         counts: Channel to its number of messages.
         start: Earliest log time [ns since 1970].
         end: Latest log time [ns since 1970].
-        compressed_size: Bytes of messages, compressed.
-        uncompressed_size: Bytes of messages.
         compression: ``zstd``, ``lz4`` or empty.
     """
 
@@ -98,8 +95,7 @@ class PackedChunk:
 def index_records(entries: Entries) -> tuple[bytes, dict[int, int]]:
     """Return message index records and the offset of each channel's.
 
-    Args:
-        entries: Channel to log times [ns] and offsets of its messages in the chunk.
+    The entries are, by channel, log times [ns] and offsets of its messages in the chunk.
     """
     records = bytearray()
     where: dict[int, int] = {}
@@ -118,8 +114,8 @@ class ChunkBuilder:
     """Collects messages and packs them into chunks.
 
     Besides single messages it accepts blocks, which hold the same messages on the same channels
-    every time, as the recorder writes them at every tick. Their index is computed when the chunk
-    is packed.
+    every time, as the recorder writes them at every tick. Their index is computed when the chunk is
+    packed.
 
     Args:
         block: Channel and offset of each message record in a block.
@@ -203,12 +199,9 @@ def pack(
     entries: Entries,
     compressor: zstandard.ZstdCompressor,
 ) -> PackedChunk:
-    """Return message records as a chunk.
+    """Return message records, one after the other, as a chunk.
 
-    Args:
-        data: The records, one after the other.
-        entries: Channel to log times [ns] and offsets of its messages in ``data``.
-        compressor: The compressor.
+    The entries are, by channel, log times [ns] and offsets of its messages in the records.
     """
     # As a stream in pieces of 128 kB: one-shot compression would first allocate memory for the
     # longest possible result.

@@ -125,14 +125,7 @@ class Rows:
     """Collects messages of one type and layout into arrays, one row per message.
 
     The first message fixes the layout: the names and the lengths of its arrays. Messages with
-    another layout are skipped and counted.
-
-    Args:
-        expected: Expected number of messages.
-
-    Attributes:
-        names: The names in the messages.
-        skipped: Number of skipped messages.
+    another layout are skipped and counted. Room for the expected number is allocated at once.
     """
 
     def __init__(self, expected: int) -> None:

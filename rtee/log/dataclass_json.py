@@ -38,11 +38,7 @@ def _plain(value: Any) -> Any:
 
 
 def from_json(text: str | bytes, kind: type[T]) -> T:
-    """Return the dataclass in a text that `to_json` wrote.
-
-    Raises:
-        LogError: if the text does not fit the dataclass.
-    """
+    """Return the dataclass in a text that `to_json` wrote; `LogError` if it does not fit."""
     try:
         value = _value_of(json.loads(text), kind)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:

@@ -33,8 +33,7 @@ class Format(StrEnum):
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; at the end of the context, move its file to ``path``.
 
-    Raises:
-        LogError: if the file cannot be written; the temporary file is then removed.
+    If the file cannot be written, removes it and raises `LogError`.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -52,22 +51,11 @@ def replacing(path: Path) -> Iterator[Path]:
 def export(
     recording: Recording, output: Path, kind: Format, only: Sequence[str] = ()
 ) -> list[Path]:
-    """Write the topics of a recording as tables.
+    """Write the topics of a recording, or ``only`` some, as tables; return the files written.
 
     CSV and Parquet make a folder with one file per topic; NPZ makes one file with all columns,
-    named ``<topic>/<column>``. Columns of joints are named ``position.<joint>`` and so on.
-
-    Args:
-        recording: The recording.
-        output: The folder, or the NPZ file.
-        kind: The format.
-        only: Topics wanted; all unless given.
-
-    Returns:
-        The files written.
-
-    Raises:
-        LogError: if there is nothing to export, or a file cannot be written.
+    named ``<topic>/<column>``. Columns of joints are named ``position.<joint>`` and so on. Raises
+    `LogError` if there is nothing to export, or a file cannot be written.
     """
     topic_tables = tables(recording, only)
     if not topic_tables:

@@ -53,15 +53,9 @@ class By(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a panel.
+    """A line of a panel: values at times [s]; `dashed` for a reference.
 
-    Attributes:
-        name: Name of the line.
-        t: Times [s].
-        values: Values at those times.
-        colour: Colour of the line.
-        dashed: Whether the line is a reference.
-        group: Name that the lines of an actuator share.
+    The lines of an actuator share a group.
     """
 
     name: str
@@ -74,13 +68,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of the plot: positions with their references, and efforts; or touch.
+    """A row of the plot: positions with their references, and efforts or currents; or touch.
 
-    Attributes:
-        title: The actuator or finger, or the device with the touch sensors.
-        positions: Lines of positions and references; of touch, the sums over the taxels.
-        efforts: Lines of efforts or currents; of touch, the largest taxels.
-        unit: Unit of touch; empty for a row of actuators.
+    Of touch, the positions are the sums over the taxels, the efforts the largest taxels. Only then
+    has the row a unit. The title is the actuator, finger or device.
     """
 
     title: str
@@ -97,17 +88,9 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot.
+    """A plot from ``start`` to ``end`` [s], with spans of actions, and times of marks and events.
 
-    Attributes:
-        title: Title of the plot.
-        rows: Rows of the plot.
-        bands: Spans of actions.
-        marks: Times of marks and events [s].
-        labels: Names of spans, marks and events, laid out without overlap.
-        effort_label: Label of the right column, with its unit.
-        start: Left end of the time axis [s].
-        end: Right end of the time axis [s].
+    The labels name these and are laid out without overlap; that of the efforts has their unit.
     """
 
     title: str
@@ -157,13 +140,13 @@ def figure(
     end: float | None = None,
     fingers: dict[str, tuple[str, ...]] | None = None,
 ) -> Figure:
-    """Return the plot of a recording.
+    """Return the plot of a recording, from ``start`` to ``end`` since its start [s].
 
     Args:
         recording: The recording.
         by: Subject of a row; by default, fingers if there are more than six actuators.
         actuators: Actuators to show; all unless given.
-        start: Begin of the plot since the recording's start [s].
+        start: Begin of the plot [s].
         end: End of the plot [s].
         fingers: Actuators by finger, for rows by finger.
 

@@ -39,14 +39,7 @@ _LATEST = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Position and times of a chunk in a file.
-
-    Attributes:
-        record: The record of the chunk.
-        start: Earliest log time [ns since 1970].
-        end: Latest log time [ns since 1970].
-        indexes: Records of the message indexes by channel.
-    """
+    """Position of a chunk in a file, its log times [ns since 1970], and its indexes by channel."""
 
     record: Record
     start: int
@@ -64,7 +57,6 @@ class Survey:
     """The content of a file.
 
     Attributes:
-        path: The file.
         size: Size of the file [bytes].
         library: Name of the software that wrote it.
         finished: Whether the file was closed; otherwise it is being written, or its writer was
@@ -74,7 +66,6 @@ class Survey:
         attachments: The attachments by name.
         schemas: The schemas by identifier.
         channels: The channels by identifier.
-        chunks: The chunks in order.
         loose: Number of messages outside chunks, which only other software writes.
         notes: Sentences about problems of the file.
         damage: Those notes that report damage.
@@ -128,8 +119,7 @@ class Survey:
 def survey(path: Path | str) -> Survey:
     """Index the content of a file.
 
-    Raises:
-        LogError: if it cannot be opened or is not an MCAP file.
+    Raises `LogError` if it cannot be opened or is not an MCAP file.
     """
     path = Path(path)
     try:

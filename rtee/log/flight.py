@@ -12,12 +12,7 @@ from rtee.messages.codec import SECOND
 
 
 class FlightRecorder:
-    """Keeps the newest chunks within a limit of time and of memory.
-
-    Args:
-        seconds: Length of time to keep [s].
-        size: Largest memory of the chunks [bytes].
-    """
+    """Keeps the newest chunks within a limit of time [s] and of memory [bytes]."""
 
     def __init__(self, seconds: float, size: float) -> None:
         self._seconds = seconds

@@ -27,14 +27,7 @@ _FEW = (topics.GOALS, topics.PLANS, topics.RESULTS, topics.EVENTS)
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """A topic of a recording.
-
-    Attributes:
-        topic: Full name of the topic.
-        kind: Type of its messages.
-        messages: Number of messages.
-        rate: Messages per second.
-    """
+    """A topic of a recording, with the type, the number and the rate [Hz] of its messages."""
 
     topic: str
     kind: str
@@ -44,13 +37,10 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Summary of a recording.
+    """Summary of a recording: files and attachments with their sizes [bytes], topics with messages.
 
     Attributes:
-        files: The files with their sizes [bytes].
-        library: Name of the software that wrote them.
-        topics: The topics that have messages.
-        attachments: Attached files with their sizes [bytes].
+        library: Name of the software that wrote the files.
         statistics: The last loop statistics.
         recording: Goals, results and events.
     """
@@ -117,11 +107,7 @@ def iso(wall_ns: int) -> str:
 
 
 def info(paths: Sequence[Path]) -> Info:
-    """Return the summary of a recording's files.
-
-    Raises:
-        LogError: see `rtee.log.read`.
-    """
+    """Return the summary of a recording's files; raises `LogError` as `rtee.log.read` does."""
     surveys = [survey(path) for path in paths]
     recording = read(paths, only=_FEW)
     return Info(

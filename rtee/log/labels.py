@@ -18,13 +18,7 @@ _LANES = 3  # rows of labels above the panels; a name that fits into none is lef
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """A span with its appearance.
-
-    Attributes:
-        span: The span.
-        colour: Colour of the span.
-        inner: Whether it is an inner action of a timed one.
-    """
+    """A span with its colour; `inner` for an inner action of a timed one."""
 
     span: Span
     colour: str
@@ -40,14 +34,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """A text above the first row.
-
-    Attributes:
-        t: Begin of the text [s].
-        lane: Number of its lane, counted from below.
-        text: The text.
-        colour: Colour of the text.
-    """
+    """A text above the first row, which begins at a time [s]; lanes are counted from below."""
 
     t: float
     lane: int

@@ -77,11 +77,9 @@ def library_name() -> str:
 
 @dataclass(frozen=True)
 class Contents:
-    """Content common to all recordings of a hand.
+    """Content common to all recordings of a hand, whose loop has a rate [Hz].
 
     Attributes:
-        hand: The hand.
-        rate: Rate of its loop [Hz].
         attachments: Files to attach, by name: hand.yaml, SRDF, actions; the URDF always is.
         metadata: Further metadata.
         meshes: Meshes of the hand, to attach.
@@ -130,11 +128,9 @@ class Contents:
         }
 
     def preamble(self, wall_ns: int, **more: str) -> Preamble:
-        """Return the records before the first chunk of a file.
+        """Return the records before the first chunk of a file, at a time [ns since 1970].
 
-        Args:
-            wall_ns: The time [ns since 1970].
-            more: Further metadata of this file.
+        ``more`` is further metadata of this file.
         """
         names = sorted(set(TYPES.values()))
         # Identifiers begin with 1, since 0 means "no schema" in MCAP.

@@ -48,12 +48,7 @@ _MODE = 0o640
 class Preamble:
     """The records before the first chunk of a file.
 
-    Attributes:
-        library: Name and version of the software that writes the file.
-        metadata: Records of metadata by name.
-        attachments: The attachments.
-        schemas: The schemas.
-        channels: The channels.
+    The library is the name and version of the software that writes the file; metadata go by name.
     """
 
     library: str
@@ -89,15 +84,10 @@ def being_written(path: Path) -> bool:
 
 
 class McapFile:
-    """An MCAP file being written.
+    """An MCAP file being written, which must not exist before.
 
-    Args:
-        path: The file, which must not exist.
-        preamble: The records before its first chunk.
-        sync: Flush every chunk to the disk, so that it survives a power cut.
-
-    Raises:
-        OSError: if the file cannot be made or written; it is then removed.
+    Raises `OSError` if it cannot be made or written; it is then removed. With ``sync``, every chunk
+    is flushed to the disk, so that it survives a power cut.
     """
 
     def __init__(self, path: Path, preamble: Preamble, *, sync: bool = True) -> None:
@@ -196,11 +186,7 @@ class McapFile:
         self._size += sum(len(part) for part in parts)
 
     def write(self, chunk: PackedChunk) -> None:
-        """Append a chunk.
-
-        Raises:
-            OSError: if the chunk cannot be written; the file is unchanged, and the next may fit.
-        """
+        """Append a chunk; after an `OSError` the file is unchanged, and the next chunk may fit."""
         offset = self._size
         self._append(chunk.record, chunk.index)
         after = offset + len(chunk.record)
@@ -226,9 +212,8 @@ class McapFile:
     def close(self) -> None:
         """Write the summary and close the file; further calls do nothing.
 
-        Raises:
-            OSError: if the summary cannot be written; the file is closed without it and can be
-                recovered.
+        If the summary cannot be written, raises `OSError`; the file is closed without it and can be
+        recovered.
         """
         if self._descriptor < 0:
             return

@@ -20,13 +20,9 @@ _SIDES = -1
 
 
 def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int) -> bytes:
-    """Return a ``rtee_msgs/Plan``.
+    """Return a ``rtee_msgs/Plan`` with the due time of the tick at which it took effect.
 
-    Args:
-        plan: The plan.
-        actuators: Names of the hand's actuators.
-        time: Due time of the tick at which it took effect, CLOCK_MONOTONIC [s].
-        wall: The same time since 1970 [ns].
+    This is by CLOCK_MONOTONIC [s], and ``wall`` the same time since 1970 [ns].
     """
     return _PLAN.encode(
         {
@@ -55,15 +51,9 @@ def encode_plan(plan: Plan, actuators: Sequence[str], *, time: float, wall: int)
 
 
 def plan_of(fields: Mapping[str, Any], goal: Goal, actuators: Sequence[str]) -> Plan:
-    """Return the plan in the fields of a decoded ``rtee_msgs/Plan``.
+    """Return the plan of a goal in the fields of a decoded ``rtee_msgs/Plan``.
 
-    Args:
-        fields: The fields.
-        goal: The goal of the plan.
-        actuators: Names of the hand's actuators.
-
-    Raises:
-        MessageError: if the plan names an actuator that the hand does not have.
+    Raises `MessageError` if the plan names an actuator that the hand does not have.
     """
 
     def indexed(names: Sequence[str], values: Any) -> dict[int, float]:

@@ -21,9 +21,7 @@ _HEAD = 90  # room for title and legend [pixels]
 def write_html(figure: Figure, path: Path) -> None:
     """Write a plot as a self-contained page, which needs no network.
 
-    Raises:
-        MissingExtra: if Plotly is missing.
-        LogError: if the file cannot be written.
+    Raises `MissingExtra` if Plotly is missing, `LogError` if the file cannot be written.
     """
     with needing_extra("a plot as page", "plot"):
         import plotly.graph_objects as go

@@ -19,9 +19,7 @@ _DPI = 110  # dots per inch: 1540 pixels, a screen's width
 def write_png(figure: Figure, path: Path) -> None:
     """Draw a plot into a PNG file.
 
-    Raises:
-        MissingExtra: if Matplotlib is missing.
-        LogError: if the file cannot be written.
+    Raises `MissingExtra` if Matplotlib is missing, `LogError` if the file cannot be written.
     """
     with needing_extra("a plot as PNG", "plot"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg

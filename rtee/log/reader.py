@@ -79,11 +79,7 @@ def read(
 
 
 def paths_of(path: Path | str | Sequence[Path | str], *, series: bool = False) -> list[Path]:
-    """Return the files that `read` would read.
-
-    Raises:
-        LogError: if a folder holds no recording.
-    """
+    """Return the files that `read` would read; `LogError` if a folder holds no recording."""
     if not isinstance(path, (str, Path)):
         if not path:
             raise LogError("no file is given")
@@ -354,10 +350,8 @@ def _chunks_ahead(
 ) -> Iterator[tuple[ChunkPlace, bytes | DamagedRecordError]]:
     """Yield chunks with their uncompressed records, or with the error of a damaged one.
 
-    A thread reads and decompresses the next chunks while the caller parses the present one.
-
-    Raises:
-        OSError: if the file cannot be read.
+    A thread reads and decompresses the next chunks while the caller parses the present one. Raises
+    `OSError` if the file cannot be read.
     """
 
     def load(place: ChunkPlace) -> bytes | DamagedRecordError:

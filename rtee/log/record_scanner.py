@@ -32,13 +32,7 @@ class DamagedRecordError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Position of a record in a file.
-
-    Attributes:
-        opcode: Kind of the record.
-        offset: Offset of the content in the file [bytes].
-        length: Length of the content [bytes].
-    """
+    """Kind of a record, and offset and length of its content in a file [bytes]."""
 
     opcode: int
     offset: int

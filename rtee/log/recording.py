@@ -157,9 +157,7 @@ def touch_series(
 ) -> tuple[dict[str, TouchSeries], int]:
     """Return states of touch sensors as series by device, and the number of states left out.
 
-    Args:
-        by_device: The states by device, each with its time since 1970 [ns], in order.
-        start: The recording's start [ns].
+    They come in order, each with its time; it and the recording's start are since 1970 [ns].
     """
     series, others = {}, 0
     for device, states in by_device.items():

@@ -30,7 +30,6 @@ class Recovery:
     """Report of a repair.
 
     Attributes:
-        path: The repaired file.
         untouched: Whether the file was complete and needed no repair.
         chunks: Number of recovered chunks.
         messages: Number of recovered messages.
@@ -53,16 +52,10 @@ class Recovery:
 def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     """Repair a recording that was never closed or has damaged chunks.
 
-    Keeps every intact chunk with a new index. Writes the repaired file beside the old one and
-    replaces that only when the new file is complete.
-
-    Args:
-        path: The recording.
-        output: Path of the repaired file; by default it replaces the old one.
-
-    Raises:
-        LogError: if the file is being written, cannot be read, is not an MCAP file or has messages
-            outside chunks, or if the repaired file cannot be written.
+    Keeps every intact chunk with a new index. Writes the repaired file to ``output``, or else
+    beside the old one, and replaces that only when the new file is complete. Raises `LogError` if
+    the file is being written, cannot be read, is not an MCAP file or has messages outside chunks,
+    or if the repaired file cannot be written.
     """
     path = Path(path)
     if being_written(path):
@@ -136,9 +129,9 @@ def _sound(place: ChunkPlace, stream: BinaryIO) -> bool:
     return True
 
 
-def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
+def _chunks(file: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
     """Yield the intact chunks, each with an index made from its messages."""
-    for place in found.chunks:
+    for place in file.chunks:
         content = place.record.read(stream)
         try:
             data, chunk = messages_of(content)
@@ -147,7 +140,7 @@ def _chunks(found: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
         array = np.frombuffer(data, dtype=np.uint8)
         entries = {}
         for number, offsets in column_reader.walk(data).items():
-            if number in found.channels:
+            if number in file.channels:
                 starts = np.array(offsets, dtype=np.int64)
                 times = column_reader.log_times(array, starts).astype(np.uint64)
                 entries[number] = (times, starts.astype(np.uint64))

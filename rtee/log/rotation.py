@@ -45,14 +45,9 @@ def flight_path(folder: Path, hand: str, session: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class RecordingFile:
-    """A file that is a recording by its name.
+    """A file that is a recording by its name, with its size [bytes].
 
-    Attributes:
-        path: The file.
-        hand: Name of the hand.
-        session: Start of the recording.
-        part: Number of the part; ``None`` for a file of the flight recorder.
-        size: Size of the file [bytes].
+    The session is the start of the recording; a file of the flight recorder has no part.
     """
 
     path: Path
@@ -119,14 +114,9 @@ def is_ours(path: Path, hand: str) -> bool:
 
 
 class Retention:
-    """Limits the disk space of a hand's recordings by removing the oldest.
+    """Limits the disk space of a hand's recordings in a folder [bytes] by removing the oldest.
 
     Removes only files that are recordings of this hand by name and by content.
-
-    Args:
-        folder: The folder.
-        hand: Name of the hand.
-        limit: Largest total size [bytes].
     """
 
     def __init__(self, folder: Path, hand: str, limit: float) -> None:
@@ -146,12 +136,8 @@ class Retention:
     def keep_within(self, size: int, *current: Path) -> list[Path]:
         """Remove the oldest recordings until the rest and ``size`` are within the limit.
 
-        Args:
-            size: Size of the files being written [bytes].
-            current: Those files, which are never removed.
-
-        Returns:
-            The removed files.
+        Returns the removed files. ``size`` is that of the files being written [bytes]; these, in
+        ``current``, are never removed.
         """
         removed: list[Path] = []
         # The usual case, in which the folder is not even listed.

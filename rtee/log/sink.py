@@ -28,12 +28,7 @@ class DiskSink:
     """Writes chunks to the parts of a recording.
 
     Chunks that the disk refuses are lost. Each new chunk is tried, so that recording goes on as
-    soon as there is space.
-
-    Args:
-        contents: Content common to the recordings.
-        settings: Sizes, times, folder.
-        monotonic: Clock for the times of parts [s].
+    soon as there is space. The times of parts are by the clock ``monotonic`` [s].
 
     Attributes:
         wanted: Whether a recording should be written.
@@ -75,8 +70,7 @@ class DiskSink:
     def start(self, wall_ns: int) -> None:
         """Begin a recording at a time [ns since 1970].
 
-        Raises:
-            OSError: if its first file cannot be made; the next chunk tries again.
+        Raises `OSError` if its first file cannot be made; the next chunk tries again.
         """
         if self.wanted:
             return
@@ -166,10 +160,8 @@ class DiskSink:
     ) -> Path | None:
         """Write the flight recorder's chunks to a file and return it; ``None`` if that fails.
 
-        Args:
-            chunks: The chunks, at least one.
-            wall_ns: Time of the fault [ns since 1970].
-            cause: Description of the fault.
+        There is at least one chunk; the time is that of the fault [ns since 1970], ``cause``
+        describes it.
         """
         settings = self._settings
         path = flight_path(settings.folder, self._contents.hand.name, session_name(wall_ns))

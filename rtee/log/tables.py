@@ -147,14 +147,9 @@ TABLES = tuple(_MAKERS)
 
 
 def tables(recording: Recording, only: Sequence[str] = ()) -> dict[str, Table]:
-    """Return the topics of a recording that have messages, as tables.
+    """Return the topics of a recording that have messages, or ``only`` some, as tables.
 
-    Args:
-        recording: The recording.
-        only: Topics wanted; all unless given.
-
-    Raises:
-        LogError: if a topic does not exist.
+    Raises `LogError` if a topic does not exist.
     """
     for name in only:
         if name not in _MAKERS:

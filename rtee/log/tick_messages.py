@@ -42,14 +42,8 @@ class TickEncoder:
     states in one piece. Positions and velocities of the joints that follow actuators are rounded to
     single precision. Both make recordings smaller, and the exact values can be recomputed.
 
-    Args:
-        joints: Names of all moving joints.
-        actuators: Names of the actuators.
-        transmission: Transmission from actuators to joints.
-        channels: Identifiers of the channels of joint states, actuator states and reference.
-
-    Attributes:
-        layout: Channel and offset of each message record in the block.
+    The channels are those of joint states, actuator states and reference; `layout` has channel and
+    offset of each message record in the block.
     """
 
     def __init__(
@@ -82,16 +76,10 @@ class TickEncoder:
             self._size += MESSAGE.size + message.size
 
     def encode(self, record: TickRecord, wall_ns: int) -> bytes:
-        """Return the message records of a tick.
+        """Return the message records of a tick at a time [ns since 1970].
 
-        A joint that follows an actuator has no effort of its own, hence ``NaN``.
-
-        Args:
-            record: The record of the tick.
-            wall_ns: Time of the tick [ns since 1970].
-
-        Raises:
-            ValueError: if the arrays do not fit the hand.
+        A joint that follows an actuator has no effort of its own, hence ``NaN``. Raises
+        `ValueError` if the arrays do not fit the hand.
         """
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         times, stamp = _TIMES.pack(self._sequence, wall_ns, wall_ns), stamp_bytes(wall_ns)
@@ -126,13 +114,7 @@ def _rounded(values: FloatArray) -> bytes:
 
 
 class LinkTransforms:
-    """Encodes the poses of the links of moving joints.
-
-    Args:
-        hand: The hand.
-        rate: Rate of its loop [Hz].
-        settings: Settings of the recorder, with the rate of transforms.
-    """
+    """Encodes the poses of the links of moving joints, at the rate in the recorder's settings."""
 
     def __init__(self, hand: Hand, rate: float, settings: RecorderSettings) -> None:
         self._frames = JointFrames(hand)
@@ -153,13 +135,10 @@ class LinkTransforms:
         return True
 
     def encode(self, position: FloatArray, wall_ns: int) -> bytes:
-        """Return the CDR bytes of a ``tf2_msgs/TFMessage``.
+        """Return the CDR bytes of a ``tf2_msgs/TFMessage`` at a time since 1970 [ns].
 
-        A joint without a measurement keeps its last position, at first the rest position.
-
-        Args:
-            position: Actuator positions ``(n,)`` [rad | m]; ``NaN``: not measured.
-            wall_ns: The time since 1970 [ns].
+        An actuator without a position ``(n,)`` [rad | m], hence ``NaN``, keeps its last one, at
+        first the rest position.
         """
         q = self._transmission.joints(position)
         self._last = q = np.where(np.isfinite(q), q, self._last)

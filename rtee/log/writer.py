@@ -81,11 +81,6 @@ class LogWriter:
         wall: Clock [ns since 1970].
         simulated: Whether a simulation stamps the items instead of ``monotonic``; the first stamp
             then counts as now.
-
-    Attributes:
-        sink: The files on the disk.
-        flight: The flight recorder, or ``None``.
-        flight_files: The last files that the flight recorder wrote.
     """
 
     def __init__(

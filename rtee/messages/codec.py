@@ -79,13 +79,7 @@ def mapping(names: str, values: str) -> As:
 
 
 def word(name: str, kind: type[StrEnum], wrong: str) -> As:
-    """Return the conversion of an enumeration to a string.
-
-    Args:
-        name: Name of the field.
-        kind: The enumeration.
-        wrong: Error message for any other string.
-    """
+    """Return the conversion of an enumeration to a string, with the error for any other string."""
 
     def unpack(value: str) -> StrEnum:
         try:
@@ -122,12 +116,11 @@ class Codec(Generic[T]):
     code has left the processor's caches.
 
     Args:
-        kind: The type of the messages, which begin with a header.
         cls: The dataclass.
         held: Conversions of the attributes that differ from a field of the same name.
 
     Attributes:
-        kind: The type of the messages.
+        kind: The type of the messages, which begin with a header.
     """
 
     def __init__(self, kind: str, cls: type[T], /, **held: As) -> None:

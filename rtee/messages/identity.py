@@ -23,13 +23,9 @@ LONGEST_CLAIM = 200
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """The sender and number in a request's attachment; unproven until `signed_by` returns true.
+    """The sender of a request and its number in an attachment; unproven until `signed_by` is true.
 
-    Attributes:
-        number: Number of the request, optionally with a dot and a label of the client; a published
-            answer has the number of its request.
-        client: Name of the client.
-        signature: The signature.
+    A number may have a dot and a label of the client; a published answer has that of its request.
     """
 
     number: str
@@ -62,14 +58,7 @@ def claim_of(attachment: bytes | None) -> Claim | None:
 
 
 class Signer:
-    """Numbers and signs the requests of a client.
-
-    Args:
-        client: Name of the client.
-
-    Attributes:
-        secret: Secret of the client; until it is set, the hand accepts no signature.
-    """
+    """Numbers and signs a client's requests; the hand accepts none until the secret is set."""
 
     def __init__(self, client: str) -> None:
         self.secret = b""

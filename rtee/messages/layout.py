@@ -37,10 +37,8 @@ def places(kind: MessageType, data: bytes) -> dict[str, slice]:
     """Return the positions of the numbers of a message by path of the field, without strings.
 
     The path of a nested field has dots, and an index for the element of a sequence:
-    ``header.stamp.sec``, ``transforms.0.transform.translation.x``.
-
-    Raises:
-        MessageError: if the bytes are not such a message.
+    ``header.stamp.sec``, ``transforms.0.transform.translation.x``. Raises `MessageError` if the
+    bytes are not such a message.
     """
     slices: dict[str, slice] = {}
     reader = Reader(data)
@@ -77,16 +75,14 @@ class Template:
     Args:
         kind: Type of the message.
         fields: Fields of the message; of those that change, only the lengths matter.
-        changing: Paths of the fields that change, see `places`, in the order of the definition; a
-            common prefix of consecutive fields, such as `STAMP`, makes them one piece.
+        changing: Paths of the fields that change, see `places`, in the order of the definition
+            (else `ValueError`); a common prefix of consecutive fields, such as `STAMP`, makes them
+            one piece.
 
     Attributes:
         parts: Alternating constant and changing pieces, of which the first and the last are
             constant; joined, they are the message.
         size: Length of the message [bytes].
-
-    Raises:
-        ValueError: if the paths are in another order.
     """
 
     def __init__(
@@ -110,8 +106,7 @@ class Template:
     def filled(self, pieces: Iterable[bytes]) -> bytes:
         """Return the message with new values of all changing pieces, in their order.
 
-        Raises:
-            ValueError: if their number or total length is wrong.
+        Raises `ValueError` if their number or total length is wrong.
         """
         # Assigning to this slice raises ValueError if the number of pieces is wrong.
         self.parts[1::2] = pieces

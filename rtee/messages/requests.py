@@ -86,16 +86,7 @@ class Role(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A request.
-
-    Attributes:
-        group: Group of the request.
-        name: Name of the request.
-        question: Type of the question.
-        answer: Type of the answer.
-        text: Description in one sentence.
-        role: Lowest role that may send it.
-    """
+    """A kind of request, and the lowest role that may send it; the text describes it."""
 
     group: str
     name: str

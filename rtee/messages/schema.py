@@ -38,9 +38,8 @@ def _short(name: str) -> str:
 def sections(text: str, first: str = "") -> dict[str, str]:
     """Return the definitions in a text of several, by the full names of their messages.
 
-    Args:
-        text: The definitions, each after a rule and a line ``MSG: package/Name``.
-        first: Name of the message that the text begins with, if it begins with one.
+    Each is after a rule and a line ``MSG: package/Name``; the text may begin with that of
+    ``first``.
     """
     head, *rest = text.split(_RULE)
     definitions = {first: head} if first else {}
@@ -248,16 +247,9 @@ def reader_of(field: Field) -> Read:
 def parse(
     name: str, definition: str, nested: Callable[[str], MessageType] | None = None
 ) -> MessageType:
-    """Return the type of a definition.
+    """Return the type of a definition; ``nested`` returns other types, by default `message_type`.
 
-    Args:
-        name: Full name of the type.
-        definition: The definition.
-        nested: Function that returns the type of a nested message by its full name; by default
-            `message_type`.
-
-    Raises:
-        MessageError: if a line is outside the supported subset of the notation.
+    Raises `MessageError` if a line is outside the supported subset of the notation.
     """
     summary: list[str] = []
     fields: list[Field] = []
@@ -299,14 +291,8 @@ def message_type(name: str) -> MessageType:
 def recorded_type(name: str, schema: str) -> MessageType:
     """Return a type of messages by its definition in a recording, maybe of another version.
 
-    Types of ROS itself never differ and are not read from the recording.
-
-    Args:
-        name: Full name of the type.
-        schema: Definition in the recording, with those of nested messages.
-
-    Raises:
-        MessageError: if there is no such type, or the definition is invalid.
+    The definition comes with those of nested messages. Types of ROS itself never differ and are not
+    read from it. Raises `MessageError` if there is no such type, or the definition is invalid.
     """
     known = message_type(name)
     # The usual case needs no parsing.

@@ -92,12 +92,7 @@ def actuator_state_pieces(record: TickRecord) -> list[bytes]:
 
 
 class StateEncoder:
-    """Encodes ``rtee_msgs/State`` for a constant set of actuators and joints.
-
-    Args:
-        names: Names of the actuators.
-        joints: Names of all moving joints.
-    """
+    """Encodes ``rtee_msgs/State`` for a constant set of actuators and joints, by their names."""
 
     def __init__(self, names: Sequence[str], joints: Sequence[str]) -> None:
         self._fields = _fields(names, COLUMNS)
@@ -129,14 +124,9 @@ class StateEncoder:
     ) -> bytes:
         """Return the bytes of a message.
 
-        Args:
-            record: The record of the tick.
-            joint_position: Positions of all moving joints ``(m,)`` [rad | m].
-            grip: Opening of the fingertips [m], force between them and its error [N], and the
-                source of the estimate.
-
-        Raises:
-            ValueError: if an array has another length or type.
+        The positions ``(m,)`` [rad | m] are of all moving joints. The grip is the opening of the
+        fingertips [m], the force between them and its error [N], and the source of the estimate.
+        Raises `ValueError` if an array has another length or type.
         """
         times = stamp_bytes(record.wall_ns), _TICK.pack(record.tick), _TIME.pack(record.stamp)
         arrays = [array.tobytes() for array in (*_arrays(record), joint_position)]

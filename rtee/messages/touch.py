@@ -35,14 +35,9 @@ class TouchEncoder:
         self._templates: dict[str, tuple[Sensors, Template]] = {}
 
     def encode(self, state: TouchState, wall_ns: int) -> bytes:
-        """Return the bytes of a message.
+        """Return the bytes of a message of readings, measured at a time since 1970 [ns].
 
-        Args:
-            state: The readings.
-            wall_ns: Time of measurement since 1970 [ns].
-
-        Raises:
-            ValueError: if the values are not those of the sensors.
+        Raises `ValueError` if the values are not those of the sensors.
         """
         known = self._templates.get(state.device)
         # Compare by identity: the states of one device share their tuple of sensors.
@@ -78,12 +73,8 @@ def touch_fields(state: TouchState, wall_ns: int = 0) -> dict[str, Any]:
 def touch_of(fields: Mapping[str, Any], known: Mapping[str, Sensors]) -> TouchState:
     """Return the state in a decoded ``rtee_msgs/Touch``.
 
-    Args:
-        fields: Fields of the message.
-        known: The known sensors by device; the places of other sensors are unknown.
-
-    Raises:
-        MessageError: if the values do not fit the sensors.
+    The places of sensors that are not among the known ones stay unknown. Raises `MessageError` if
+    the values do not fit the sensors.
     """
     names, units, taxels = fields["name"], fields["unit"], [int(n) for n in fields["taxels"]]
     values = fields["value"]
@@ -124,8 +115,7 @@ def sensors_fields(states: Iterable[TouchState], wall_ns: int = 0) -> dict[str, 
 def sensors_of(fields: Mapping[str, Any]) -> dict[str, Sensors]:
     """Return the sensors by device in a decoded ``rtee_msgs/TouchSensors``.
 
-    Raises:
-        MessageError: if places do not fit the taxels.
+    Raises `MessageError` if places do not fit the taxels.
     """
     by_device: dict[str, list[TouchSensor]] = {}
     for each in fields["sensors"]:
@@ -167,8 +157,7 @@ def reply_fields(record: TickRecord) -> dict[str, Any]:
 def reply_of(fields: Mapping[str, Any]) -> dict[str, TouchState]:
     """Return the states by device in a decoded ``rtee_msgs/TouchReply``.
 
-    Raises:
-        MessageError: if values or places do not fit the sensors.
+    Raises `MessageError` if values or places do not fit the sensors.
     """
     known = sensors_of(fields)
     states = [touch_of(each, known) for each in fields["states"]]

@@ -35,10 +35,8 @@ _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a hand.
 
-    Args:
-        hand: The hand's name.
-        people: Roles by common name, of the certificates that are or may later be admitted.
-        plain: Whether clients without certificates are admitted.
+    The roles go by common name of the certificates that are or may later be admitted; with
+    ``plain``, clients without certificates are admitted.
     """
     ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
     subjects = [_subject(way) for way in ways]
@@ -114,11 +112,7 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     ]
     # The access path is part of the key: nobody can say hello with another's certificate.
     keys = [f"{HELLO}/{way}", *(f"{request.group}/{request.name}" for request in allowed)]
-    yield _rule(_name(role, way), "ingress", ["query"], hand, keys)
+    yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
     put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]
     if put:
         yield _rule(f"put {way}", "ingress", ["put"], hand, put)
-
-
-def _name(role: Role, way: str) -> str:
-    return f"{role.name.lower()} {way}"

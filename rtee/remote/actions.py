@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rtee.actions.build import StepPlan, generic
@@ -88,10 +88,6 @@ def _known(value: float | None) -> float:
     return math.nan if value is None else value  # messages have no optional numbers
 
 
-def _flat(pairs: Sequence[tuple[str, ...]]) -> list[str]:
-    return [name for pair in pairs for name in pair[:2]]
-
-
 def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
     opposition = evidence.opposition
     return {
@@ -104,7 +100,7 @@ def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
         "clear": evidence.clear,
         "path_clear": evidence.path_clear,
         "clearance": _known(evidence.clearance),
-        "colliding": _flat(evidence.colliding),
+        "colliding": [name for pair in evidence.colliding for name in pair[:2]],
         "pair": [name for first, second, _ in evidence.pairs for name in (first, second)],
         "pair_depth": [depth for _, _, depth in evidence.pairs],
         "angles": opposition.angles if opposition else (),
@@ -116,8 +112,7 @@ def _evidence_fields(evidence: Evidence) -> dict[str, Any]:
 def action_of(fields: Fields) -> Action:
     """Return the action in the fields of a ``rtee_msgs/Action``.
 
-    Raises:
-        MessageError: if the fields do not describe an action.
+    Raises `MessageError` if the fields do not describe an action.
     """
     postures = [_posture_from(posture) for posture in fields["postures"]]
     name, kind, description = fields["name"], fields["kind"], fields["description"]
@@ -202,15 +197,10 @@ def _evidence_of(fields: Fields) -> Evidence:
 
 
 def build_action(library: ActionLibrary, fields: Fields) -> Action:
-    """Make the composed, timed or generic action that a client describes.
+    """Make the composed, timed or generic action in a client's ``rtee_msgs/Action``.
 
-    Args:
-        library: The hand's actions, in which the parts are looked up.
-        fields: Fields of a ``rtee_msgs/Action``; postures are computed from the parts.
-
-    Raises:
-        ActionError: if the action cannot be made.
-        MessageError: if the fields do not describe an action.
+    Its postures are computed from its parts, which are looked up in the hand's library. Raises
+    `ActionError` if the action cannot be made, `MessageError` if the fields do not describe one.
     """
     name, description = fields["name"], fields["description"]
     match fields["kind"]:

@@ -60,15 +60,10 @@ T = TypeVar("T")
 
 
 def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
-    """Make a hand's authority and its certificate.
+    """Make a hand's authority and its certificate, valid for some days, in a folder.
 
-    Args:
-        folder: The folder to write; see `rtee.remote.credentials.secure_folder`.
-        hand: The hand's name.
-        days: Validity of the hand's certificate [days].
-
-    Raises:
-        ConfigError: if there is an authority already, or the folder cannot be written.
+    This is `rtee.remote.credentials.secure_folder`. Raises `ConfigError` if there is an authority
+    already, or the folder cannot be written.
     """
     if (folder / AUTHORITY_KEY).exists():
         raise ConfigError(
@@ -104,19 +99,11 @@ def renew(folder: Path, hand: str, days: int = DAYS) -> None:
 
 
 def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Person, str]:
-    """Make a certificate for a person and admit it.
+    """Make a certificate for a person, valid for some days, and admit it to a hand's folder.
 
-    Args:
-        folder: The hand's folder of certificates.
-        who: The person's name: letters, digits, ``_`` and ``-``.
-        role: The person's role.
-        days: Validity of the certificate [days].
-
-    Returns:
-        The entry in the list, and the text of the person's file.
-
-    Raises:
-        ConfigError: if the name, or the files of the authority, cannot be used.
+    Returns the entry in the list, and the text of the person's file. The person's name has letters,
+    digits, ``_`` and ``-``. Raises `ConfigError` if it, or the files of the authority, cannot be
+    used.
     """
     if _PERSON.match(who) is None:
         raise ConfigError(
@@ -138,14 +125,9 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
 
 
 def revoke(folder: Path, name: str) -> list[Person]:
-    """Revoke the certificates of a person; return those that were admitted before.
+    """Revoke certificates in a hand's folder; return those that were admitted before.
 
-    Args:
-        folder: The hand's folder of certificates.
-        name: A person's name, for all certificates, or the name in one of them.
-
-    Raises:
-        ConfigError: if there is no such name.
+    The name is a person's, for all certificates, or that in one of them; else raises `ConfigError`.
     """
     known = _known(folder)
     matching = [client for client in known.people if name in (client.name, person(client.name))]
@@ -167,8 +149,7 @@ def _known(folder: Path) -> Credentials:
 def write_private(path: Path, text: str) -> None:
     """Write a file that only its owner can read, also while it is being written.
 
-    Raises:
-        ConfigError: if it cannot be written.
+    Raises `ConfigError` if it cannot be written.
     """
     try:
         _write_private(path, text)

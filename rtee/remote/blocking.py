@@ -286,8 +286,7 @@ class BlockingHand:
 def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]) -> T:
     """Call an async function and wait for it; an interrupt cancels it.
 
-    Raises:
-        NoHand: if the hand was left.
+    Raises `NoHand` if the hand was left.
     """
     try:
         future: Future[T] = portal.start_task_soon(function)

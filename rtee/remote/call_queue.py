@@ -19,18 +19,11 @@ _CLOSE_WITHIN = 2.0
 
 
 class CallQueue:
-    """Makes calls in a thread, one after the other.
+    """Makes calls in a thread, one after the other; drops calls, and counts them, if ``most`` wait.
 
     An executor with one thread would not limit the waiting calls, and would make a future for each
     call. That costs the caller 11 µs in the median and 20 µs in the 95th percentile, this queue 7
     and 11 µs.
-
-    Args:
-        name: The thread's name.
-        most: Limit of waiting calls; further calls are dropped.
-
-    Attributes:
-        dropped: Number of calls dropped because too many were waiting.
     """
 
     def __init__(self, name: str, most: int = LONGEST) -> None:
@@ -65,13 +58,7 @@ class CallQueue:
 
 
 class DelayQueue(CallQueue):
-    """Makes calls after a delay, which slows down clients that wait for answers.
-
-    Args:
-        name: The thread's name.
-        delay: Time from queuing a call to making it [s].
-        most: Limit of waiting calls; further calls are dropped.
-    """
+    """Makes calls after a delay [s], which slows down clients that wait for answers."""
 
     def __init__(self, name: str, delay: float, most: int) -> None:
         self._delay = delay

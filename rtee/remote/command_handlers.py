@@ -35,13 +35,7 @@ _WITHOUT_LEASE = ("release",)
 
 
 class CommandHandlers:
-    """Handles the requests of the groups ``control`` and ``stop``.
-
-    Args:
-        loop: The hand's loop.
-        lease: The hand's lease.
-        thread: The loop's thread.
-    """
+    """Handles the requests of the groups ``control`` and ``stop``."""
 
     def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
@@ -66,13 +60,9 @@ class CommandHandlers:
         }
 
     def handle(self, request: IncomingRequest) -> bytes | None:
-        """Handle a request of the group ``control``.
+        """Handle a request of the group ``control``; raises `RteeError` if it is refused.
 
-        Returns:
-            The encoded answer; ``None`` if it is sent once the request has been carried out.
-
-        Raises:
-            RteeError: if the request is refused.
+        Returns the encoded answer; ``None`` if it is sent once the request has been carried out.
         """
         name = request.request.name
         if name == "sample":

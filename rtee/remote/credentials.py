@@ -46,13 +46,9 @@ _NAME = re.compile(r"^rtee client: ([A-Za-z0-9_\-]+\.[0-9a-f]+)$", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Person:
-    """A person's certificate.
+    """A person's certificate, maybe revoked, and its expiry [s since 1970].
 
-    Attributes:
-        name: The person's name, a dot, and the common name in the certificate.
-        role: The person's role.
-        until: Expiry of the certificate [s since 1970].
-        revoked: Whether the certificate is revoked.
+    The name is the person's, a dot, and the common name in the certificate.
     """
 
     name: str
@@ -90,11 +86,9 @@ def secure_folder(hand: str) -> Path:
 
 @dataclass
 class Credentials:
-    """A hand's certificates and its list of people.
+    """A hand's certificates and its list of people, those whose certificate is revoked, too.
 
     Attributes:
-        folder: The folder of the certificates.
-        people: The people with certificates, revoked ones, too.
         until: Expiry of the hand's certificate [s since 1970].
         spare: Roles by common name, of the certificates that may be made next, in this order.
     """
@@ -108,8 +102,7 @@ class Credentials:
     def read(self) -> bool:
         """Read the list of people if it has changed; return whether it has.
 
-        Raises:
-            ConfigError: if it cannot be read.
+        Raises `ConfigError` if it cannot be read.
         """
         path = self.folder / PEOPLE
         try:
@@ -151,8 +144,7 @@ class Credentials:
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings for listening with these certificates.
 
-        Raises:
-            ConfigError: if a file is missing, or others can read the key.
+        Raises `ConfigError` if a file is missing, or others can read the key.
         """
         self.read()
         for name in (AUTHORITY, HAND, HAND_KEY):
@@ -198,11 +190,9 @@ def check_private(path: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """A client's certificate.
+    """A client's certificate: its name, see `Person`, and the PEM blocks of its file.
 
-    Attributes:
-        name: Its name, see `Person`.
-        blocks: The PEM blocks of its file: ``key``, ``certificate`` and ``authority``.
+    These are ``key``, ``certificate`` and ``authority``.
     """
 
     name: str
@@ -229,8 +219,7 @@ def _base64(text: str) -> str:
 def identity() -> Identity:
     """Return this user's certificate: the file in ``RTEE_IDENTITY``, else ``identity.pem``.
 
-    Raises:
-        ConfigError: if there is none, it cannot be used, or others can read it.
+    Raises `ConfigError` if there is none, it cannot be used, or others can read it.
     """
     given = os.environ.get(IDENTITY_VARIABLE)
     path = Path(given) if given else config_folder() / "identity.pem"

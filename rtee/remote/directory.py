@@ -83,15 +83,15 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
 
 
-def _is_trusted(status: os.stat_result, owner: int, forbidden: int) -> bool:
-    return status.st_uid == owner and not status.st_mode & forbidden
+def _is_trusted(status: os.stat_result, owner: int) -> bool:
+    others = stat.S_IWGRP | stat.S_IWOTH
+    return status.st_uid == owner and not status.st_mode & others
 
 
 def _own_folder(*, make: bool) -> int | None:
     """Return a descriptor of this user's folder; ``None`` if it doesn't exist and isn't made.
 
-    Raises:
-        ConfigError: if others can write to the folder.
+    Raises `ConfigError` if others can write to the folder.
     """
     folder = runtime_folder()
     descriptor = None
@@ -100,7 +100,7 @@ def _own_folder(*, make: bool) -> int | None:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
         # Checks the open folder, not its path, which somebody could replace in between.
-        if _is_trusted(os.fstat(descriptor), os.getuid(), 0o022):
+        if _is_trusted(os.fstat(descriptor), os.getuid()):
             return descriptor
     except FileNotFoundError:
         return None
@@ -131,23 +131,13 @@ def _services() -> int | None:
 
 
 class Place:
-    """A hand's locked file in the runtime folder; made by `claimed`.
-
-    Attributes:
-        path: The hand's file.
-        socket: Path for the hand's Unix socket.
-    """
+    """A hand's locked file in the runtime folder, and its Unix socket; made by `claimed`."""
 
     def __init__(self, path: Path, hand: str, name: socket.socket | None) -> None:
-        """Lock the file.
+        """Lock the file; raises `ConfigError` if another process has locked it.
 
-        Args:
-            path: The hand's file.
-            hand: The hand's name.
-            name: Keeps the hand's name in the kernel, and accepts those who ask for its owner.
-
-        Raises:
-            ConfigError: if another process has locked the file.
+        The socket ``name`` keeps the hand's name in the kernel, and accepts those who ask for its
+        owner.
         """
         self.path, self.socket = path, path.with_suffix(".sock")
         self._hand, self._name = hand, name
@@ -207,11 +197,7 @@ class Place:
 def claimed(hand: str) -> Iterator[Place]:
     """Lock the file of a hand for as long as the context lasts, so that the hand runs only once.
 
-    Args:
-        hand: Its name.
-
-    Raises:
-        ConfigError: if the hand runs already, or the folder cannot be used.
+    Raises `ConfigError` if the hand runs already, or the folder cannot be used.
     """
     path = runtime_folder() / f"{check_name(hand, 'hand')}.json"
     folder = _own_folder(make=True)
@@ -229,24 +215,10 @@ def claimed(hand: str) -> Iterator[Place]:
 
 
 @contextlib.contextmanager
-def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
-    """Announce a hand for as long as the context lasts; raises the same errors as `claimed`.
-
-    Args:
-        hand: Its name.
-        endpoints: Zenoh endpoints of the hand on this computer.
-    """
-    with claimed(hand) as place:
-        place.write(endpoints)
-        yield place.path
-
-
-@contextlib.contextmanager
 def _named(hand: str, descriptor: int, folder: Path) -> Iterator[socket.socket | None]:
     """Keep a name in the kernel, where no cleaner removes it: an abstract Unix socket of Linux.
 
-    Raises:
-        ConfigError: if a process of this user has the name, so that the hand runs already.
+    Raises `ConfigError` if a process of this user has the name, so that the hand runs already.
     """
     if not sys.platform.startswith("linux"):
         yield None
@@ -290,7 +262,7 @@ def _locked(path: Path, hand: str) -> int:
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
         status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid(), 0o022):
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid()):
             os.close(descriptor)
             raise ConfigError("must be a file that only you can write to; remove it", path=path)
         # The previous server may have removed the file between opening and locking it.
@@ -338,7 +310,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
     try:
         status = os.fstat(descriptor)
         owner = os.fstat(folder).st_uid
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner, 0o022):
+        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner):
             return None
         entry = _read(descriptor)
         pid, endpoints = entry.get("pid"), entry.get("endpoints")
@@ -356,8 +328,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
 def running() -> dict[str, Running]:
     """Return the hands of this user and of services that run on this computer, by name.
 
-    Raises:
-        ConfigError: if others can write to this user's folder.
+    Raises `ConfigError` if others can write to this user's folder.
     """
     hands: dict[str, Running] = {}
     # A folder that is given explicitly, as in tests, is the only one.

@@ -31,14 +31,9 @@ class FastRequests:
     does not depend on a single request is prepared when this object is made. All methods must be
     called in the event loop's thread.
 
-    Args:
-        session: The Zenoh session.
-        hand: The hand's name.
-        client: This client's name on the network.
-        way: Its access path to the hand, see `rtee.messages.requests.HELLO`.
-        signer: Signs the requests.
-        call_soon: Calls a function in the event loop's thread, from any thread.
-        settle: Completes the future of an answer, see `Link`.
+    ``way`` is the client's access path, see `rtee.messages.requests.HELLO`. ``call_soon`` calls a
+    function in the event loop's thread, from any thread; ``settle`` completes the future of an
+    answer, see `Link`.
     """
 
     def __init__(
@@ -117,15 +112,9 @@ class FastRequests:
             raise NoHand(f"the hand '{self._hand}' cannot be asked: {error}") from None
 
     def put(self, name: str, question: bytes, label: str) -> None:
-        """Publish a request that is only answered if it is refused.
+        """Publish a request that is only answered if it is refused, under a label; see `refusals`.
 
-        Args:
-            name: Name of the request.
-            question: The question, encoded.
-            label: Label of its refusal; see `refusals`.
-
-        Raises:
-            NoHand: if the hand has gone.
+        Raises `NoHand` if the hand has gone.
         """
         if self._gone:
             raise self._gone

@@ -29,12 +29,9 @@ _ANSWER_WITHIN = 1.0
 
 
 class Found(NamedTuple):
-    """A hand that was found.
+    """A session with a hand, its name, and the access path.
 
-    Attributes:
-        session: A session with the hand.
-        hand: The hand's name.
-        way: The access path: `HERE`, `PLAIN`, or the name of this user's certificate.
+    This is `HERE`, `PLAIN`, or the name of this user's certificate.
     """
 
     session: zenoh.Session
@@ -60,9 +57,6 @@ async def open_hand(
         endpoint: The hand's address; ``None``: that in ``RTEE_CONNECT``, else this computer.
         wait: Time to wait for a hand that does not run yet [s].
         on_wait: Called with the reason for waiting, in words, whenever it changes.
-
-    Returns:
-        The session, the hand's name and the access path.
 
     Raises:
         NoHand: if there is no such hand.

@@ -65,7 +65,6 @@ class RunningGoal:
     result.
 
     Args:
-        goal: The goal.
         cancel: Requests the hand to cancel the goal.
 
     Attributes:

@@ -26,13 +26,8 @@ def check_types(
 ) -> None:
     """Raise `GoalRejected` for what a message cannot carry: a text as a number, a list as a name.
 
-    Values are for the hand to check, which knows its actions and limits.
-
-    Args:
-        action: Name of the action.
-        elements: Fingers or actuator of a primitive.
-        options: The options given.
-        known: Names of all options.
+    Values are for the hand to check, which knows its actions and limits; names of options must be
+    known.
     """
     for name in (action, *elements):
         if not isinstance(name, str):

@@ -20,11 +20,7 @@ _WAITING: Final = 4
 
 
 class GraspPlanning:
-    """Answers the requests ``grasp_plan`` and ``reach``.
-
-    Args:
-        hand: The hand's name.
-    """
+    """Answers the requests ``grasp_plan`` and ``reach``."""
 
     def __init__(self, hand: str) -> None:
         self._hand = hand
@@ -33,14 +29,9 @@ class GraspPlanning:
         self._closed = False
 
     def handle(self, request: IncomingRequest, actions: Path | None) -> None:
-        """Queue a request, which is answered when the plan is ready.
+        """Queue a request, which is answered when the plan is ready; `RteeError` if it is refused.
 
-        Args:
-            request: The request.
-            actions: The folder of actions inside the hand's folder.
-
-        Raises:
-            RteeError: if the request is refused.
+        The actions are in a folder inside the hand's.
         """
         reach = request.request.name == "reach"
         question = _reach_question(request.fields) if reach else _question(request.fields)

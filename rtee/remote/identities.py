@@ -33,12 +33,7 @@ _TOKEN = re.compile(r"[0-9a-f]{32}\Z")
 
 
 class Admitted(NamedTuple):
-    """The rights of the clients on an access path.
-
-    Attributes:
-        role: Their role.
-        prefix: Required beginning of their names.
-    """
+    """The role of the clients on an access path, and the required beginning of their names."""
 
     role: Role
     prefix: str = ""
@@ -62,7 +57,6 @@ class Client:
 
     Attributes:
         name: The client's unique name.
-        role: The client's role.
         way: Its access path to the hand, see `HELLO`.
         secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
@@ -88,11 +82,8 @@ class Client:
 class Identities:
     """The clients of a hand. Any thread may call its methods.
 
-    Args:
-        admit: Returns the rights of the clients on an access path.
-
-    Attributes:
-        present: Called with name and access path of each client that arrives, or comes back.
+    ``admit`` returns the rights of the clients on an access path; `present` is called with name and
+    access path of each client that arrives, or comes back.
     """
 
     def __init__(self, admit: Admit = admit_local) -> None:
@@ -120,8 +111,7 @@ class Identities:
     def hello(self, request: IncomingRequest, way: str) -> None:
         """Admit a client, now or once its token is seen, and answer with its secret and role.
 
-        Raises:
-            RequestRejected: if the client is not admitted, with the reason.
+        Raises `RequestRejected` if the client is not admitted, with the reason.
         """
         name, token = check_name(request.fields["client"], "client"), request.fields["what"]
         admitted = self._admitted(way)
@@ -188,10 +178,8 @@ class Identities:
     def check(self, request: Request, attachment: bytes | None, question: bytes) -> str:
         """Return the name of the client that has sent a request.
 
-        Raises:
-            RequestRejected: if the request is not signed or was sent before, or its client lacks
-                the role or sends too many.
-            Ignored: if there are too many requests even to refuse them.
+        Raises `RequestRejected` if the request is not signed or was sent before, or its client
+        lacks the role or sends too many, and `Ignored` if there are too many even to refuse them.
         """
         client = self.signer(request, attachment, question)
         if client is None:

@@ -41,7 +41,6 @@ class _Inbox:
     """The inbox of a present client.
 
     Attributes:
-        key: Key expression of the client's publications.
         rates: Limits the messages that are not accepted.
         closed: Whether the inbox is closed for a while.
         closed_for: Duration of the last closure [s].
@@ -69,11 +68,8 @@ class _Inbox:
 class Inboxes:
     """Receives the publications of a hand's clients. Any thread may call its methods.
 
-    Args:
-        session: The Zenoh session.
-        hand: The hand's name.
-        receive: Called with each message, in Zenoh's thread.
-        calls: Makes the calls that declare and undeclare subscribers, one after the other.
+    ``receive`` is called with each message, in Zenoh's thread; ``calls`` makes the calls that
+    declare and undeclare subscribers, one after the other.
     """
 
     def __init__(

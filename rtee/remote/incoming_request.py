@@ -50,13 +50,9 @@ def refusal(error: Exception) -> bytes:
 
 
 class IncomingRequest:
-    """A request that waits for its answer.
+    """A request that waits for its answer, with its encoded question.
 
-    Attributes:
-        request: The kind of request.
-        question: The question, encoded.
-        send: Sends the answer.
-        client: Name of the client that has signed it; names in the question are not trusted.
+    The client is the one that has signed it; names in the question are not trusted.
     """
 
     __slots__ = ("_fields", "client", "question", "request", "send")
@@ -101,10 +97,6 @@ Check = Callable[[Request, bytes | None, bytes], str]
 the request is refused."""
 
 
-def _always() -> bool:
-    return True
-
-
 def handle_request(
     message: zenoh.Query | zenoh.Sample,
     group: str,
@@ -112,7 +104,7 @@ def handle_request(
     handle: Handler,
     send: Send,
     later: Later | None = None,
-    answers_junk: Callable[[], bool] = _always,
+    answers_junk: Callable[[], bool] = lambda: True,
 ) -> None:
     """Check and handle a request of a group, and send the answer or a refusal.
 
@@ -163,8 +155,7 @@ def answer_to(request: IncomingRequest, handle: Handler) -> None:
 def read(message: zenoh.Query | zenoh.Sample, group: str) -> tuple[Request, bytes]:
     """Return the kind of a request and its encoded question; cheap for junk of any size.
 
-    Raises:
-        MessageError: if the message is not a request of the group.
+    Raises `MessageError` if the message is not a request of the group.
     """
     name = _name(message, group)
     request = REQUESTS.get(name)

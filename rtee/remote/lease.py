@@ -12,15 +12,12 @@ JOGGING = 1.0
 
 
 class Lease:
-    """The lease of a hand.
+    """The lease of a hand, by the clock ``now`` [s].
 
     A client holds it from ``acquire`` to ``release``, and implicitly while its own goal or stream
     runs and shortly after it has jogged the hand. A client that has left holds nothing.
 
     One thread at a time may use it, except `ended` and `holder`, which may be used at any time.
-
-    Args:
-        now: The clock [s].
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:

@@ -39,11 +39,7 @@ _TOO_FAST = 0.05
 class Link:
     """A client's connection to one hand. All methods must be called in the event loop's thread.
 
-    Args:
-        session: The Zenoh session.
-        hand: The hand's name.
-        client: This client's name on the network.
-        way: This client's access path to the hand, see `rtee.messages.requests.HELLO`.
+    The client uses an access path ``way`` to the hand, see `rtee.messages.requests.HELLO`.
 
     Attributes:
         gone: Whether the hand has gone, or this client has left it.
@@ -202,15 +198,10 @@ class Link:
     def send(
         self, name: str, question: bytes = b"", *, within: float = ANSWER_WITHIN
     ) -> asyncio.Future[bytes]:
-        """Send a request now and return the future of its encoded answer.
-
-        Args:
-            name: Name of the request.
-            question: The question, encoded.
-            within: Time to wait for the answer [s].
+        """Send a request with an encoded question now; return the future of its encoded answer.
 
         Raises:
-            NoHand: if there is no answer.
+            NoHand: if there is no answer within the time [s].
             LeaseHeld: if another client holds the lease.
             RequestRejected: if the hand refuses the request, with its reason.
         """

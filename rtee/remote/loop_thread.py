@@ -31,8 +31,7 @@ class LoopThread:
     def call(self, function: Callable[[], T]) -> T:
         """Call a function and return its result; must not be used in the loop's own thread.
 
-        Raises:
-            RteeError: if the loop does not answer in time.
+        Raises `RteeError` if the loop does not answer in time.
         """
         answer: concurrent.futures.Future[T] = concurrent.futures.Future()
 

@@ -35,8 +35,7 @@ def _fingers(info: HandInfo) -> tuple[Finger, ...]:
 def from_info(info: HandInfo) -> Hand:
     """Return the model of a hand on another computer, from its description.
 
-    Raises:
-        ModelError: if the description cannot be used, for example because its meshes are missing.
+    Raises `ModelError` if that cannot be used, for example because its meshes are missing.
     """
     # By way of a file, since models are only read from files.
     with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
@@ -50,9 +49,7 @@ def from_info(info: HandInfo) -> Hand:
 async def model_of(remote: RemoteHand, configured: Hand | None = None) -> Hand:
     """Return the model of a running hand: the local one if it matches, else the hand's own.
 
-    Args:
-        remote: The running hand.
-        configured: The local model; ``None``: looked up by name.
+    The local one is looked up by name unless given.
     """
     info = await remote.info()
     try:

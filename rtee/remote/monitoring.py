@@ -7,14 +7,14 @@ import contextlib
 import math
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import anyio
 
 from rtee.commands import StreamStatus
-from rtee.errors import MessageError, NoHand, NotReady
+from rtee.errors import MessageError, NotReady
 from rtee.messages import decode_event, decode_feedback, decode_result, topics
 from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.state import State, decode_state
@@ -100,9 +100,8 @@ class Monitoring:
     def __init__(self, link: Link) -> None:
         self._link = link
         # Weak, because an iterator that was never started is never closed.
+        self._queues: weakref.WeakSet[asyncio.Queue[Any]] = weakref.WeakSet()
         self._event_queues: weakref.WeakSet[asyncio.Queue[Event | None]] = weakref.WeakSet()
-        self._state_queues: set[asyncio.Queue[State | None]] = set()
-        self._message_queues: set[asyncio.Queue[Any]] = set()
         link.subscribe(topics.EVENTS, self._on_event)
         link.on_gone(self._on_gone)
 
@@ -113,15 +112,14 @@ class Monitoring:
 
     def _on_gone(self) -> None:
         # ``None`` ends iterations that would otherwise wait forever.
-        for events in tuple(self._event_queues):
-            _put(events, None)
-        for states in self._state_queues:
-            _put(states, None)
-        for messages in self._message_queues:
-            _put(messages, None)
+        for queue in tuple(self._queues):
+            _put(queue, None)
 
-    def _has_gone(self) -> NoHand:
-        return self._link.lost()
+    def _queue(self) -> asyncio.Queue[Any]:
+        """Return a new queue of messages, which ends with ``None`` when the hand goes."""
+        queue: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
+        self._queues.add(queue)
+        return queue
 
     async def _next(self, queue: asyncio.Queue[T | None]) -> T | None:
         """Return a queue's next item; ``None`` once the hand has gone and the queue is empty."""
@@ -142,20 +140,12 @@ class Monitoring:
         Raises:
             NoHand: if the hand goes.
         """
-        queue: asyncio.Queue[State | None] = asyncio.Queue(_MOST_WAITING)
-
-        def receive(data: bytes) -> None:
-            _put(queue, decode_state(data))
-
-        topic = await self._stream(rate)
-        self._state_queues.add(queue)
-        try:
-            with self._link.subscribed(topic, receive, _MOST_WAITING):
-                while (state := await self._next(queue)) is not None:
-                    yield state
-        finally:
-            self._state_queues.discard(queue)
-        raise self._has_gone()
+        # Closed with this iterator, or the hand would go on publishing for a while.
+        async with contextlib.aclosing(
+            self._messages(await self._stream(rate), decode_state)
+        ) as states:
+            async for state in states:
+                yield state
 
     @contextlib.asynccontextmanager
     async def collected_states(
@@ -211,45 +201,37 @@ class Monitoring:
             NoHand: if the hand goes.
         """
         # Registered here rather than at the first step of the iteration, to miss no event.
-        queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_WAITING)
+        queue = self._queue()
         self._event_queues.add(queue)
         return self._drained(queue)
 
-    async def _drained(self, queue: asyncio.Queue[Event | None]) -> AsyncIterator[Event]:
-        while (event := await self._next(queue)) is not None:
-            yield event
-        raise self._has_gone()
+    async def _drained(self, queue: asyncio.Queue[T | None]) -> AsyncIterator[T]:
+        while (item := await self._next(queue)) is not None:
+            yield item
+        raise self._link.lost()
 
-    async def feedback(self) -> AsyncIterator[Feedback]:
+    def feedback(self) -> AsyncIterator[Feedback]:
         """Iterate over the feedback of all clients' goals until the hand goes.
 
         Raises:
             NoHand: if the hand goes.
         """
-        async for feedback in self._messages(topics.FEEDBACK, decode_feedback):
-            yield feedback
+        return self._messages(topics.FEEDBACK, decode_feedback)
 
-    async def results(self) -> AsyncIterator[Result]:
+    def results(self) -> AsyncIterator[Result]:
         """Iterate over the results of all clients' goals until the hand goes.
 
         Raises:
             NoHand: if the hand goes.
         """
-        async for result in self._messages(topics.RESULTS, decode_result):
-            yield result
+        return self._messages(topics.RESULTS, decode_result)
 
-    async def _messages(self, topic: str, decode: Callable[[bytes], T]) -> AsyncIterator[T]:
-        queue: asyncio.Queue[T | None] = asyncio.Queue(_MOST_WAITING)
-        self._message_queues.add(queue)
-        try:
-            with self._link.subscribed(
-                topic, lambda data: _put(queue, decode(data)), _MOST_WAITING
-            ):
-                while (message := await self._next(queue)) is not None:
-                    yield message
-        finally:
-            self._message_queues.discard(queue)
-        raise self._has_gone()
+    async def _messages(self, topic: str, decode: Callable[[bytes], T]) -> AsyncGenerator[T]:
+        queue = self._queue()
+        with self._link.subscribed(topic, lambda data: _put(queue, decode(data)), _MOST_WAITING):
+            while (message := await self._next(queue)) is not None:
+                yield message
+        raise self._link.lost()
 
     async def status(self) -> HandStatus:
         """Return the status of the loop and the devices."""
@@ -287,7 +269,7 @@ class Monitoring:
         with anyio.move_on_after(timeout):
             while True:
                 if self._link.gone:
-                    raise self._has_gone()
+                    raise self._link.lost()
                 status = await self.status()
                 ticks = status.statistics.ticks
                 troubles = [_trouble(d) for d in status.devices if d.lifecycle != Lifecycle.ACTIVE]

@@ -90,12 +90,7 @@ class OpeningRange:
 def opening_fields(library: ActionLibrary, devices: Iterable[Supervisor]) -> dict[str, Any]:
     """Return the fields of a ``rtee_msgs/OpeningList`` with all actions of up-to-date openings.
 
-    Args:
-        library: The hand's actions.
-        devices: Its devices.
-
-    Raises:
-        ConfigError: if the file of the openings is malformed.
+    Raises `ConfigError` if the file of the openings is malformed.
     """
     forces, entries = device_forces(library.hand, devices), []
     openings = library.openings

@@ -19,11 +19,7 @@ from rtee.remote.session import direct
 
 
 class Outlet:
-    """One topic; made by `Outlets.open`. Any thread may call its methods.
-
-    Attributes:
-        topic: The topic's name.
-    """
+    """One topic; made by `Outlets.open`. Any thread may call its methods."""
 
     def __init__(
         self, session: zenoh.Session, hand: str, topic: str, watched: bool, options: dict[str, Any]
@@ -67,12 +63,7 @@ class Outlet:
 
 
 class _Key:
-    """One key of a topic.
-
-    Attributes:
-        publisher: Publishes on the key.
-        wanted: Whether the key has subscribers, or they are not watched.
-    """
+    """One key of a topic; wanted if it has subscribers, or they are not watched."""
 
     def __init__(self, publisher: zenoh.Publisher, watched: bool) -> None:
         self.publisher, self.wanted = publisher, not watched
@@ -88,13 +79,7 @@ class _Key:
 
 
 class Outlets:
-    """The topics of a hand.
-
-    Args:
-        session: The Zenoh session.
-        hand: The hand's name.
-        people: Common names of the certificates that are admitted.
-    """
+    """The topics of a hand, for people by the common names of their certificates."""
 
     def __init__(self, session: zenoh.Session, hand: str, people: Collection[str] = ()) -> None:
         self.hand = hand
@@ -104,13 +89,10 @@ class Outlets:
         self._open: list[Outlet] = []
 
     def open(self, topic: str, *, watched: bool = False, **options: Any) -> Outlet:
-        """Return a new topic.
+        """Return a new topic, with options of Zenoh's publishers.
 
-        Args:
-            topic: Its name.
-            watched: Whether to publish only on keys that have subscribers. That saves time for
-                frequent messages, but a subscriber may miss those of its first milliseconds.
-            options: Options of Zenoh's publishers.
+        If watched, it is published only on keys that have subscribers. That saves time for frequent
+        messages, but a subscriber may miss those of its first milliseconds.
         """
         outlet = Outlet(self._session, self.hand, topic, watched, options)
         with self._changing:

@@ -23,9 +23,8 @@ from rtee.sample import FloatArray
 def _full_posture(hand: Hand, positions: Mapping[str, float]) -> FloatArray:
     """Return actuator positions ``(n,)``: the given ones, and rest positions for the others.
 
-    Raises:
-        GoalRejected: if a value is not finite or outside the limits.
-        UnknownActuator: if there is no such actuator.
+    Raises `GoalRejected` if a value is not finite or outside the limits, `UnknownActuator` if there
+    is no such actuator.
     """
     u = np.array(hand.rest)
     for name, value in positions.items():
@@ -137,11 +136,7 @@ _ACTUATOR = tuple(name for name in ActuatorInfo.__slots__ if name != "stiffness"
 
 
 def info_fields(hand: Hand, positions: Mapping[str, float]) -> dict[str, Any]:
-    """Return the fields of a ``rtee_msgs/HandInfo`` at a posture.
-
-    Raises:
-        UserError: if the posture does not fit the hand.
-    """
+    """Return the fields of a ``rtee_msgs/HandInfo``; `UserError` if the posture does not fit."""
     u = _full_posture(hand, positions)
     return {
         "name": hand.name,
@@ -207,8 +202,7 @@ def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:
 def info_of(fields: Mapping[str, Any]) -> HandInfo:
     """Return the description in the fields of a ``rtee_msgs/HandInfo``.
 
-    Raises:
-        MessageError: if the size of an array does not match the names.
+    Raises `MessageError` if the size of an array does not match the names.
     """
     n, m = len(fields["actuators"]), len(fields["joints"])
     try:

@@ -52,8 +52,7 @@ def credentials_of(hand: str, endpoints: Endpoints) -> Credentials | None:
 def exposed(endpoints: Endpoints) -> list[str]:
     """Return the endpoints through which anybody can move the hand.
 
-    Raises:
-        ConfigError: if there are any and hand.yaml does not allow it.
+    Raises `ConfigError` if there are any and hand.yaml does not allow it.
     """
     everywhere = [*endpoints.listen, *endpoints.connect]
     unsafe = [endpoint for endpoint in everywhere if not is_safe(endpoint)]
@@ -70,18 +69,10 @@ def exposed(endpoints: Endpoints) -> list[str]:
 
 
 class Protection:
-    """The rights of a hand's clients, by their access path.
+    """The rights of a hand's clients, by their access path, and Zenoh's settings.
 
-    Args:
-        hand: The hand's name.
-        endpoints: Its network settings.
-
-    Attributes:
-        settings: Zenoh's settings.
-
-    Raises:
-        ConfigError: if an endpoint admits everybody and hand.yaml does not allow it, or there are
-            no certificates.
+    Raises `ConfigError` if an endpoint admits everybody and hand.yaml does not allow it, or there
+    are no certificates.
     """
 
     def __init__(self, hand: str, endpoints: Endpoints) -> None:
@@ -121,10 +112,9 @@ class Protection:
 
     @contextlib.contextmanager
     def watched(self, changed: Changed) -> Iterator[None]:
-        """Follow the list of people in a thread, for as long as the context lasts.
+        """Follow the list of people in a thread, which calls a function when the list has changed.
 
-        Args:
-            changed: Called in that thread when the list has changed.
+        Ends with the context.
         """
         credentials = self._credentials
         if credentials is None:

@@ -63,11 +63,7 @@ _MOST_WAITING = 20
 
 
 class StateMessages:
-    """Encodes the records of ticks.
-
-    Attributes:
-        grip: Computes opening and force of the fingertips, for the last goal with either.
-    """
+    """Encodes the records of ticks, with the opening and force for the last goal with either."""
 
     def __init__(self, hand: Hand) -> None:
         self.grip: Grip | None = None
@@ -99,13 +95,7 @@ class StateMessages:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """A message published every n ticks while it has subscribers.
-
-    Attributes:
-        outlet: Where it is published.
-        every: The number n of ticks.
-        encode: Returns the message of a tick.
-    """
+    """A message, encoded and published at an outlet every n ticks while it has subscribers."""
 
     outlet: Outlet
     every: int
@@ -113,14 +103,7 @@ class Stream:
 
 
 class Streams:
-    """The streams of one hand.
-
-    Args:
-        outlets: Publishes the topics.
-        hand: The hand.
-        rate: Rate of the loop [Hz].
-        state_rate: Rate of the topics for all clients [Hz].
-    """
+    """The streams of one hand, with rates of its loop and of topics for all clients [Hz]."""
 
     def __init__(self, outlets: Outlets, hand: Hand, rate: float, state_rate: float) -> None:
         self._outlets, self._rate = outlets, rate
@@ -153,10 +136,7 @@ class Streams:
         """Return the topic with states at the possible rate nearest to a given one [Hz].
 
         The stream begins when a client subscribes to it. While very many rates are streamed, its
-        rate may be up to twice the given one.
-
-        Raises:
-            GoalRejected: if the rate is out of range.
+        rate may be up to twice the given one. Raises `GoalRejected` if the rate is out of range.
         """
         if not 0.01 <= rate <= 1e5:
             raise GoalRejected(f"the rate must be 0.01 Hz to that of the loop, not {rate:g}")
@@ -165,9 +145,9 @@ class Streams:
             every = every if self._has_room() else 1 << (every.bit_length() - 1)
         if every not in self._asked:
             # Replaced rather than changed, because the loop's thread iterates over it.
-            asked = dict(self._asked)
-            asked[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
-            self._replace(asked)
+            streams = dict(self._asked)
+            streams[every] = self._stream(f"{STATES}/{every}", every, self.messages.state)
+            self._replace(streams)
         return self._asked[every].outlet.topic
 
     def _has_room(self) -> bool:
@@ -182,8 +162,8 @@ class Streams:
         self._outlets.close(stream.outlet)
         return True
 
-    def _replace(self, asked: dict[int, Stream]) -> None:
-        self._asked, self._all = asked, (*self._fixed, *asked.values())
+    def _replace(self, streams: dict[int, Stream]) -> None:
+        self._asked, self._all = streams, (*self._fixed, *streams.values())
 
     def publish(self, record: TickRecord) -> None:
         """Queue the messages that are due at a tick."""
@@ -226,13 +206,7 @@ class Streams:
 class Publisher(Observer):
     """Publishes a loop's records: states in their streams, all other messages in order.
 
-    Its methods are called in the loop's thread.
-
-    Args:
-        outlets: Publishes the topics.
-        streams: Publishes the states.
-        outbox: Publishes all other messages.
-        lease: The hand's lease, which goals and streams hold until they end.
+    Its methods are called in the loop's thread. Goals and streams hold the lease until they end.
     """
 
     def __init__(self, outlets: Outlets, streams: Streams, outbox: CallQueue, lease: Lease) -> None:

@@ -93,16 +93,7 @@ class Recording(Protocol):
 
 
 class QueryHandlers:
-    """Handles the requests of the group ``ask``.
-
-    Args:
-        loop: The hand's loop.
-        lease: The hand's lease.
-        thread: The loop's thread.
-        streams: The streams of states.
-        recording: The recorder, if there is one.
-        profile: The profile of the references, in words.
-    """
+    """Handles the requests of the group ``ask``; the profile of the references is in words."""
 
     def __init__(
         self,
@@ -121,15 +112,17 @@ class QueryHandlers:
         self._cache: dict[tuple[str, bytes], bytes] = {}
         self._version = -1
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
-            "stream": self._stream,
+            "stream": lambda fields: accepted(streams.ask(fields["rate"])),
             "touch": lambda _: reply_fields(loop.snapshot()),
             "status": self._status,
             "object_description": self._object_description,
             "info": self._info,
             "robot_description": lambda _: {"data": self._hand.urdf.text},
             "actions": self._actions,
-            "primitives": self._primitives,
-            "partners": self._partners,
+            "primitives": lambda _: {"groups": list(map(group_fields, self._library.primitives()))},
+            "partners": lambda fields: {
+                "names": self._library.partners(fields["name"], fields["what"])
+            },
             "openings": lambda _: opening_fields(self._library, loop.devices.values()),
             "trials": lambda _: {"data": self._trials()},
             "record": self._record,
@@ -142,8 +135,7 @@ class QueryHandlers:
     def handle(self, request: IncomingRequest) -> bytes | None:
         """Return the encoded answer to a request; ``None`` if it is sent later.
 
-        Raises:
-            RteeError: if the request is refused.
+        Raises `RteeError` if the request is refused.
         """
         name, fields = request.request.name, request.fields
         if name == "state":
@@ -180,9 +172,6 @@ class QueryHandlers:
         return self._cache[key]
 
     # --- information
-
-    def _stream(self, fields: Fields) -> Fields:
-        return accepted(self._streams.ask(fields["rate"]))
 
     def _status(self, _: Fields) -> Fields:
         loop = self._loop
@@ -265,12 +254,6 @@ class QueryHandlers:
         # Once for each name: a primitive has an action for each combination of elements.
         stored = {name: self._library.is_stored(name) for name in {a.name for a in actions}}
         return {"actions": [action_fields(a, stored[a.name]) for a in actions]}
-
-    def _primitives(self, _: Fields) -> Fields:
-        return {"groups": [group_fields(group) for group in self._library.primitives()]}
-
-    def _partners(self, fields: Fields) -> Fields:
-        return {"names": self._library.partners(fields["name"], fields["what"])}
 
     def _reload(self) -> None:
         if self._library.folder is not None and self._library.reload():

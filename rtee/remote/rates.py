@@ -56,11 +56,7 @@ class Ignored(Exception):
 
 
 class Rates:
-    """Limits the requests of one client: a token bucket for each kind.
-
-    Args:
-        now: The clock [s].
-    """
+    """Limits the requests of one client: a token bucket for each kind, by the clock ``now`` [s]."""
 
     __slots__ = ("_left", "_now")
 

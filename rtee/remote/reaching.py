@@ -29,13 +29,7 @@ _NAMED: Final = 3
 
 
 class ReachClient:
-    """Converts grasps of a planner to postures of the hand, and executes them.
-
-    Args:
-        link: The connection to the hand.
-        actions: Its actions.
-        goals: Its goals.
-    """
+    """Converts grasps of a planner to postures of the hand, and executes them."""
 
     def __init__(self, link: Link, actions: ActionClient, goals: GoalClient) -> None:
         self._link, self._actions, self._goals = link, actions, goals

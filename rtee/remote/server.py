@@ -86,14 +86,6 @@ class Server:
     at once. Only requests for information are handled in another thread, since they may take
     milliseconds; refused ones do not wake it.
 
-    Args:
-        hand: The hand's name.
-        endpoint: Address of the hand on this computer.
-        session: The Zenoh session.
-        identities: The clients.
-        commands: Handles requests that move or stop the hand.
-        queries: Handles requests for information, and those that change the actions.
-
     Attributes:
         endpoint: Address of the hand on this computer.
         outbox: Publishes messages that must not be lost, in order.
@@ -133,14 +125,8 @@ class Server:
     ) -> AsyncIterator[Self]:
         """Make a hand available on the network for as long as the context lasts.
 
-        Args:
-            loop: The hand's loop, which runs in the event loop of this task.
-            settings: The hand's network settings.
-            recording: Its recorder, if it has one.
-            profile: The profile of its references, in words.
-
-        Raises:
-            ConfigError: if the hand runs already, or an endpoint cannot be used.
+        Its loop runs in the event loop of this task; the profile of its references is in words.
+        Raises `ConfigError` if the hand runs already, or an endpoint cannot be used.
         """
 
         # These calls block for milliseconds, and this event loop drives the hand.

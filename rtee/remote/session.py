@@ -178,19 +178,9 @@ def open_server(
 ) -> tuple[zenoh.Session, str]:
     """Open a session that listens on a Unix socket and on further endpoints.
 
-    Blocks for some milliseconds.
-
-    Args:
-        local: Path of the socket.
-        listen: Further endpoints to listen on.
-        connect: Endpoints to connect to, such as a Zenoh router, which may come up later.
-        further: Further settings of Zenoh.
-
-    Returns:
-        The session and its endpoint on this computer.
-
-    Raises:
-        ConfigError: if an endpoint cannot be used.
+    Blocks for some milliseconds. Returns the session and its endpoint on this computer. The
+    endpoints to connect to, such as a Zenoh router, may come up later; ``further`` are settings of
+    Zenoh. Raises `ConfigError` if an endpoint cannot be used.
     """
     check_endpoints([*listen, *connect])
     endpoint = local_endpoint(local)
@@ -238,9 +228,7 @@ def is_safe(endpoint: str) -> bool:
 def open_client(endpoints: Sequence[str]) -> zenoh.Session:
     """Open a session that connects to a hand and listens nowhere; blocks for some milliseconds.
 
-    Raises:
-        NoHand: if nobody answers there.
-        ConfigError: if an endpoint is malformed.
+    Raises `NoHand` if nobody answers there, `ConfigError` if an endpoint is malformed.
     """
     check_endpoints(endpoints)
     settings: dict[str, Any] = {

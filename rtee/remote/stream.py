@@ -34,7 +34,6 @@ class Stream:
     Args:
         link: The connection to the hand.
         monitoring: Returns the hand's status.
-        name: The stream's identifier.
         number: Label under which the hand refuses its samples; see `Link.refusals`.
 
     Attributes:
@@ -99,13 +98,7 @@ class Stream:
 
 
 class StreamClient:
-    """Opens streams.
-
-    Args:
-        link: The connection to the hand.
-        monitoring: Returns the hand's status.
-        goals: Returns the effort limits of its actuators.
-    """
+    """Opens streams; the goals know the effort limits of the actuators."""
 
     def __init__(self, link: Link, monitoring: Monitoring, goals: GoalClient) -> None:
         self._link, self._monitoring, self._goals = link, monitoring, goals

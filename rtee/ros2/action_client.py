@@ -42,39 +42,24 @@ class ClientGoal:
     async def result(self, timeout: float = math.inf) -> Outcome:
         """Wait for the end of the goal and return its outcome.
 
-        Args:
-            timeout: Longest time to wait [s].
-
-        Raises:
-            TimeoutError: if the goal has not ended by then.
-            NoHand: if the server has gone, or does not know the goal any more.
+        Raises `TimeoutError` if it has not ended within the timeout [s], and `NoHand` if the server
+        has gone, or does not know the goal any more.
         """
         return await self._client.result(self, timeout)
 
     async def cancel(self, timeout: float = _ANSWER_WITHIN) -> Refusal:
         """Request the server to cancel the goal; return its refusal, or `Refusal.NONE`.
 
-        Args:
-            timeout: Longest time until the answer [s].
-
-        Raises:
-            TimeoutError: if the server does not answer.
+        Raises `TimeoutError` if it does not answer within the timeout [s].
         """
         code, _ = await self._client.cancel(self.id, timeout=timeout)
         return code
 
 
 class ActionClient:
-    """A client of an action.
+    """A client of an action, of a type or a type's full name.
 
-    Args:
-        node: The node of the client.
-        name: Name of the action.
-        type_: Type of the action, or the type's full name.
-
-    Raises:
-        ConfigError: if ROS 2 would refuse the name.
-        MessageError: if there is no such type.
+    Raises `ConfigError` if ROS 2 would refuse the name, `MessageError` if there is no such type.
     """
 
     def __init__(self, node: Node, name: str, type_: str | ActionType) -> None:
@@ -103,18 +88,11 @@ class ActionClient:
         """Whether there is a server: all three services and both topics of the action."""
         services = self._send.available and self._result.available and self._cancel.available
         return services and all(
-            self._graph.of(Kind.PUBLISHER, one.name, one.type.name) for one in self._heard
+            self._graph.of(Kind.PUBLISHER, topic.name, topic.type.name) for topic in self._heard
         )
 
     async def wait_for_server(self, timeout: float = math.inf) -> None:
-        """Wait until there is a server.
-
-        Args:
-            timeout: Longest time [s].
-
-        Raises:
-            TimeoutError: if there is none.
-        """
+        """Wait until there is a server; raises `TimeoutError` if there is none by then [s]."""
         with anyio.move_on_after(timeout) as scope:
             await self._graph.wait_until(lambda: self.available)
         if scope.cancelled_caught:
@@ -132,12 +110,11 @@ class ActionClient:
         Args:
             goal: Message of the goal.
             on_feedback: Called in the event loop with the feedback of the goal.
-            timeout: Longest time until the server's answer [s].
+            timeout: Longest time until the server's answer [s]; then `TimeoutError`.
             goal_id: Identifier of the goal ``(16,)``; random unless given.
 
         Raises:
             GoalRejected: if the server rejects the goal; ROS 2 transmits no reason.
-            TimeoutError: if the server does not answer.
             MessageError: if a field of the goal holds what its type cannot.
         """
         goal_id = uuid.uuid4().bytes if goal_id is None else goal_id
@@ -162,23 +139,23 @@ class ActionClient:
         gone = NoHand(f"the server of {self.name} has gone")
         request = self.type.get_result.request(goal_id=self._uuid(uuid=goal.id))
         # The query has no timeout and may outlive its server, hence the watch on the graph.
-        asked = asyncio.ensure_future(self._result.call(request, math.inf))
+        call = asyncio.ensure_future(self._result.call(request, math.inf))
         watch = asyncio.ensure_future(self._graph.wait_until(lambda: not self._result.available))
         try:
             limit = None if math.isinf(timeout) else timeout
-            await asyncio.wait((asked, watch), timeout=limit, return_when="FIRST_COMPLETED")
-            if not asked.done() and not watch.done():
+            await asyncio.wait((call, watch), timeout=limit, return_when="FIRST_COMPLETED")
+            if not call.done() and not watch.done():
                 raise TimeoutError(f"the goal of {self.name} has not ended after {timeout:g} s")
-            if not asked.done():
+            if not call.done():
                 raise gone
             try:
-                answer = asked.result()
+                answer = call.result()
             except TimeoutError:  # Zenoh ended the query, since nobody is left to answer it
                 raise gone from None
         finally:
-            for task in (asked, watch):
+            for task in (call, watch):
                 task.cancel()
-            await asyncio.gather(asked, watch, return_exceptions=True)
+            await asyncio.gather(call, watch, return_exceptions=True)
         # Not after a timeout, since the goal then goes on and its feedback is still wanted.
         self._goals.pop(goal.id, None)
         # Other implementations may send states that are not defined.
@@ -191,24 +168,21 @@ class ActionClient:
     async def cancel(
         self, goal_id: bytes = NO_GOAL, until: int = 0, timeout: float = _ANSWER_WITHIN
     ) -> tuple[Refusal, list[bytes]]:
-        """Cancel goals, also those of other clients.
+        """Cancel goals, also those of other clients: one, or those accepted up to a time, or all.
+
+        Returns the server's refusal, or `Refusal.NONE`, and the identifiers of the cancelled goals.
+        Raises `TimeoutError` if the server does not answer within the timeout [s], and
+        `MessageError` if the code of the answer is not defined.
 
         Args:
             goal_id: The goal; `NO_GOAL`: the goals of ``until``, or all.
             until: Time since 1970 [ns]; also cancels all goals accepted up to then; 0: none.
             timeout: Longest time until the answer [s].
-
-        Returns:
-            The server's refusal, or `Refusal.NONE`, and the identifiers of the cancelled goals.
-
-        Raises:
-            TimeoutError: if the server does not answer.
-            MessageError: if the code of the answer is not defined.
         """
         stamp = self._time(**time_fields(until))
         info = self._info(goal_id=self._uuid(uuid=goal_id), stamp=stamp)
         answer = await self._cancel.call(self.type.cancel_goal.request(goal_info=info), timeout)
-        ids = [one.goal_id.uuid for one in answer.goals_canceling]
+        ids = [goal.goal_id.uuid for goal in answer.goals_canceling]
         try:
             return Refusal(answer.return_code), ids
         except ValueError:
@@ -220,11 +194,11 @@ class ActionClient:
             known[1](message.feedback)
 
     def _on_status(self, message: Any) -> None:
-        for one in message.status_list:
-            known = self._goals.get(one.goal_info.goal_id.uuid)
+        for status in message.status_list:
+            known = self._goals.get(status.goal_info.goal_id.uuid)
             if known is not None:
                 with suppress(ValueError):
-                    known[0].state = GoalState(one.status)
+                    known[0].state = GoalState(status.status)
 
     def close(self) -> None:
         """Leave the graph."""

@@ -70,26 +70,14 @@ Accept = Callable[[Any], Awaitable[Job]]
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """A type under which a server offers its action.
-
-    Attributes:
-        type: The type.
-        accept: Accepts or rejects goals of this type.
-    """
+    """A type under which a server offers its action, and what accepts or rejects its goals."""
 
     type: ActionType
     accept: Accept
 
 
 class ServerGoal:
-    """An accepted goal.
-
-    Attributes:
-        id: Identifier of the goal ``(16,)``.
-        goal: Message of the goal.
-        stamp: Time of its acceptance since 1970 [ns].
-        state: State of the goal.
-    """
+    """An accepted goal with its identifier ``(16,)`` and the time of acceptance since 1970 [ns]."""
 
     def __init__(
         self, goal_id: bytes, goal: Message, job: Job, offered: _Offered, stamp: int
@@ -108,11 +96,7 @@ class ServerGoal:
         return any(publisher.heard for publisher, _ in self.offered.feedback)
 
     def feedback(self, **fields: Any) -> None:
-        """Publish feedback if anybody subscribes.
-
-        Args:
-            fields: Fields by name; a version of the type that lacks a field is sent without it.
-        """
+        """Publish feedback if anybody subscribes, in each version without the fields it lacks."""
         for publisher, kind in self.offered.feedback:
             if publisher.heard:
                 known = [member.name for member in kind.STRUCTURE.members]
@@ -176,13 +160,7 @@ class ActionServer:
     """A server of an action, under one type or several at once.
 
     Rejects goals whose identifier is known already. Keeps the results of the last 50 goals for 15
-    minutes. As in ROS 2, a goal goes on when its client disappears.
-
-    Args:
-        node: The node of the server.
-        name: Name of the action, such as ``~/gripper_cmd``.
-        offers: The types under which to offer it.
-        kept_for: Time for which to keep results [s].
+    minutes, or ``kept_for`` [s]. As in ROS 2, a goal goes on when its client disappears.
     """
 
     def __init__(self, node: Node, name: str, *offers: Offer, kept_for: float = KEPT_FOR) -> None:
@@ -218,11 +196,7 @@ class ActionServer:
     async def begin(self, goal_id: bytes, message: Message, offered: _Offered, stamp: int) -> bool:
         """Begin a goal and return whether it was accepted; log the reason of a rejection.
 
-        Args:
-            goal_id: Identifier of the goal.
-            message: Message of the goal.
-            offered: The type of the goal.
-            stamp: Time of acceptance since 1970 [ns].
+        The stamp is the time of acceptance since 1970 [ns].
         """
         if goal_id in self._goals or goal_id in self._pending or goal_id == NO_GOAL:
             self._context.complaints.tell(f"a goal of {self.name} is refused", "its id is not new")
@@ -264,7 +238,7 @@ class ActionServer:
 
     def _log_refusal(self, reason: str) -> None:
         now = time.monotonic()
-        self._logged = {one: at for one, at in self._logged.items() if now - at < _LOGGED_AGAIN}
+        self._logged = {why: at for why, at in self._logged.items() if now - at < _LOGGED_AGAIN}
         if reason not in self._logged and self._limit.passes():
             self._logged[reason] = now
             self._context.log.warning("a goal of %s is refused: %s", self.name, reason)
@@ -377,7 +351,7 @@ class ActionServer:
         """Cancel the active goals, wait until their clients have the results, leave the graph."""
         self._finishing = True
         # Clients of a goal that has just ended may still wait for the result.
-        under_way = [one for one in self._goals.values() if one.waiting or not one.state.ended]
+        under_way = [goal for goal in self._goals.values() if goal.waiting or not goal.state.ended]
         with anyio.move_on_after(_LONGEST_END, shield=True):
             for goal in under_way:
                 if not goal.state.ended:

@@ -48,13 +48,7 @@ class Refusal(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Outcome of a goal.
-
-    Attributes:
-        state: Succeeded, canceled or aborted.
-        result: Result of the action's type.
-        reason: Reason for an abortion, for the log.
-    """
+    """Outcome of a goal; the reason is that of an abortion, for the log."""
 
     state: GoalState
     result: Message
@@ -73,18 +67,15 @@ class Names(NamedTuple):
 
 def names(action: str) -> Names:
     """Return the names of the services and topics of an action."""
-    return Names(*(f"{action}/_action/{one}" for one in Names._fields))
+    return Names(*(f"{action}/_action/{part}" for part in Names._fields))
 
 
 def versions(kind: ActionType, distro: str) -> tuple[ActionType, ...]:
     """Return an action's type in all versions that differ in their feedback.
 
-    The feedback of FollowJointTrajectory changed with control_msgs 6.3, which a robot of any
-    distribution may have. Humble has no hashes, and so only one version.
-
-    Args:
-        kind: The action.
-        distro: Distribution of the robot; its version comes first.
+    That of the distribution comes first. The feedback of FollowJointTrajectory changed with
+    control_msgs 6.3, which a robot of any distribution may have. Humble has no hashes, and so only
+    one version.
     """
     by_hash = {kind.feedback_message.hash: kind}
     if distro != "humble":

@@ -55,8 +55,7 @@ def encode(sequence: int, time: int, gid: bytes) -> bytes:
 def decode(data: _Bytes | None) -> Attachment:
     """Return the attachment of these bytes.
 
-    Raises:
-        MessageError: if there is none, or the bytes are not those of an attachment.
+    Raises `MessageError` if there is none, or the bytes are not those of an attachment.
     """
     if data is None:
         raise MessageError("without an attachment")
@@ -77,8 +76,7 @@ def _check() -> None:
 def gid(token: str) -> bytes:
     """Return the identifier of the entity with a liveliness token ``(16,)``: its XXH3-128.
 
-    Raises:
-        MissingExtra: if xxhash is missing.
+    Raises `MissingExtra` if xxhash is missing.
     """
     _check()
     import xxhash

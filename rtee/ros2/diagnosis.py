@@ -12,36 +12,30 @@ _ROUTER_REMEDY = "start it: ros2 run rmw_zenoh_cpp rmw_zenohd, or without ROS: r
 
 
 async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[Check]:
-    """Return the checks of the ROS graph.
+    """Return the checks of the ROS graph, and of a hand whose node should be there.
 
     rmw_zenoh is silent about nodes that use a topic, service or action with another type or hash:
-    they do not receive each other's messages, without any warning.
-
-    Args:
-        settings: Domain, distribution and router.
-        hand: A hand whose node should be there.
-
-    Raises:
-        ConfigError: if a setting or variable of rmw_zenoh cannot be used.
+    they do not receive each other's messages, without any warning. Raises `ConfigError` if a
+    setting or variable of rmw_zenoh cannot be used.
     """
     try:
         # Insecure is harmless here, since this publishes and requests nothing.
         async with Context.open(settings, insecure=True, router_needed=True) as context:
             await context.graph.ready()
             rows = listed(context.graph.entities())
-            found = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
+            checks = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
     except MissingExtra as error:
         return [wrong("ROS 2", str(error), "pip install 'rtee[ros2]'")]
     except NoRouter as error:
         return [wrong("router", str(error), _ROUTER_REMEDY)]
     nodes = [row.name for row in rows if row.sort is Sort.NODE]
-    found.append(ok("nodes", f"{len(nodes)}: {', '.join(sorted(nodes))}" if nodes else "none"))
+    checks.append(ok("nodes", f"{len(nodes)}: {', '.join(sorted(nodes))}" if nodes else "none"))
     if hand is not None and not any(name.rpartition("/")[2] == hand for name in nodes):
-        found.append(
+        checks.append(
             warning("hand", f"there is no node '{hand}'", f"start it: rtee run {hand} --ros2")
         )
-    found += [
+    checks += [
         wrong("types", sentence, "use the same distribution: 'ros2: distro' in hand.yaml")
         for sentence in unheard(rows)
     ]
-    return found
+    return checks

@@ -13,7 +13,6 @@ import anyio
 from rtee.remote.monitoring import HandStatus
 from rtee.ros2.face import Face, Part
 from rtee.ros2.message import Message
-from rtee.ros2.topics import stamped
 from rtee.types import DeviceStatus, Lifecycle, LoopStatistics
 
 _PERIOD = 1.0
@@ -33,11 +32,7 @@ class Level(IntEnum):
 
 
 class Diagnostics(Part):
-    """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes ``/diagnostics``, and passes the hand's status to the other parts of the node."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -59,29 +54,22 @@ class Diagnostics(Part):
             await anyio.sleep(_PERIOD)
 
     def message(self, status: HandStatus, wall_ns: int) -> Message:
-        """Return the message for a status of the hand.
-
-        Args:
-            status: The status of the hand.
-            wall_ns: The time since 1970 [ns].
-        """
+        """Return the message for a status of the hand at a time since 1970 [ns]."""
         entries = [self._loop(status), *map(self._device, status.devices)]
         temperatures = self._temperatures()
         if temperatures is not None:
             entries.append(temperatures)
-        message: Message = self._array(header=stamped(self._face, wall_ns), status=entries)
-        return message
+        return self._array(header=self._face.header(wall_ns), status=entries)
 
     def _entry(self, name: str, level: Level, message: str, values: Mapping[str, Any]) -> Message:
         hand = self._face.hand.name
-        entry: Message = self._status(
+        return self._status(
             level=level,
             name=f"{hand}: {name}",
             message=message,
             hardware_id=hand,
             values=[self._pair(key=key, value=_text(value)) for key, value in values.items()],
         )
-        return entry
 
     def _loop(self, status: HandStatus) -> Message:
         clock = status.statistics

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from rtee.hand.config_schema import Ros2Settings, ThermalSettings
 from rtee.hand.model import Hand
@@ -13,6 +13,8 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.monitoring import HandStatus
 from rtee.remote.openings import OpeningRange
 from rtee.remote.planner import HandInfo
+from rtee.ros2.actions import time_fields
+from rtee.ros2.message import Message
 from rtee.ros2.node import Node
 from rtee.ros2.parameters import Parameter, Parameters
 
@@ -22,7 +24,6 @@ class Face:
     """A running hand and its node; made anew each time the hand starts.
 
     Attributes:
-        hand: Client of the hand.
         model: Model of the hand: names, limits and the transmission of all joints.
         info: Description of the hand at rest.
         openings: Openings and forces that goals may ask for.
@@ -62,9 +63,15 @@ class Face:
             raise TypeError(f"the parameter '{name}' is {value!r}, no number")
         return float(value)
 
-    def message(self, name: str) -> Any:
+    def message(self, name: str) -> type[Message]:
         """Return the class of a message type; raise `MessageError` if there is none."""
-        return self.node.context.interfaces.message(name)
+        kind: type[Message] = self.node.context.interfaces.message(name)
+        return kind
+
+    def header(self, wall_ns: int) -> Message:
+        """Return a ``std_msgs/msg/Header`` for a time since 1970 [ns]."""
+        stamp = self.message("builtin_interfaces/msg/Time")(**time_fields(wall_ns))
+        return self.message("std_msgs/msg/Header")(stamp=stamp)
 
     @property
     def actuators(self) -> tuple[str, ...]:
@@ -83,8 +90,4 @@ class Part(Protocol):
         return ()
 
     async def run(self) -> None:
-        """Work until cancelled.
-
-        Raises:
-            NoHand: if the hand ends.
-        """
+        """Work until cancelled, or until the hand ends, with `NoHand`."""

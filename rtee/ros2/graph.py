@@ -106,7 +106,7 @@ class Graph:
 
     def nodes(self) -> list[Entity]:
         """Return the nodes."""
-        return [one for one in self.entities() if one.kind is Kind.NODE]
+        return self.of(Kind.NODE)
 
     def of(self, kind: Kind, name: str | None = None, type_: str | None = None) -> list[Entity]:
         """Return the entities of a kind.
@@ -117,11 +117,9 @@ class Graph:
             type_: Full name of the type; all unless given.
         """
         return [
-            one
-            for one in self.entities()
-            if one.kind is kind
-            and (name is None or one.topic == name)
-            and (type_ is None or one.type == type_)
+            entity
+            for entity in self.entities()
+            if entity.kind is kind and name in (None, entity.topic) and type_ in (None, entity.type)
         ]
 
     def strangers(self, name: str, type_: str, type_hash: str) -> list[Entity]:
@@ -130,9 +128,9 @@ class Graph:
         They do not exchange messages with those of the given type.
         """
         return [
-            one
-            for one in self.entities()
-            if one.topic == name and (one.type, one.type_hash) != (type_, type_hash)
+            entity
+            for entity in self.entities()
+            if entity.topic == name and (entity.type, entity.type_hash) != (type_, type_hash)
         ]
 
     async def ready(self) -> None:

@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 from rtee.errors import GoalRejected, suggestion
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face, Part
-from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
 
@@ -18,21 +18,13 @@ GRASP = "~/grasp"
 V = TypeVar("V")
 
 
-class Grasp(Part):
-    """Offers the action ``~/grasp``.
-
-    Args:
-        face: The hand and its node.
-    """
+class Grasp(ActionPart):
+    """Offers the action ``~/grasp``."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
         self._type = face.node.context.interfaces.action("rtee_msgs/action/Grasp")
         self._server = ActionServer(face.node, GRASP, Offer(self._type, self._accept))
-
-    async def run(self) -> None:
-        """Offer the action until cancelled, and then cancel its active goals."""
-        await self._server.run()
 
     async def _accept(self, message: Any) -> HandJob:
         running = await self._face.hand.start_goal(goal_of(message))
@@ -40,26 +32,20 @@ class Grasp(Part):
 
     def _result(self, result: Result) -> Message:
         kind = self._type.result
-        names = {one.name for one in kind.STRUCTURE.members}
+        names = {member.name for member in kind.STRUCTURE.members}
         fields = {name: getattr(result, name) for name in names if hasattr(result, name)}
         # ROS 2 has no optional fields; a sequence of at most one value takes their place.
         for name in ("opening", "force", "force_error"):
             fields[name] = [] if fields[name] is None else [fields[name]]
-        fields |= {
-            "position_name": list(result.position),
-            "position": list(result.position.values()),
-        }
+        fields["position_name"] = list(result.position)
+        fields["position"] = list(result.position.values())
         return kind(**fields)
 
 
 def goal_of(message: Any) -> Goal:
     """Return the goal in a ``rtee_msgs/action/Grasp_Goal``; leave checks of numbers to the hand.
 
-    Args:
-        message: The message.
-
-    Raises:
-        GoalRejected: if names and values do not match, or a keyword is unknown.
+    Raises `GoalRejected` if names and values do not match, or a keyword is unknown.
     """
     fingers = _pairs(message.contact_finger, message.on_contact, "on_contact")
     return Goal(
@@ -67,7 +53,7 @@ def goal_of(message: Any) -> Goal:
         tuple(message.elements),
         kind=message.kind or None,
         intensity=message.intensity,
-        effort=_pairs(message.effort_name, [float(one) for one in message.effort], "effort"),
+        effort=_pairs(message.effort_name, list(map(float, message.effort)), "effort"),
         tolerance=message.tolerance,
         speed=message.speed,
         timeout=_optional(message.timeout),

@@ -19,11 +19,10 @@ from rtee.errors import ConfigError, GoalRejected, suggestion
 from rtee.messages.state import State
 from rtee.remote.openings import OpeningRange
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face, Part
-from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.parameters import Parameter
-from rtee.ros2.topics import stamped
 from rtee.types import ActuatorSpec, Feedback, Goal, Result
 
 GRIPPER = "~/gripper_cmd"
@@ -62,11 +61,7 @@ class Command:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            GoalRejected: if a number is out of range.
-        """
+        """Check the numbers; raises `GoalRejected` if one is out of range."""
         if not math.isfinite(self.position):
             raise GoalRejected(f"the position must be a finite number, not {self.position:g}")
         for what, value in (("effort", self.effort), ("velocity", self.speed)):
@@ -76,14 +71,10 @@ class Command:
                 )
 
 
-class Gripper(Part):
+class Gripper(ActionPart):
     """Offers the action ``~/gripper_cmd``.
 
-    Args:
-        face: The hand and its node.
-
-    Raises:
-        ConfigError: if the settings name an actuator that the hand does not have.
+    Raises `ConfigError` if the settings name an actuator that the hand does not have.
     """
 
     def __init__(self, face: Face) -> None:
@@ -125,24 +116,20 @@ class Gripper(Part):
         if name:
             self._actuator(name)
 
-    async def run(self) -> None:
-        """Offer the action until cancelled, and then cancel its active goals."""
-        await self._server.run()
-
     # --- commands
 
     async def _accept_simple(self, message: Any) -> HandJob:
-        asked = message.command
-        command = Command(self._configured_joint, asked.position, asked.max_effort)
+        request = message.command
+        command = Command(self._configured_joint, request.position, request.max_effort)
         return await self._begin(command, lambda fields: self._simple.result(**fields), dict)
 
     async def _accept_parallel(self, message: Any) -> HandJob:
-        asked = message.command
-        names = list(asked.name)
-        if len(asked.position) != 1 or len(names) > 1:
+        request = message.command
+        names = list(request.name)
+        if len(request.position) != 1 or len(names) > 1:
             raise GoalRejected(
-                f"a gripper takes one position and at most one name, not {len(asked.position)} and"
-                f" {len(names)}"
+                "a gripper takes one position and at most one name, not"
+                f" {len(request.position)} and {len(names)}"
             )
         if names in ([], [""]):
             joint = self._configured_joint
@@ -151,20 +138,19 @@ class Gripper(Part):
             joint = "" if names[0] == GAP and GAP not in self._face.actuators else names[0]
         command = Command(
             joint,
-            float(asked.position[0]),
-            _single(asked.effort, "effort"),
-            _single(asked.velocity, "velocity"),
+            float(request.position[0]),
+            _single(request.effort, "effort"),
+            _single(request.velocity, "velocity"),
         )
         name = names or [joint or GAP]
 
         def state(fields: dict[str, Any]) -> Message:
-            made: Message = self._joint_state(
-                header=stamped(self._face, self._face.latest.wall_ns),
+            return self._joint_state(
+                header=self._face.header(self._face.latest.wall_ns),
                 name=name,
                 position=[fields["position"]],
                 effort=[fields["effort"]],
             )
-            return made
 
         def ended(fields: dict[str, Any]) -> Message:
             return self._parallel.result(
@@ -214,15 +200,15 @@ class Gripper(Part):
         if not action and self._face.openings:
             # The hand's best action for a width opens wider than it, to get around an object. To
             # open as wide as possible, take the action that opens widest.
-            widest = max(self._face.openings, key=lambda one: one.widest)
+            widest = max(self._face.openings, key=lambda known: known.widest)
             if widest.widest <= gap <= widest.widest * (1.0 + _BEYOND):
                 gap, action, elements = widest.widest, widest.action, list(widest.elements)
         # The hand, too, finds actions whatever their spelling and the order of their elements.
         wanted = normalise(action), sorted(elements)
         ranges = [
-            one
-            for one in self._face.openings
-            if not action or (normalise(one.action), sorted(one.elements)) == wanted
+            known
+            for known in self._face.openings
+            if not action or (normalise(known.action), sorted(known.elements)) == wanted
         ]
         return Goal(
             action,
@@ -237,7 +223,7 @@ class Gripper(Part):
     def _now(self, joint: str, _: Feedback) -> dict[str, Any]:
         """Return the fields of feedback."""
         position, effort = self._measured(joint)
-        limits = [one.velocity for one in self._face.model.actuators]
+        limits = [actuator.velocity for actuator in self._face.model.actuators]
         return {
             "position": position,
             "effort": effort,
@@ -273,30 +259,22 @@ class Gripper(Part):
 def is_stalled(state: State, limits: Sequence[float]) -> bool:
     """Return whether an object blocks the hand and all actuators stand still.
 
-    Args:
-        state: The newest state. An actuator whose velocity is not measured counts as still.
-        limits: Velocity limits of the actuators ``(n,)`` [rad/s | m/s].
+    An actuator whose velocity is not measured counts as still. The limits are those of the
+    velocities ``(n,)`` [rad/s | m/s].
     """
     moving = np.abs(state.velocity) > _STILL * np.asarray(limits)
     return bool(state.grasped.any()) and not bool(moving.any())
 
 
 def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
-    """Return the force of a goal for the ``max_effort`` of a command [N].
+    """Return the force of a goal for the ``max_effort`` of a command [N], needed at a gap [m].
 
     ROS 2's controllers take ``max_effort`` as an upper bound, and programs send one value to any
-    gripper.
-
-    Args:
-        effort: The upper bound [N].
-        gap: The gap at which the force is needed [m].
-        ranges: Openings and forces of the actions in question.
-
-    Returns:
-        The bound; or, if all of the actions are weaker at the gap, the force of the strongest.
+    gripper. So this is the bound; or, if all of the actions are weaker at the gap, the force of the
+    strongest.
     """
     strongest = max(
-        (one.forces_at(gap)[1] for one in ranges if one.narrowest <= gap <= one.widest),
+        (each.forces_at(gap)[1] for each in ranges if each.narrowest <= gap <= each.widest),
         default=0.0,
     )
     # If no force can be limited, pass the bound on: the hand refuses it with the reason.
@@ -304,19 +282,12 @@ def at_most(effort: float, gap: float, ranges: Sequence[OpeningRange]) -> float:
 
 
 def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Action]) -> Goal:
-    """Return the goal that moves an actuator to a position.
+    """Return the goal that moves an actuator to the position of a command.
 
     Its action is the one that moves the fewest other actuators, at the intensity of the position.
-
-    Args:
-        command: The command.
-        actuator: The actuator of the command's joint.
-        actions: The actions of the hand.
-
-    Raises:
-        GoalRejected: if no action reaches the position.
+    Raises `GoalRejected` if no action reaches the position.
     """
-    found: list[tuple[int, float, Action]] = []
+    suitable: list[tuple[int, float, Action]] = []
     reached = [actuator.rest]
     for action in actions:
         # A timed action takes no intensity that could stop it on the way.
@@ -327,13 +298,13 @@ def joint_goal(command: Command, actuator: ActuatorSpec, actions: Sequence[Actio
         if end != actuator.rest:
             share = (command.position - actuator.rest) / (end - actuator.rest)
             if -_BEYOND <= share <= 1.0 + _BEYOND:
-                found.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
-    if not found:
+                suitable.append((len(action.posture.involved), min(max(share, 0.0), 1.0), action))
+    if not suitable:
         raise GoalRejected(
             f"the hand's actions bring '{actuator.name}' from {min(reached):.4g} to"
             f" {max(reached):.4g}, not to {command.position:.4g}"
         )
-    _, share, action = min(found, key=lambda each: each[:2])
+    _, share, action = min(suitable, key=lambda each: each[:2])
     speed = command.speed / actuator.velocity
     return Goal(
         action.name,

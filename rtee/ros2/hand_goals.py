@@ -6,19 +6,18 @@ from collections.abc import Callable
 from typing import Any
 
 from rtee.remote.goal import RunningGoal
-from rtee.ros2.action_server import ServerGoal
+from rtee.ros2.action_server import ActionServer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
+from rtee.ros2.face import Part
 from rtee.ros2.message import Message
 from rtee.types import Feedback, Result
 
 
 def state_of(result: Result, touch: bool = False) -> GoalState:
-    """Return the final state of an action's goal.
+    """Return the final state of an action's goal for the result of the hand's.
 
-    Args:
-        result: Result of the hand's goal, which succeeds if the posture was reached or an object
-            is held.
-        touch: Whether the goal was to touch; it then succeeds if a finger touched something.
+    This succeeds if the posture was reached or an object is held; one to touch if a finger touched
+    something.
     """
     if result.cancelled:
         return GoalState.CANCELED
@@ -43,15 +42,21 @@ def reason_of(result: Result, touch: bool = False) -> str:
     return f"the hand stopped short of it by {result.error:.3g} rad or m, and holds nothing"
 
 
+class ActionPart(Part):
+    """A part of a hand's node whose constructor makes the server of an action."""
+
+    _server: ActionServer
+
+    async def run(self) -> None:
+        """Offer the action until cancelled, and then cancel its active goals."""
+        await self._server.run()
+
+
 class HandJob:
     """Job of an action that follows a goal of the hand.
 
-    The hand has one goal at a time; a new goal of any client ends this one.
-
-    Args:
-        running: The running goal of the hand.
-        result: Converts the hand's result to that of the action.
-        feedback: Converts the hand's feedback to the fields of that of the action.
+    The hand has one goal at a time; a new goal of any client ends this one. Two functions convert
+    its result to that of the action, and its feedback to the fields of that of the action.
     """
 
     def __init__(

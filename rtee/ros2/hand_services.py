@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -35,23 +35,10 @@ _TRIGGER = "std_srvs/srv/Trigger"
 
 
 class Services(Part):
-    """Offers the actions and queries of a hand as services.
+    """Offers the actions and queries of a hand as services, and its gains as parameters."""
 
-    Args:
-        face: The hand and its node.
-        actions: The present actions of the hand.
-        gains: The gains of its devices, by device and gain.
-        grip_effort: Effort on a grasped object, as a fraction of the effort limit.
-    """
-
-    def __init__(
-        self,
-        face: Face,
-        actions: Iterable[Action],
-        gains: dict[tuple[str, str], float],
-        grip_effort: float,
-    ) -> None:
-        self._face, self._gains, self._grip_effort = face, gains, grip_effort
+    def __init__(self, face: Face, actions: Iterable[Action], status: HandStatus) -> None:
+        self._face, self._status = face, status
         self._offered: dict[str, tuple[Action, Service]] = {}
         node = face.node
         self._trigger = node.context.interfaces.service(_TRIGGER)
@@ -82,13 +69,13 @@ class Services(Part):
         hand = self._face.hand
         yield Parameter(
             GRIP_EFFORT,
-            self._grip_effort,
+            self._status.grip_effort,
             "Effort kept on a grasped object, as a fraction of the effort limit.",
             lower=0.0,
             upper=1.0,
             change=lambda value: hand.set_gains({GRIP_EFFORT: value}),
         )
-        for (device, gain), value in self._gains.items():
+        for device, gain, value in _gains(self._status):
             # A device that does not report its gain has NaN; a client could not read it back.
             if not math.isnan(value):
                 yield Parameter(
@@ -119,10 +106,8 @@ class Services(Part):
 
     def _keep_gains(self, status: HandStatus) -> None:
         """Update the parameters of gains, which other clients may have changed."""
-        gains = {GRIP_EFFORT: status.grip_effort}
-        for device in status.devices:
-            pairs = zip(device.gains, device.gain_values, strict=False)
-            gains |= {gain_name(device.name, gain): value for gain, value in pairs}
+        gains = {gain_name(device, gain): value for device, gain, value in _gains(status)}
+        gains[GRIP_EFFORT] = status.grip_effort
         parameters = self._face.parameters
         known = parameters.values
         # A gain unknown at the start has no parameter, and NaN would count as a change each time.
@@ -191,8 +176,8 @@ class Services(Part):
     # --- queries
 
     async def _list_actions(self, request: Any) -> dict[str, Any]:
-        asked = {"kind": request.kind, "name": request.name, "elements": request.elements}
-        return await self._face.hand.ask("actions", asked)
+        fields = {"kind": request.kind, "name": request.name, "elements": request.elements}
+        return await self._face.hand.ask("actions", fields)
 
     async def _primitives(self, request: Any) -> dict[str, Any]:
         groups = (await self._face.hand.ask("primitives"))["groups"]
@@ -219,8 +204,8 @@ class Services(Part):
         return {"accepted": True}
 
     async def _info(self, request: Any) -> dict[str, Any]:
-        asked = {"name": request.name, "position": request.position}
-        return {"info": await self._face.hand.ask("info", asked)}
+        fields = {"name": request.name, "position": request.position}
+        return {"info": await self._face.hand.ask("info", fields)}
 
     async def _openings(self, _: Any) -> dict[str, Any]:
         return await self._face.hand.ask("openings")
@@ -234,6 +219,13 @@ def service_name(action: Action) -> str:
 def gain_name(device: str, gain: str) -> str:
     """Return the name of the parameter of a gain."""
     return f"gains.{ros_name(device)}.{gain}"
+
+
+def _gains(status: HandStatus) -> Iterator[tuple[str, str, float]]:
+    """Yield device, name and value of each gain."""
+    for device in status.devices:
+        for gain, value in zip(device.gains, device.gain_values, strict=False):
+            yield device.name, gain, value
 
 
 def _reference(action: Action) -> tuple[str, tuple[str, ...], str]:

@@ -52,26 +52,24 @@ def describe(structure: Structure) -> Description:
 
 def referred(structure: Structure, find: Callable[[str], Structure]) -> list[Structure]:
     """Return all structures that one refers to, directly or not, sorted by name."""
-    found: dict[str, Structure] = {}
+    structures: dict[str, Structure] = {}
 
     def visit(names: Iterable[str]) -> None:
         for name in names:
-            if name not in found:
-                found[name] = find(name)
-                visit(member.base for member in found[name].members if member.nested)
+            if name not in structures:
+                structures[name] = find(name)
+                visit(member.base for member in structures[name].members if member.nested)
 
     visit(member.base for member in structure.members if member.nested)
-    return [found[name] for name in sorted(found)]
+    return [structures[name] for name in sorted(structures)]
 
 
 def description(structure: Structure, find: Callable[[str], Structure]) -> Description:
     """Return the ``TypeDescription`` of a structure, with all structures that it refers to.
 
-    Args:
-        structure: The structure.
-        find: Function that returns a structure by its full name.
+    ``find`` returns a structure by its full name.
     """
-    others = [describe(one) for one in referred(structure, find)]
+    others = [describe(other) for other in referred(structure, find)]
     return {"type_description": describe(structure), "referenced_type_descriptions": others}
 
 

@@ -52,11 +52,7 @@ class Complaints:
 
 
 class Limit:
-    """Limits the rate of events; may be called from any thread.
-
-    Args:
-        rate: Most events in each interval of one second.
-    """
+    """Limits the events in each interval of one second; may be called from any thread."""
 
     def __init__(self, rate: int) -> None:
         self._rate, self._left, self._until = rate, rate, 0.0

@@ -67,14 +67,9 @@ class NodeName:
 
 
 def checked(full: str, called: str) -> str:
-    """Return a fully qualified name unchanged if ROS 2 allows it.
+    """Return a fully qualified name unchanged, or raise `ConfigError` if ROS 2 does not allow it.
 
-    Args:
-        full: The name.
-        called: Description of the name for error messages.
-
-    Raises:
-        ConfigError: if ROS 2 does not allow the name.
+    The error calls the name ``called``.
     """
     parts = full.removeprefix("/").split("/")
     if not full.startswith("/") or not all(map(_NAME.fullmatch, parts)):
@@ -114,14 +109,7 @@ def ros_type(dds: str) -> str:
 
 
 def key_expression(domain: int, name: str, kind: str, type_hash: str) -> str:
-    """Return the key expression of a topic or service.
-
-    Args:
-        domain: The domain.
-        name: Fully qualified name of the topic or service.
-        kind: Full name of the type.
-        type_hash: Hash of the type.
-    """
+    """Return the key expression of a topic or service with a type's full name and hash."""
     # Zenoh refuses keys with empty chunks, such as that before a leading slash.
     return f"{domain}/{name.strip('/')}/{dds_type(kind)}/{type_hash}"
 

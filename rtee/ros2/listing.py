@@ -28,16 +28,13 @@ class Sort(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A node, topic, service or action of the graph.
+    """A node, topic, service or action of the graph; a node has no type.
 
     Entities of the same name with another type or hash are listed separately, since they do not
     exchange messages.
 
     Attributes:
-        sort: Node, topic, service or action.
-        name: Fully qualified name.
-        type: Full name of the type; empty for a node.
-        type_hash: Hash of the type, for an action that of its ``send_goal``; empty for a node.
+        type_hash: Hash of the type, for an action that of its ``send_goal``.
         offered: Nodes that publish the topic, or offer the service or action.
         used: Nodes that subscribe to the topic, or are clients.
     """
@@ -53,39 +50,33 @@ class Listed:
 def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
     """Return the rows of a list of the graph, ordered by sort and name.
 
-    Args:
-        entities: The entities of the graph.
-        parts: Whether to list the topics and services of actions, too.
+    With ``parts``, lists the topics and services of actions, too.
     """
     nodes: set[str] = set()
-    found: dict[tuple[Sort, str, str, str], tuple[set[str], set[str]]] = {}
-    for one in entities:
-        if one.kind is Kind.NODE:
-            nodes.add(one.node.full)
+    offers: dict[tuple[Sort, str, str, str], tuple[set[str], set[str]]] = {}
+    for entity in entities:
+        if entity.kind is Kind.NODE:
+            nodes.add(entity.node.full)
             continue
-        sort = Sort.TOPIC if one.kind in _TOPIC else Sort.SERVICE
-        keys = [(sort, one.topic, one.type, one.type_hash)]
-        if _PARTS in one.topic and not parts:
+        sort = Sort.TOPIC if entity.kind in _TOPIC else Sort.SERVICE
+        keys = [(sort, entity.topic, entity.type, entity.type_hash)]
+        if _PARTS in entity.topic and not parts:
             keys = []
         # One of the five parts of an action stands for it, or it would be listed five times.
-        if sort is Sort.SERVICE and one.topic.endswith(_GOALS):
-            name, kind = one.topic.removesuffix(_GOALS), one.type.removesuffix(_GOAL_TYPE)
-            keys.append((Sort.ACTION, name, kind, one.type_hash))
+        if sort is Sort.SERVICE and entity.topic.endswith(_GOALS):
+            name, kind = entity.topic.removesuffix(_GOALS), entity.type.removesuffix(_GOAL_TYPE)
+            keys.append((Sort.ACTION, name, kind, entity.type_hash))
         for key in keys:
-            offered, used = found.setdefault(key, (set(), set()))
-            (offered if one.kind in _OFFERS else used).add(one.node.full)
+            offered, used = offers.setdefault(key, (set(), set()))
+            (offered if entity.kind in _OFFERS else used).add(entity.node.full)
     rows = [Listed(Sort.NODE, name) for name in nodes]
-    rows += [Listed(*key, tuple(sorted(a)), tuple(sorted(b))) for key, (a, b) in found.items()]
+    rows += [Listed(*key, tuple(sorted(a)), tuple(sorted(b))) for key, (a, b) in offers.items()]
     order = list(Sort)
     return sorted(rows, key=lambda row: (order.index(row.sort), row.name, row.type, row.type_hash))
 
 
 def unheard(rows: Iterable[Listed]) -> list[str]:
-    """Return a sentence for each topic, service or action used with a type that nobody offers.
-
-    Args:
-        rows: Rows of the graph; see `listed`.
-    """
+    """Return a sentence for each topic, service or action used with a type that nobody offers."""
     rows = list(rows)
     offered: dict[tuple[Sort, str], list[Listed]] = {}
     for row in rows:

@@ -109,7 +109,7 @@ class Message:
         for name, value in fields.items():
             inner = cls._INNER.get(name)
             if inner is not None and isinstance(value, (list, tuple)):
-                value = [inner.from_dict(one) for one in value]
+                value = [inner.from_dict(each) for each in value]
             elif inner is not None:
                 value = inner.from_dict(value)
             values[name] = value
@@ -147,30 +147,25 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, (bytes, list, tuple)):
-        return [_plain(one) for one in value]
+        return [_plain(each) for each in value]
     return value
 
 
 def message_class(structure: Structure, find: Find) -> type[Message]:
-    """Return the class of a message.
-
-    Args:
-        structure: Definition of the message.
-        find: Function that returns the class of a nested message by its full name.
-    """
-    inner = {one.name: find(one.base) for one in structure.members if one.nested}
+    """Return the class of a message; ``find`` returns that of a nested one by its full name."""
+    inner = {member.name: find(member.base) for member in structure.members if member.nested}
     members = structure.members
     space: dict[str, Any] = dict(structure.constants)
     space |= {
         # With slots, a misspelt field raises an error instead of being ignored.
-        "__slots__": tuple(one.name for one in members),
+        "__slots__": tuple(member.name for member in members),
         "__module__": __name__,
         "__doc__": f"A message ``{structure.name}``.",
         "STRUCTURE": structure,
         "_INNER": inner,
-        "_DEFAULTS": {one.name: _default(one, inner.get(one.name)) for one in members},
-        "_WRITERS": tuple((one.name, _writer(one, inner.get(one.name))) for one in members),
-        "_READERS": tuple((one.name, _reader(one, inner.get(one.name))) for one in members),
+        "_DEFAULTS": {m.name: _default(m, inner.get(m.name)) for m in members},
+        "_WRITERS": tuple((m.name, _writer(m, inner.get(m.name))) for m in members),
+        "_READERS": tuple((m.name, _reader(m, inner.get(m.name))) for m in members),
     }
     return type(structure.name.rpartition("/")[2], (Message,), space)
 
@@ -214,10 +209,13 @@ def _text(member: Member, value: str) -> None:
 def _writer(member: Member, inner: type[Message] | None) -> Write:
     """Return a function that writes the values of a field."""
     if inner is not None:
-        one: Write = lambda writer, value: write_fields(inner, writer, value)  # noqa: E731
+
+        def write_one(writer: Writer, value: Any) -> None:
+            write_fields(inner, writer, value)
+
     elif member.base == "string":
 
-        def one(writer: Writer, value: Any) -> None:
+        def write_one(writer: Writer, value: Any) -> None:
             _text(member, value)
             writer.string(value)
 
@@ -230,7 +228,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
             return Writer.double
         return lambda writer, value: writer.scalar(kind, value)
     if member.many is Many.ONE:
-        return one
+        return write_one
 
     def many(writer: Writer, values: Any) -> None:
         # These are sequences, too, whose elements would be written one by one.
@@ -240,7 +238,7 @@ def _writer(member: Member, inner: type[Message] | None) -> Write:
         if member.many is not Many.ARRAY:
             writer.length(len(values))
         for value in values:
-            one(writer, value)
+            write_one(writer, value)
 
     return many
 
@@ -261,20 +259,20 @@ def _numbers_writer(member: Member, kind: str) -> Write:
 
 def _reader(member: Member, inner: type[Message] | None) -> Read:
     """Return a function that reads the values of a field."""
-    one: Read
+    read_one: Read
     if inner is not None:
-        one = inner._read  # noqa: SLF001 - of the same module
+        read_one = inner._read  # noqa: SLF001 - of the same module
     elif member.base == "string":
-        one = Reader.string
+        read_one = Reader.string
     else:
         kind = _KINDS[member.base]
         if member.many is not Many.ONE:
             return _numbers_reader(member, kind)
-        one = Reader.double if kind == "float64" else lambda reader: reader.scalar(kind)
+        read_one = Reader.double if kind == "float64" else lambda reader: reader.scalar(kind)
     if member.many is Many.ONE:
-        return one
+        return read_one
     if member.many is Many.ARRAY:
-        return lambda reader: [one(reader) for _ in range(member.capacity)]
+        return lambda reader: [read_one(reader) for _ in range(member.capacity)]
     # Least size of an element [bytes]: a string has 4 for its length and a closing NUL.
     least = 5 if member.base == "string" else 1
 
@@ -282,7 +280,7 @@ def _reader(member: Member, inner: type[Message] | None) -> Read:
         count = reader.length(least)
         if member.many is Many.BOUNDED and count > member.capacity:
             raise MessageError(f"{count} values where at most {member.capacity} may be")
-        return [one(reader) for _ in range(count)]
+        return [read_one(reader) for _ in range(count)]
 
     return many
 

@@ -76,16 +76,7 @@ class Node:
         qos: Qos,
         *options: object,
     ) -> C:
-        """Make an endpoint, add it to the node and return it.
-
-        Args:
-            make: Class of the endpoint.
-            kind: Kind of the endpoint in the graph.
-            name: Name of the topic or service.
-            type_: Type of the topic or service.
-            qos: Quality of service.
-            options: Further arguments of the class.
-        """
+        """Make an endpoint of a class with further options, add it to the node and return it."""
         full = self.name.resolve(name)
         key = key_expression(self._participant.domain, full, type_.name, type_.hash)
         entity = self._entity(kind, self._participant.next_id())
@@ -313,14 +304,8 @@ class Context:
 async def _opened(config: zenoh.Config, attempts: int, missing: str) -> zenoh.Session:
     """Open a session; that of a client opens once its router answers.
 
-    Args:
-        config: Configuration of the session.
-        attempts: Number of attempts; 0: no limit.
-        missing: Sentence about a router that does not answer.
-
-    Raises:
-        NoRouter: if the router does not answer.
-        ConfigError: if an endpoint cannot be used.
+    Raises `NoRouter` with the sentence ``missing`` if it does not within so many attempts (0: no
+    limit), and `ConfigError` if an endpoint cannot be used.
     """
     for attempt in itertools.count(1):
         try:

@@ -130,12 +130,8 @@ def _value(text: str, base: str) -> Any:
 def parse(name: str, text: str) -> Structure:
     """Return the structure of a definition without ``---``.
 
-    Args:
-        name: Full name; its package is that of types named without a package.
-        text: The definition.
-
-    Raises:
-        MessageError: if a line defines neither a field nor a constant.
+    The package of the full name is that of types named without one. Raises `MessageError` if a line
+    defines neither a field nor a constant.
     """
     package = name.partition("/")[0]
     members: list[Member] = []
@@ -210,7 +206,7 @@ def definitions(distro: str = "jazzy") -> dict[str, str]:
     differing = set(_NEWER.values())
     texts = dict(DEFINITIONS)
     folder = files("rtee.ros2").joinpath("interfaces")
-    for file in sorted(folder.iterdir(), key=lambda one: one.name):
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
         # A file of newer distributions would replace definitions of Jazzy.
         if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in differing:
             texts |= _read(file.read_text("utf-8"))

@@ -32,7 +32,7 @@ def _needed(files: dict[str, str]) -> list[str]:
 
 def _package_xml(needed: list[str]) -> str:
     # No definition names action_msgs, but the generated code of actions needs it.
-    depends = "".join(f"  <depend>{one}</depend>\n" for one in needed)
+    depends = "".join(f"  <depend>{name}</depend>\n" for name in needed)
     return f"""\
 <?xml version="1.0"?>
 <package format="3">
@@ -54,7 +54,7 @@ def _package_xml(needed: list[str]) -> str:
 
 
 def _cmake(files: dict[str, str], needed: list[str]) -> str:
-    find = "".join(f"find_package({one} REQUIRED)\n" for one in needed)
+    find = "".join(f"find_package({name} REQUIRED)\n" for name in needed)
     listed = "".join(f'  "{path}"\n' for path in files)
     return f"""\
 cmake_minimum_required(VERSION 3.8)
@@ -73,13 +73,9 @@ ament_package()
 
 
 def write_package(parent: Path) -> Path:
-    """Write the package into a new folder, and return that folder.
+    """Write the package into a new folder in a parent such as ``src``, and return that folder.
 
-    Args:
-        parent: Folder of the new one, such as ``src`` of a workspace.
-
-    Raises:
-        ConfigError: if the new folder exists already or cannot be written.
+    Raises `ConfigError` if it exists already or cannot be written.
     """
     folder = parent / NAME
     files = interface_files()

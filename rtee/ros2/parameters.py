@@ -119,8 +119,8 @@ def kind_of(value: Value) -> int:
     if isinstance(value, bytes):
         return _BYTES
     # An empty list counts as one of doubles, as all arrays among a hand's parameters are.
-    one = (value[0] if value else 0.0) if isinstance(value, list) else value
-    kind = next(number for type_, number, _ in _KINDS if isinstance(one, type_))
+    sample = (value[0] if value else 0.0) if isinstance(value, list) else value
+    kind = next(number for type_, number, _ in _KINDS if isinstance(sample, type_))
     return kind + _TO_ARRAY if isinstance(value, list) else kind
 
 
@@ -134,10 +134,9 @@ class Parameters:
 
     def __init__(self, node: Node, declared: Iterable[Parameter]) -> None:
         self._node = node
-        self._declared = {one.name: one for one in declared}
-        self._values: dict[str, Value] = {one.name: one.value for one in self._declared.values()}
-        interfaces = node.context.interfaces
-        self._messages = interfaces
+        self._declared = {parameter.name: parameter for parameter in declared}
+        self._values: dict[str, Value] = {p.name: p.value for p in self._declared.values()}
+        self._interfaces = interfaces = node.context.interfaces
         self._events = node.publisher(
             "/parameter_events", "rcl_interfaces/msg/ParameterEvent", PARAMETERS
         )
@@ -168,7 +167,7 @@ class Parameters:
             self._publish("changed_parameters", changed)
 
     def _message(self, name: str) -> Any:
-        return self._messages.message(f"rcl_interfaces/msg/{name}")
+        return self._interfaces.message(f"rcl_interfaces/msg/{name}")
 
     def _publish(self, field: str, values: Mapping[str, Value]) -> None:
         seconds, nanoseconds = divmod(time.time_ns(), 10**9)
@@ -191,7 +190,7 @@ class Parameters:
 
     async def _types(self, request: Any) -> dict[str, Any]:
         declared = (self._declared.get(name) for name in request.names)
-        return {"types": [_NOT_SET if one is None else one.kind for one in declared]}
+        return {"types": [_NOT_SET if known is None else known.kind for known in declared]}
 
     async def _describe(self, request: Any) -> dict[str, Any]:
         return {"descriptors": [self._descriptor(name) for name in request.names]}
@@ -241,7 +240,7 @@ class Parameters:
         return {"result": self._message("ListParametersResult")(names=names, prefixes=prefixes)}
 
     async def _set(self, request: Any) -> dict[str, Any]:
-        return {"results": [await self._change([one]) for one in request.parameters]}
+        return {"results": [await self._change([change]) for change in request.parameters]}
 
     async def _set_atomically(self, request: Any) -> dict[str, Any]:
         return {"result": await self._change(request.parameters)}

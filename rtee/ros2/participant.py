@@ -23,8 +23,6 @@ class Participant:
     Must be made in the event loop's thread.
 
     Args:
-        session: The session.
-        domain: The domain.
         distro: The distribution of ROS 2.
 
     Attributes:

@@ -27,11 +27,9 @@ LINGER = 0.5
 
 @dataclass(eq=False, slots=True)
 class Play:
-    """A motion for the hand to follow.
+    """A motion for the hand to follow, from a source such as a topic.
 
     Attributes:
-        motion: The motion.
-        source: Description of its source, such as a topic.
         until: Time until which to send set-points [s]; after its end, the last one is repeated.
         failed: Called with the reason if the hand refuses or stops to follow the motion.
         replaced: Called with the source of another motion that replaces this one.
@@ -46,9 +44,6 @@ class Play:
 
 class Player:
     """Streams motions to the hand; the newest replaces any other, whatever its source.
-
-    Args:
-        face: The hand and its node.
 
     Attributes:
         joints: The joints that motions may move.
@@ -71,13 +66,7 @@ class Player:
             before.replaced(play.source)
 
     def hold(self, names: Iterable[str], source: str, failed: Callable[[str], None]) -> None:
-        """Hold joints at their measured positions.
-
-        Args:
-            names: The joints.
-            source: Description of the source of this command.
-            failed: Called with the reason if the hand refuses.
-        """
+        """Hold joints at measured positions; ``failed`` gets the reason if the hand refuses."""
         now = time.monotonic()
         self.play(Play(self.here(names), source, now + SETTLED, failed))
 

@@ -69,12 +69,7 @@ def name_here(name: str) -> str:
 
 
 class RosEndEffector:
-    """Offers the services.
-
-    Args:
-        node: The hand's node.
-        hand: The hand.
-    """
+    """Offers the services."""
 
     def __init__(self, node: Node, hand: RemoteHand) -> None:
         self._hand, self._interfaces = hand, node.context.interfaces
@@ -97,26 +92,27 @@ class RosEndEffector:
         if request.action_type >= len(_ASKED):
             return {}
         kinds = _ASKED[request.action_type]
-        actions = [one for one in await self._hand.actions() if one.action_kind in kinds]
+        actions = [each for each in await self._hand.actions() if each.action_kind in kinds]
         if ActionKind.PRIMITIVE in kinds:
-            actions = list(_filtered(actions, request))
+            actions = list[Action](_filtered(actions, request))
         elif request.action_name:
-            actions = [one for one in actions if _same(one, request.action_name)]
-        return {"grasping_actions": [_described(self._interfaces, one) for one in actions]}
+            actions = [each for each in actions if _same(each, request.action_name)]
+        return {"grasping_actions": [_described(self._interfaces, action) for action in actions]}
 
     async def _aggregated(self, request: Any) -> dict[str, Any]:
         actions = await self._hand.actions(kind=ActionKind.PRIMITIVE)
         aggregated = self._interfaces.message(f"{_MSG}/GraspingPrimitiveAggregated")
         groups: dict[str, list[Primitive]] = {}
-        for one in _filtered(actions, request):
-            if isinstance(one, Primitive):
-                groups.setdefault(name_there(one), []).append(one)
+        for primitive in _filtered(actions, request):
+            groups.setdefault(name_there(primitive), []).append(primitive)
         return {
             "primitives_aggregated": [
                 aggregated(
                     action_name=name,
                     primitive_type=_NUMBERS[group[0].kind],
-                    selectable_names=sorted({each for one in group for each in one.elements}),
+                    selectable_names=sorted(
+                        {name for primitive in group for name in primitive.elements}
+                    ),
                     max_selectable=len(group[0].elements),
                 )
                 for name, group in groups.items()
@@ -131,13 +127,13 @@ class RosEndEffector:
             return {}  # as in ROS End-Effector, an unknown element has no partners
 
     async def _new_generic(self, request: Any) -> dict[str, Any]:
-        asked = request.new_action
-        positions = asked.action_motor_position
+        wanted = request.new_action
+        positions = wanted.action_motor_position
         if len(positions.name) != len(positions.position):
             return {"error_msg": "action_motor_position has more names than positions, or fewer"}
         where = dict(zip(positions.name, positions.position.tolist(), strict=True))
         counts = dict(
-            zip(asked.action_motor_count.name, asked.action_motor_count.count, strict=False)
+            zip(wanted.action_motor_count.name, wanted.action_motor_count.count, strict=False)
         )
         # Without a mask, motors at 0 are those that are not meant.
         where = {
@@ -146,7 +142,7 @@ class RosEndEffector:
             if (counts.get(name, 0) if counts else value != 0.0)
         }
         try:
-            await self._hand.add_generic(asked.action_name, where, store=request.emit_yaml)
+            await self._hand.add_generic(wanted.action_name, where, store=request.emit_yaml)
         except RteeError as error:
             return {"error_msg": str(error)}
         return {"accepted": True, "emitted": request.emit_yaml}
@@ -161,9 +157,9 @@ class RosEndEffector:
             "fingers_names": [finger.name for finger in known.fingers],
             "motors_names": list(known.actuator_names),
             "transmission_matrix": self._matrix(known.transmission, ("joints", "motors")),
-            "motors_stiffness": [one.stiffness for one in known.actuators],
-            "tips_frictions": [one.friction for one in known.fingers],
-            "motors_torque_limits": [one.effort for one in known.actuators],
+            "motors_stiffness": [actuator.stiffness for actuator in known.actuators],
+            "tips_frictions": [finger.friction for finger in known.fingers],
+            "motors_torque_limits": [actuator.effort for actuator in known.actuators],
         }
 
     def _matrix(self, values: Any, labels: tuple[str, str]) -> Message:
@@ -187,18 +183,18 @@ def _same(action: Action, name: str) -> bool:
     return normalise(name) in (normalise(name_there(action)), normalise(action.name))
 
 
-def _filtered(actions: Iterable[Action], request: Any) -> Iterable[Action]:
+def _filtered(actions: Iterable[Action], request: Any) -> Iterable[Primitive]:
     """Yield the primitives that match a request, whose number 0 stands for all kinds."""
-    for one in actions:
-        if not isinstance(one, Primitive):
+    for action in actions:
+        if not isinstance(action, Primitive):
             continue
         # As in ROS End-Effector, a kind takes precedence over the name.
         if request.primitive_type:
-            wanted = _NUMBERS[one.kind] + 1 == request.primitive_type
+            wanted = _NUMBERS[action.kind] + 1 == request.primitive_type
         else:
-            wanted = not request.action_name or _same(one, request.action_name)
-        if wanted and set(request.elements_involved) in (set(), set(one.elements)):
-            yield one
+            wanted = not request.action_name or _same(action, request.action_name)
+        if wanted and set(request.elements_involved) in (set(), set(action.elements)):
+            yield action
 
 
 def _described(known: Interfaces, action: Action) -> Message:
@@ -214,9 +210,9 @@ def _described(known: Interfaces, action: Action) -> Message:
         action_motor_count=_counted(known, postures),
         action_motor_positions=[
             known.message(f"{_MSG}/MotorPosition")(
-                name=list(one.position), position=list(one.position.values())
+                name=list(posture.position), position=list(posture.position.values())
             )
-            for one in postures
+            for posture in postures
         ],
         inner_actions=[step.alias for step in steps] or [use.action for use in action.uses],
         before_time_margins=[step.before for step in steps],
@@ -228,9 +224,9 @@ def _described(known: Interfaces, action: Action) -> Message:
 def _counted(known: Interfaces, postures: Iterable[Posture]) -> Message:
     """Return 1 for each actuator that any of the postures moves, and 0 for the others."""
     counts: dict[str, int] = {}
-    for one in postures:
-        for name in one.position:
-            counts[name] = max(counts.get(name, 0), int(name in one.involved))
+    for posture in postures:
+        for name in posture.position:
+            counts[name] = max(counts.get(name, 0), int(name in posture.involved))
     made: Message = known.message(f"{_MSG}/JointsInvolvedCount")(
         name=list(counts), count=bytes(counts.values())
     )

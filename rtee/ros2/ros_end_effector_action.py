@@ -10,8 +10,8 @@ from typing import Any
 from rtee.actions.types import ActionKind
 from rtee.errors import GoalRejected
 from rtee.ros2.action_server import ActionServer, Offer
-from rtee.ros2.face import Face, Part
-from rtee.ros2.hand_goals import HandJob
+from rtee.ros2.face import Face
+from rtee.ros2.hand_goals import ActionPart, HandJob
 from rtee.ros2.message import Message
 from rtee.ros2.ros_end_effector import name_here
 from rtee.types import Feedback, Goal, Result
@@ -26,64 +26,55 @@ _FULL = 100.0
 """Progress of a completed action in its feedback [%]; its goals have fractions instead."""
 
 
-class ActionCommand(Part):
-    """Offers the action ``action_command``.
-
-    Args:
-        face: The hand and its node.
-    """
+class ActionCommand(ActionPart):
+    """Offers the action ``action_command``."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
         self._type = face.node.context.interfaces.action("rosee_msg/action/ROSEECommand")
         self._server = ActionServer(face.node, COMMAND, Offer(self._type, self._accept))
 
-    async def run(self) -> None:
-        """Offer the action until cancelled, and then cancel its active goals."""
-        await self._server.run()
-
     async def _accept(self, message: Any) -> HandJob:
-        asked = message.goal_action
-        running = await self._face.hand.start_goal(goal_of(asked))
+        command = message.goal_action
+        running = await self._face.hand.start_goal(goal_of(command))
 
         def ended(_: Result) -> Message:
-            return self._type.result(completed_action=asked)
+            return self._type.result(completed_action=command)
 
         def now(feedback: Feedback) -> dict[str, Any]:
             return {
                 "completation_percentage": _FULL * feedback.progress,
-                "action_name_current": feedback.inner or asked.action_name,
+                "action_name_current": feedback.inner or command.action_name,
             }
 
         return HandJob(running, ended, now)
 
 
-def goal_of(asked: Any) -> Goal:
+def goal_of(command: Any) -> Goal:
     """Return the goal in a ``rosee_msg/msg/ROSEEActionControl``.
 
-    Args:
-        asked: The message. Its percentage is a fraction, 0 to 1, and is ignored for a timed
-            action, as in ROS End-Effector.
-
-    Raises:
-        GoalRejected: if its type is unknown, or it has commands for single motors.
+    Its percentage is a fraction, 0 to 1, and is ignored for a timed action, as in ROS End-Effector.
+    Raises `GoalRejected` if its type is unknown, or it has commands for single motors.
     """
-    if any(asked.optional_motors_commands):
+    if any(command.optional_motors_commands):
         raise GoalRejected(
             "'optional_motors_commands' are not taken: they have no unit; rtee_msgs/action/Grasp"
             " takes efforts by actuator"
         )
-    tolerance = asked.error_norm or _TOLERANCE
-    if asked.action_type == asked.PRIMITIVE:
+    tolerance = command.error_norm or _TOLERANCE
+    if command.action_type == command.PRIMITIVE:
         return Goal(
-            name_here(asked.action_name),
-            tuple(asked.selectable_items),
+            name_here(command.action_name),
+            tuple(command.selectable_items),
             kind=ActionKind.PRIMITIVE,
-            intensity=asked.percentage,
+            intensity=command.percentage,
             tolerance=tolerance,
         )
-    if asked.action_type in (asked.GENERIC, asked.COMPOSED):  # ROS End-Effector's are the same
-        return Goal(asked.action_name, intensity=asked.percentage, tolerance=tolerance)
-    if asked.action_type == asked.TIMED:
-        return Goal(asked.action_name, kind=ActionKind.TIMED, tolerance=tolerance)
-    raise GoalRejected(f"action_type {asked.action_type} is none: there are 0 to 3")
+    if command.action_type in (
+        command.GENERIC,
+        command.COMPOSED,
+    ):  # ROS End-Effector's are the same
+        return Goal(command.action_name, intensity=command.percentage, tolerance=tolerance)
+    if command.action_type == command.TIMED:
+        return Goal(command.action_name, kind=ActionKind.TIMED, tolerance=tolerance)
+    raise GoalRejected(f"action_type {command.action_type} is none: there are 0 to 3")

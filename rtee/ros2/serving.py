@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import anyio
@@ -53,7 +53,6 @@ class Shown:
     """A hand to show as a node.
 
     Attributes:
-        name: Name of the hand.
         settings: Domain, distribution, router and namespace.
         insecure: Allow a router on another computer without certificates.
         configured: Model of the hand if it is configured here, else ``None``.
@@ -77,10 +76,9 @@ class Shown:
 def warnings(hands: Sequence[Shown]) -> list[str]:
     """Return sentences about the risks of showing these hands.
 
-    Raises:
-        ConfigError: if a namespace is malformed, or two hands would have the same node.
+    Raises `ConfigError` if a namespace is malformed, or two hands would have the same node.
     """
-    found = [
+    risks = [
         f"whoever reaches the router of ROS 2 at {router} can move {_listed(names)}: ROS 2 knows no"
         " identities"
         for router, names in _grouped((hand.settings.router, hand.name) for hand in hands).items()
@@ -93,46 +91,21 @@ def warnings(hands: Sequence[Shown]) -> list[str]:
                 " under 'ros2' in its hand.yaml"
             )
     spaces = _grouped((hand.settings.namespace.strip("/"), hand.name) for hand in hands)
-    found += [
+    risks += [
         f"{_listed(names)} share the topics joint_states and robot_description; a namespace of its"
         " own under 'ros2' in each hand.yaml parts them"
         for names in spaces.values()
         if len(names) > 1
     ]
-    return found
-
-
-def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
-    """Return settings with the options of a command line that are not ``None``.
-
-    Raises:
-        ConfigError: if an option has an invalid value.
-    """
-    changes = {name: value for name, value in given.items() if value is not None}
-    distro = changes.get("distro")
-    if distro is not None:
-        if distro not in list(Distro):
-            known = ", ".join(one.value for one in Distro)
-            raise ConfigError(f"--distro {distro}: there are {known}")
-        changes["distro"] = Distro(distro)
-    try:
-        return replace(settings, **changes)
-    except ValueError as error:
-        raise ConfigError(f"the command line: {error}") from None
+    return risks
 
 
 async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = None) -> None:
     """Show hands as nodes of ROS 2 while they run, until cancelled.
 
-    Hands with the same domain, distribution and router share a session.
-
-    Args:
-        hands: The hands.
-        environment: Environment variables of rmw_zenoh; by default those of the process.
-
-    Raises:
-        ConfigError: if a setting cannot be used.
-        MissingExtra: if the extra ``ros2`` is not installed.
+    Hands with the same domain, distribution and router share a session. The variables of rmw_zenoh
+    are those of the process unless an environment is given. Raises `ConfigError` if a setting
+    cannot be used, and `MissingExtra` if the extra ``ros2`` is not installed.
     """
     sessions: dict[tuple[int, Distro, str, bool], list[Shown]] = {}
     for hand in hands:
@@ -187,13 +160,7 @@ async def shown(
 ) -> AsyncIterator[Collection[Part]]:
     """Make the node of a running hand, which leaves the graph at the end of the context.
 
-    Args:
-        context: Context of the node.
-        hand: The hand.
-        remote: Client of the hand.
-
-    Yields:
-        The parts of the node, whose ``run`` the caller has to start.
+    Yields its parts, whose ``run`` the caller has to start.
     """
     # Query the hand before making the node: a hand that ends meanwhile never shows in the graph.
     model = await model_of(remote, hand.configured)
@@ -212,16 +179,11 @@ async def shown(
             thermal=hand.thermal,
         )
         parts: list[Part] = [make(face) for make in PARTS]
-        gains = {
-            (device.name, gain): value
-            for device in status.devices
-            for gain, value in zip(device.gains, device.gain_values, strict=False)
-        }
-        parts.append(Services(face, actions, gains, status.grip_effort))
+        parts.append(Services(face, actions, status))
         # The node keeps the services of these two, which need no task.
         RosEndEffector(node, remote)
         TypeDescriptions(node)
-        face.declare(one for part in parts for one in part.parameters())
+        face.declare(parameter for part in parts for parameter in part.parameters())
         log.info("%s is the node %s of ROS 2", hand.name, node.name.full)
         yield parts
     finally:
@@ -229,10 +191,10 @@ async def shown(
 
 
 def _grouped(pairs: Collection[tuple[str, str]] | Any) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for key, name in pairs:
-        found.setdefault(key, []).append(name)
-    return found
+        groups.setdefault(key, []).append(name)
+    return groups
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -1,18 +1,22 @@
-"""Zenoh sessions with the settings of rmw_zenoh."""
+"""Zenoh sessions with the settings of rmw_zenoh, and a router for computers without ROS."""
 
 from __future__ import annotations
 
 import json
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import anyio
+import anyio.to_thread
 import zenoh
 
 from rtee.errors import ConfigError, NoRouter
-from rtee.hand.config_schema import Ros2Settings
+from rtee.hand.config_schema import Distro, Ros2Settings
 from rtee.remote.credentials import identity
 from rtee.remote.session import TLS, check_endpoints, is_safe
 
@@ -34,26 +38,31 @@ allows 1 GiB per peer."""
 _CONNECT_WITHIN = 1000
 """Longest time until a router answers a client, before the next attempt [ms]."""
 
-_SETTINGS: dict[str, Any] = {
+_COMMON: dict[str, Any] = {
     # Nodes find each other through the router, by gossip.
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
     "scouting/gossip/multihop": False,
     "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
+    # Zenoh distinguishes the samples kept for later subscribers by their time.
+    "timestamping/enabled": True,
+    "routing/router/peers_failover_brokering": True,
+    "adminspace/enabled": False,
+}
+"""Settings of rmw_zenoh's sessions and its router: ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5``
+and ``DEFAULT_RMW_ZENOH_ROUTER_CONFIG.json5`` there."""
+
+_SETTINGS: dict[str, Any] = _COMMON | {
     "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
     "scouting/gossip/autoconnect_strategy": {
         # Only one of two peers connects, or they could have two links.
         "peer": {"to_router": "always", "to_peer": "greater-zid"}
     },
-    # Zenoh distinguishes the samples kept for later subscribers by their time.
-    "timestamping/enabled": True,
     "queries_default_timeout": 600_000,
-    "routing/router/peers_failover_brokering": True,
     "transport/link/rx/max_message_size": _LARGEST,
     "transport/shared_memory/enabled": False,
-    "adminspace/enabled": False,
 }
-"""Settings of rmw_zenoh's sessions; see ``DEFAULT_RMW_ZENOH_SESSION_CONFIG.json5`` there."""
+"""Settings of rmw_zenoh's sessions."""
 
 _PEER: dict[str, Any] = {
     "mode": "peer",
@@ -74,11 +83,28 @@ _CLIENT: dict[str, Any] = {
 a router does not forward messages between peers, and those with certificates, which it checks."""
 
 
+def overridden(settings: Ros2Settings, given: Mapping[str, Any]) -> Ros2Settings:
+    """Return settings with the options of a command line that are not ``None``.
+
+    Raises `ConfigError` if an option has an invalid value.
+    """
+    changes = {name: value for name, value in given.items() if value is not None}
+    distro = changes.get("distro")
+    if distro is not None:
+        if distro not in list(Distro):
+            known = ", ".join(Distro)
+            raise ConfigError(f"--distro {distro}: there are {known}")
+        changes["distro"] = Distro(distro)
+    try:
+        return replace(settings, **changes)
+    except ValueError as error:
+        raise ConfigError(f"the command line: {error}") from None
+
+
 def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = None) -> int:
     """Return the domain of the environment, or else of the settings.
 
-    Raises:
-        ConfigError: if the environment variable is not a domain.
+    Raises `ConfigError` if the environment variable is not a domain.
     """
     environment = os.environ if environment is None else environment
     text = environment.get(DOMAIN, "").strip()
@@ -92,8 +118,7 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
 def router_attempts(environment: Mapping[str, str] | None = None) -> int:
     """Return the number of checks for a router at the start; 0: no limit, negative: none.
 
-    Raises:
-        ConfigError: if the environment variable is not a whole number.
+    Raises `ConfigError` if the environment variable is not a whole number.
     """
     environment = os.environ if environment is None else environment
     text = environment.get(ROUTER_CHECK, "").strip() or "1"
@@ -109,16 +134,11 @@ def configuration(
     *,
     insecure: bool = False,
 ) -> zenoh.Config:
-    """Return the configuration of a session.
+    """Return the configuration of a session with the router in the settings.
 
-    Args:
-        settings: Settings with the router's endpoint.
-        environment: Environment variables of rmw_zenoh; by default those of the process.
-        insecure: Allow a router on another computer without certificates.
-
-    Raises:
-        ConfigError: if the router, a variable or the file that it names is invalid, or the router
-            is open to the network.
+    The variables of rmw_zenoh are those of the process unless an environment is given. Raises
+    `ConfigError` if the router, a variable or the file that it names is invalid, or, unless
+    ``insecure``, the router is open to the network.
     """
     environment = os.environ if environment is None else environment
     if file := environment.get(SESSION_CONFIG, ""):
@@ -156,7 +176,7 @@ def _from_file(file: str) -> zenoh.Config:
         path.read_bytes()
         return zenoh.Config.from_file(str(path))
     except (OSError, zenoh.ZError) as error:
-        words = error.strerror if isinstance(error, OSError) else str(error).partition(" at /")[0]
+        words = error.strerror if isinstance(error, OSError) else _words(error)
         raise ConfigError(f"{SESSION_CONFIG}: {words}", path=path) from None
 
 
@@ -164,21 +184,25 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
     try:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
-        words = str(error).partition(" at /")[0]
-        raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {words}") from None
+        raise ConfigError(
+            f"{source}: {key}={value} is not a setting of Zenoh: {_words(error)}"
+        ) from None
+
+
+def _words(error: zenoh.ZError) -> str:
+    """Return an error's text without the location in Zenoh's source."""
+    return str(error).partition(" at /")[0]
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
     """Open a session; blocks for some milliseconds, or until a router that a client needs answers.
 
-    Raises:
-        NoRouter: if a client's router does not answer.
-        ConfigError: if an endpoint cannot be used.
+    Raises `NoRouter` if that does not answer, `ConfigError` if an endpoint cannot be used.
     """
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        words = str(error).partition(" at /")[0]
+        words = _words(error)
         # Zenoh has a single exception, whose text alone distinguishes the reasons.
         if words.startswith("Unable to connect"):
             raise NoRouter(words) from None
@@ -191,4 +215,31 @@ def close_session(session: zenoh.Session) -> None:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:
         # Its declarations vanish for others when the process ends and closes their links.
-        log.warning("the ROS 2 session did not close: %s", str(error).partition(" at /")[0])
+        log.warning("the ROS 2 session did not close: %s", _words(error))
+
+
+@asynccontextmanager
+async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[None]:
+    """Run a stand-in for ROS 2's router (``rmw_zenohd``) for the duration of the context.
+
+    Raises `ConfigError` if it cannot listen there, or, unless ``insecure``, if others in the
+    network would reach it without certificates.
+    """
+    if not insecure and not is_safe(listen):
+        raise ConfigError(
+            f"whoever reaches {listen} could move every hand in the ROS graph: listen on"
+            " tcp/localhost:PORT, or allow it with --insecure"
+        )
+    config = zenoh.Config()
+    for key, value in ({"mode": "router"} | _COMMON).items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        config.insert_json5("listen/endpoints", json.dumps([listen]))
+        session = await anyio.to_thread.run_sync(zenoh.open, config)
+    except zenoh.ZError as error:
+        raise ConfigError(f"the router cannot listen on {listen}: {_words(error)}") from None
+    try:
+        yield
+    finally:
+        with anyio.CancelScope(shield=True):
+            await anyio.to_thread.run_sync(session.close)

@@ -29,11 +29,7 @@ _JOGGED_FOR = 0.1
 
 
 class Setpoints(Part):
-    """Moves the hand by the topics and the action of trajectories; the newest command counts.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Moves the hand by the topics and the action of trajectories; the newest command counts."""
 
     def __init__(self, face: Face) -> None:
         self._face = face

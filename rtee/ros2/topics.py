@@ -41,9 +41,6 @@ RATE = "rate"
 _TRANSFORMS = Qos(depth=100)
 """QoS of ``/tf``, that of tf2_ros."""
 
-_NANO = 1_000_000_000
-"""Nanoseconds of a second."""
-
 
 def ros_name(name: str) -> str:
     """Return a name that ROS 2 allows: letters, digits and underscores, with no digit first."""
@@ -52,11 +49,9 @@ def ros_name(name: str) -> str:
 
 
 def description(model: Hand, urdf: str) -> str:
-    """Return a URDF with the absolute addresses of the meshes that exist on this computer.
+    """Return the URDF of a running hand with absolute addresses of the meshes on this computer.
 
-    Args:
-        model: Model of the hand, with the folders of its meshes.
-        urdf: Text of the URDF of the running hand.
+    They are looked for in the folders of the model.
     """
     addresses = {}
     links = model.urdf.links.values()
@@ -75,9 +70,6 @@ class JointStates:
 
     Velocities and efforts that are not measured are ``NaN``, as in joint_state_broadcaster; efforts
     are those of the actuators.
-
-    Args:
-        model: The hand.
     """
 
     def __init__(self, model: Hand) -> None:
@@ -95,11 +87,7 @@ class JointStates:
 
 
 class Topics(Part):
-    """Publishes the states of a hand, its description, and the feedback and results of goals.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes the states of a hand, its description, and the feedback and results of goals."""
 
     def __init__(self, face: Face) -> None:
         self._face, node, model = face, face.node, face.model
@@ -189,22 +177,17 @@ class Topics(Part):
 
     def _publish_forces(self, state: State) -> None:
         forces = [v for name, v in state.channels.items() if name.endswith(f"/{TIP_FORCE}")]
+        wrench: Any = self._face.message("geometry_msgs/msg/WrenchStamped")
         # All tips share a header, since a message is encoded before the next one changes it.
-        header = stamped(self._face, state.wall_ns)
-        wrench = self._face.message("geometry_msgs/msg/WrenchStamped")
+        message = wrench(header=self._face.header(state.wall_ns))
         for (frame, publisher), force in zip(self._tips, tip_forces(forces), strict=False):
             if not math.isnan(force):
-                message = wrench(header=header)
-                header.frame_id, message.wrench.force.z = frame, force
+                message.header.frame_id, message.wrench.force.z = frame, force
                 publisher.publish(message)
 
 
 class TouchTopics:
-    """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too.
-
-    Args:
-        face: The hand and its node.
-    """
+    """Publishes ``~/touch`` at each reading, and ``~/touch_sensors`` for later subscribers, too."""
 
     def __init__(self, face: Face) -> None:
         self._face = face
@@ -237,9 +220,6 @@ class ControllerStates:
     """Publishes ``~/controller_state`` as the joint_trajectory_controller of ros2_control does.
 
     The message holds the set-points of the actuators, their measured states, and the differences.
-
-    Args:
-        face: The hand and its node.
     """
 
     def __init__(self, face: Face) -> None:
@@ -257,8 +237,8 @@ class ControllerStates:
     def _message(self, state: State) -> Message:
         point = self._point
         reference = point(positions=state.reference_position, velocities=state.reference_velocity)
-        message: Message = self._kind(
-            header=stamped(self._face, state.wall_ns),
+        return self._kind(
+            header=self._face.header(state.wall_ns),
             joint_names=list(state.names),
             reference=reference,
             feedback=point(
@@ -271,14 +251,6 @@ class ControllerStates:
             output=reference,
             speed_scaling_factor=1.0,
         )
-        return message
-
-
-def stamped(face: Face, wall_ns: int) -> Any:
-    """Return a ``std_msgs/msg/Header`` for a time since 1970 [ns]."""
-    header = face.message("std_msgs/msg/Header")()
-    header.stamp.sec, header.stamp.nanosec = divmod(wall_ns, _NANO)
-    return header
 
 
 def _ends(frames: Iterable[tuple[str, str]]) -> tuple[list[str], list[str]]:

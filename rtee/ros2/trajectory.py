@@ -37,12 +37,7 @@ class OldTrajectory(MessageError):
 
 
 class SetPoint(NamedTuple):
-    """Set-points of joints at a time.
-
-    Attributes:
-        position: Position by joint [rad | m].
-        velocity: Velocity by joint [rad/s | m/s]; joints without a known one are missing.
-    """
+    """Positions [rad | m] and, where known, velocities [rad/s | m/s] by joint at a time."""
 
     position: Mapping[str, float]
     velocity: Mapping[str, float]
@@ -60,12 +55,7 @@ class Motion(Protocol):
 
 
 class Range(NamedTuple):
-    """The range of a joint.
-
-    Attributes:
-        lower: Lower limit [rad | m], ``-inf`` for none.
-        upper: Upper limit [rad | m], ``inf`` for none.
-    """
+    """Lower and upper limit of a joint [rad | m], infinite for none."""
 
     lower: float
     upper: float
@@ -87,8 +77,7 @@ def movable_joints(model: Hand) -> dict[str, Range]:
 def checked_names(names: Sequence[str], joints: Mapping[str, Range]) -> None:
     """Check the names of joints in a message.
 
-    Raises:
-        MessageError: if there are none, or a name is unknown or occurs twice.
+    Raises `MessageError` if there are none, or a name is unknown or occurs twice.
     """
     if not names:
         raise MessageError("it names no joints")
@@ -117,12 +106,9 @@ def seconds(duration: Any) -> float:
 
 
 def began(stamp: Any, now: float, ros_now: float) -> float:
-    """Return the time of a message's stamp by CLOCK_MONOTONIC [s]; without a stamp, ``now``.
+    """Return the time of a header's stamp by CLOCK_MONOTONIC [s]; without a stamp, ``now``.
 
-    Args:
-        stamp: The stamp in its header.
-        now: CLOCK_MONOTONIC [s].
-        ros_now: The time since 1970 at the same moment [s].
+    ``ros_now`` is the time since 1970 [s] at the same moment as ``now``.
     """
     stamped = seconds(stamp)
     return now if stamped == 0.0 else now + (stamped - ros_now)
@@ -130,12 +116,7 @@ def began(stamp: Any, now: float, ros_now: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A single set-point, to be reached as fast as the limits allow.
-
-    Attributes:
-        position: Position by joint [rad | m].
-        end: Time of the set-point [s].
-    """
+    """Positions by joint [rad | m], to be reached at a time [s], as fast as the limits allow."""
 
     position: Mapping[str, float]
     end: float
@@ -152,11 +133,7 @@ class Trajectory:
     or a straight line if the points have no velocities, as the joint_trajectory_controller of
     ros2_control does.
 
-    Args:
-        names: The joints.
-        times: Times of the points, rising [s].
-        positions: Positions by point and joint [rad | m].
-        velocities: Velocities by point and joint [rad/s | m/s]; ``None``: not given.
+    The times rise [s]; positions [rad | m] and velocities [rad/s | m/s] go by point and joint.
     """
 
     def __init__(
@@ -280,12 +257,8 @@ def trajectory_of(
 class Jog:
     """Joints that move at constant velocities for a time, inside their limits.
 
-    Args:
-        begin: Time of the begin [s].
-        end: Time of the end [s].
-        start: Positions at the begin, by joint [rad | m].
-        velocity: Velocities by joint [rad/s | m/s].
-        joints: Limits by joint.
+    They start at positions [rad | m] and move at velocities [rad/s | m/s] from ``begin`` to ``end``
+    [s].
     """
 
     def __init__(
@@ -322,16 +295,15 @@ def jog_of(
 ) -> Motion:
     """Return the motion in a ``control_msgs/msg/JointJog``.
 
+    The message has velocities for its duration, or displacements, at once unless it has a duration.
+    Raises `MessageError` if the hand cannot follow it, with the reason.
+
     Args:
-        message: The message: velocities for its duration, or displacements, at once unless it has
-            a duration.
+        message: The message.
         joints: The joints that the message may name.
         where: Function that returns the position of a joint, or its last set-point [rad | m].
         now: CLOCK_MONOTONIC [s].
         unsaid: Duration of a message with velocities but without a duration [s].
-
-    Raises:
-        MessageError: if the hand cannot follow it, with the reason.
     """
     names, duration = list(message.joint_names), float(message.duration)
     checked_names(names, joints)

@@ -74,68 +74,51 @@ class Code(IntEnum):
 
 
 class Tolerance(NamedTuple):
-    """Largest errors allowed of a joint; infinite: any error.
-
-    Attributes:
-        position: Error of the position [rad | m].
-        velocity: Error of the velocity [rad/s | m/s].
-    """
+    """Largest errors of position [rad | m] and velocity [rad/s | m/s]; infinite: any error."""
 
     position: float
     velocity: float
 
 
 def tolerances_of(given: Iterable[Any], names: Sequence[str]) -> dict[str, Tolerance]:
-    """Return the tolerances of those joints that have one.
+    """Return the tolerances of those joints that have one, ``control_msgs/msg/JointTolerance``.
 
-    Ignores tolerances of accelerations, which are not measured.
-
-    Args:
-        given: Messages ``control_msgs/msg/JointTolerance``.
-        names: The joints of the trajectory.
-
-    Raises:
-        MessageError: if a tolerance is invalid; begins with the name of the error code.
+    Ignores tolerances of accelerations, which are not measured. Raises `MessageError` if a
+    tolerance is invalid; it begins with the name of the error code.
     """
-    found = {}
-    for one in given:
-        if one.name not in names:
+    tolerances = {}
+    for tolerance in given:
+        name = tolerance.name
+        if name not in names:
             raise _refusal(
                 Code.INVALID_JOINTS,
-                f"there is a tolerance for '{one.name[:100]}', which is not in the trajectory",
+                f"there is a tolerance for '{name[:100]}', which is not in the trajectory",
             )
-        values = float(one.position), float(one.velocity)
+        values = float(tolerance.position), float(tolerance.velocity)
         for value in values:
             # In this form, the condition refuses NaN, too.
             if not (value >= 0.0 or value == _ERASED):
                 raise _refusal(
                     Code.INVALID_GOAL,
-                    f"a tolerance of '{one.name}' is {value:g}; it should be positive, 0 for the"
+                    f"a tolerance of '{name}' is {value:g}; it should be positive, 0 for the"
                     " default, or -1 for none",
                 )
         # 0 stands for the default, which is no tolerance, as in ros2_control.
         if max(values) > 0.0:
-            found[one.name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
-    return found
+            tolerances[name] = Tolerance(*(value if value > 0.0 else math.inf for value in values))
+    return tolerances
 
 
 class TrajectoryAction:
-    """Serves the action.
-
-    Args:
-        face: The hand and its node.
-        player: Streams trajectories to the hand, also those of topics.
-    """
+    """Serves the action; the player streams also the trajectories of topics to the hand."""
 
     def __init__(self, face: Face, player: Player) -> None:
         self.face, self.player = face, player
         self.type: Final = face.node.context.interfaces.action(
             "control_msgs/action/FollowJointTrajectory"
         )
-        self.point: type[Message] = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
-        self.header: type[Message] = face.message("std_msgs/msg/Header")
-        self.time: type[Message] = face.message("builtin_interfaces/msg/Time")
-        self.duration: type[Message] = face.message("builtin_interfaces/msg/Duration")
+        self.point = face.message("trajectory_msgs/msg/JointTrajectoryPoint")
+        self.duration = face.message("builtin_interfaces/msg/Duration")
         self._server = ActionServer(face.node, ACTION, Offer(self.type, self._accept))
         self._following: set[_Following] = set()
 
@@ -152,8 +135,8 @@ class TrajectoryAction:
 
     async def end(self, reason: str) -> None:
         """Abort all goals, wait until their clients have the results, and leave the graph."""
-        for one in tuple(self._following):
-            one.fail(reason)
+        for job in tuple(self._following):
+            job.fail(reason)
         with anyio.move_on_after(_ANSWERED_WITHIN, shield=True):
             for goal in self._server.goals:
                 # Shielded, so that the time limit does not cancel the future of the clients.
@@ -371,7 +354,7 @@ class _Following:
             )
 
         goal.feedback(
-            header=self._action.header(stamp=self._action.time(**time_fields(time.time_ns()))),
+            header=self._action.face.header(time.time_ns()),
             joint_names=list(self._names),
             desired=point(wanted, speeds),
             actual=point([p for p, _ in measured], [v for _, v in measured]),

@@ -49,11 +49,9 @@ class TypeDescriptions:
         structure = self._interfaces.structure(name)
         source = self._interfaces.message(f"{_MESSAGES}/TypeSource")
         sources = []
-        for one in (structure, *referred(structure, self._interfaces.structure)):
-            text = self._interfaces.texts.get(one.name)
+        for each in (structure, *referred(structure, self._interfaces.structure)):
+            text = self._interfaces.texts.get(each.name)
             # Parts derived from a service or action have no definition of their own.
-            encoding = one.name.split("/")[1] if text is not None else "implicit"
-            sources.append(
-                source(type_name=one.name, encoding=encoding, raw_file_contents=text or "")
-            )
+            kind = each.name.split("/")[1] if text is not None else "implicit"
+            sources.append(source(type_name=each.name, encoding=kind, raw_file_contents=text or ""))
         return sources

@@ -212,7 +212,7 @@ class Interfaces:
         """Return the type of a service; raise `MessageError` if there is none."""
         name = full_name(name, "srv")
         if name not in self._services:
-            request, response = (self.message(f"{name}_{one}") for one in ("Request", "Response"))
+            request, response = (self.message(f"{name}_{part}") for part in ("Request", "Response"))
             self._services[name] = ServiceType(name, self.hash(name), request, response)
         return self._services[name]
 
@@ -221,7 +221,7 @@ class Interfaces:
         name = full_name(name, "action")
         if name not in self._actions:
             goal, result, feedback = (
-                self.message(f"{name}_{one}") for one in ("Goal", "Result", "Feedback")
+                self.message(f"{name}_{part}") for part in ("Goal", "Result", "Feedback")
             )
             self._actions[name] = ActionType(
                 name,

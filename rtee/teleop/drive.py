@@ -50,46 +50,37 @@ class Sink(Protocol):
 def assigned(actions: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
     """Return the actions by axis.
 
-    Args:
-        actions: Actions with their elements, such as ``PinchTight index thumb``; an axis may
-            precede one, as in ``lt=Trig ring``, and the others get the next free axes.
-        axes: The axes of the input device.
-
-    Raises:
-        ConfigError: if an axis does not exist or is given twice, or there are too few axes.
+    An action comes with its elements, as in ``PinchTight index thumb``. An axis may precede it, as
+    in ``lt=Trig ring``; the others get the next free axes. Raises `ConfigError` if an axis does not
+    exist or is given twice, or there are too few axes.
     """
-    found: dict[str, str] = {}
+    by_axis: dict[str, str] = {}
     given = [action.partition("=") for action in actions]
     for axis, mark, action in given:
         if not mark:
             continue
         if axis not in axes:
             raise ConfigError(f"there is no axis '{axis}'; there are: {', '.join(axes)}")
-        if axis in found:
+        if axis in by_axis:
             raise ConfigError(f"the axis '{axis}' is given twice")
-        found[axis] = action.strip()
-    left = [axis for axis in axes if axis not in found]
+        by_axis[axis] = action.strip()
+    left = [axis for axis in axes if axis not in by_axis]
     for action, mark, _ in given:
         if not mark:
             if not left:
                 raise ConfigError(f"there is no axis left for '{action}'")
-            found[left.pop(0)] = action.strip()
-    if len(set(found.values())) != len(found):
+            by_axis[left.pop(0)] = action.strip()
+    if len(set(by_axis.values())) != len(by_axis):
         raise ConfigError("an action is given twice")
-    return found
+    return by_axis
 
 
 async def samples_of(
     source: Input, actions: Mapping[str, str], rate: float = RATE
 ) -> AsyncIterator[dict[str, float]]:
-    """Yield targets of an input device at a rate.
+    """Yield targets of an input device, with an action by axis, at a rate [Hz].
 
     Yields nothing until the person moves an axis, so that the hand stays as it is.
-
-    Args:
-        source: The input device.
-        actions: Action by axis.
-        rate: Samples per second [Hz].
     """
     due = time.monotonic()
     while True:
@@ -103,12 +94,9 @@ async def samples_of(
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A recorded sample.
+    """A recorded sample: targets and velocities as for `rtee.remote.stream.Stream.send`.
 
-    Attributes:
-        time: Time since the first sample [s].
-        targets: Targets, as for `rtee.remote.stream.Stream.send`.
-        velocity: Velocities at the targets.
+    The time is since the first sample [s].
     """
 
     time: float
@@ -121,28 +109,25 @@ def recorded(path: Path) -> list[Played]:
 
     The first line of a table has the names: ``t``, the time [s], and the targets. An empty cell
     leaves a target out. Takes the newest recording of a folder, and the newest stream of a
-    recording.
-
-    Raises:
-        LogError: if the file cannot be read or holds no samples.
+    recording. Raises `LogError` if the file cannot be read or holds no samples.
     """
-    found = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
-    if not found:
+    samples = _of_table(path) if path.suffix.lower() == ".csv" else _of_recording(path)
+    if not samples:
         raise LogError("holds no samples of a stream", path=path)
-    begin = found[0].time
-    return [Played(each.time - begin, each.targets, each.velocity) for each in found]
+    begin = samples[0].time
+    return [Played(each.time - begin, each.targets, each.velocity) for each in samples]
 
 
 def _of_recording(path: Path) -> list[Played]:
     entries = read(path, only=[topics.STREAM_SAMPLES]).stream_samples
     taken = [e.value.command for e in entries if isinstance(e.value.command, StreamSample)]
     last = taken[-1].stream if taken else ""
-    found: list[Played] = []
+    played: list[Played] = []
     for sample in taken:
         # Skip duplicates and samples out of order.
-        if sample.stream == last and not (found and sample.stamp <= found[-1].time):
-            found.append(Played(sample.stamp, sample.targets, sample.velocity))
-    return found
+        if sample.stream == last and not (played and sample.stamp <= played[-1].time):
+            played.append(Played(sample.stamp, sample.targets, sample.velocity))
+    return played
 
 
 def _of_table(path: Path) -> list[Played]:
@@ -157,7 +142,7 @@ def _of_table(path: Path) -> list[Played]:
     if not rows or rows[0][:1] != ["t"] or len(rows[0]) < 2:
         raise LogError("should begin with a line of names, the first of them 't'", path=path)
     names = rows[0][1:]
-    found: list[Played] = []
+    played: list[Played] = []
     for number, row in enumerate(rows[1:], start=2):
         try:
             if len(row) != len(rows[0]):
@@ -167,13 +152,13 @@ def _of_table(path: Path) -> list[Played]:
             for cell, value in zip(row, (when, *values), strict=True):
                 if cell.strip() and not math.isfinite(value):
                     raise ValueError(f"'{cell.strip()}' is not a finite number")
-            if not math.isfinite(when) or (found and when <= found[-1].time):
+            if not math.isfinite(when) or (played and when <= played[-1].time):
                 raise ValueError("the times must rise")
         except ValueError as error:
             raise LogError(f"makes no sense: {error}", path=path, line=number) from None
         pairs = zip(names, values, strict=True)
-        found.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
-    return found
+        played.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
+    return played
 
 
 def rate_of(samples: Sequence[Played]) -> float:
@@ -186,13 +171,7 @@ def rate_of(samples: Sequence[Played]) -> float:
 async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> None:
     """Send recorded samples when they are due, with their recorded stamps.
 
-    Args:
-        samples: The samples.
-        stream: The stream.
-        speed: Scale of time: 2 is twice as fast.
-
-    Raises:
-        ConfigError: if the speed is not above 0.
+    Time passes ``speed`` times as fast; raises `ConfigError` if that is not above 0.
     """
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")

@@ -12,7 +12,6 @@ import termios
 import tty
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 from rtee.errors import ConfigError, needing_extra
@@ -61,9 +60,7 @@ class Input(Protocol):
     def read(self) -> Mapping[str, float]:
         """Return the values of the axes moved so far, 0 to 1, without blocking.
 
-        Raises:
-            OSError: if the device is gone.
-            KeyboardInterrupt: if the person ends the input.
+        Raises `OSError` if the device is gone, `KeyboardInterrupt` if the person ends the input.
         """
 
 
@@ -98,11 +95,7 @@ class _Seen:
 
 
 class Gamepad:
-    """A gamepad, read from its input events.
-
-    Args:
-        device: The device, opened in non-blocking mode.
-    """
+    """A gamepad, read from its input events; its device is opened in non-blocking mode."""
 
     axes: Sequence[str] = (*TRIGGERS, *STICKS, *BUTTONS)
 
@@ -162,14 +155,10 @@ def _beyond_rest(share: float) -> float:
 
 
 def open_gamepad(path: str | None = None) -> Gamepad:
-    """Return a gamepad.
+    """Return the first gamepad, or that of a device such as ``/dev/input/event5``.
 
-    Args:
-        path: Its device, such as ``/dev/input/event5``; ``None``: the first gamepad.
-
-    Raises:
-        ConfigError: if there is none, or it cannot be read.
-        MissingExtra: if evdev is not installed.
+    Raises `ConfigError` if there is none, or it cannot be read, and `MissingExtra` if evdev is not
+    installed.
     """
     with needing_extra("a gamepad", "teleop"):
         import evdev
@@ -192,13 +181,9 @@ def open_gamepad(path: str | None = None) -> Gamepad:
 
 
 class Keyboard:
-    """Keys of the terminal, pairs of which move axes up and down; use it as a context.
+    """Keys of the terminal, pairs of which move up to six axes up and down; use it as a context.
 
-    Args:
-        axes: Number of axes, up to six.
-
-    Raises:
-        ConfigError: if there are more, or the input is not a terminal.
+    Raises `ConfigError` if there are more, or the input is not a terminal.
     """
 
     def __init__(self, axes: int) -> None:
@@ -216,12 +201,7 @@ class Keyboard:
         tty.setcbreak(self._file)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)
 
     def read(self) -> Mapping[str, float]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from rtee.loop.handloop import HandLoop
 from rtee.loop.observer import Observer
 from rtee.loop.settings import DeviceSettings, LoopSettings
 from rtee.loop.tick_driver import drive
+from rtee.remote.directory import claimed
 from rtee.remote.server import Server
 from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Event, Goal, Result
@@ -211,3 +212,11 @@ async def serving(
             await until(lambda: watcher.ticks > 0 and all(loop.controller.active))
             yield Served(loop, server, driver, watcher, config, recorder)
             group.cancel_scope.cancel()
+
+
+@contextmanager
+def announced(hand: str, endpoints: Sequence[str]) -> Iterator[Path]:
+    """Announce a hand as its server does, for as long as the context lasts; yield its file."""
+    with claimed(hand) as place:
+        place.write(endpoints)
+        yield place.path

@@ -25,9 +25,8 @@ from rtee.cli.status import status
 from rtee.cli.stop import recover, stop
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
-from rtee.remote.directory import announced
 
-from .serving import Served, Told, make_hand, make_library, serving
+from .serving import Served, Told, announced, make_hand, make_library, serving
 
 
 @pytest.fixture

@@ -17,7 +17,9 @@ import pytest
 
 from rtee.errors import ConfigError
 from rtee.remote import directory
-from rtee.remote.directory import announced, claimed, running
+from rtee.remote.directory import claimed, running
+
+from .serving import announced
 
 NOBODY = 65534
 """The user that owns nothing."""

@@ -23,7 +23,8 @@ from rtee.ros2 import Context
 from rtee.ros2.diagnostics import Diagnostics, Level, health
 from rtee.ros2.keys import Kind
 from rtee.ros2.qos import LATCHED
-from rtee.ros2.serving import Shown, overridden, shown, warnings
+from rtee.ros2.serving import Shown, shown, warnings
+from rtee.ros2.session import overridden
 from rtee.ros2.topics import description, ros_name
 from rtee.sample import ActuatorState
 from rtee.touch import TouchReading, TouchSensor

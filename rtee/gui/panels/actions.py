@@ -17,10 +17,6 @@ _FEW = 3
 """Number of primitives whose cards are open at first: as many as fit on the screen."""
 
 
-def _title(kind: ActionKind) -> str:
-    return "Primitives" if kind is ActionKind.PRIMITIVE else kind.capitalize()
-
-
 def grouped(actions: Sequence[Action]) -> dict[tuple[ActionKind, str], list[Action]]:
     """Return the actions by kind and name; the primitives of one name share a card."""
     groups: dict[tuple[ActionKind, str], list[Action]] = {}
@@ -52,9 +48,11 @@ class ActionsPanel:
             "Search", "", hint="Show only actions whose name or elements contain this"
         )
         self._search.on_update(lambda _: self._filter())
-        self._folders = {kind: gui.add_folder(_title(kind)) for kind in ActionKind}
+        titles = {kind: kind.capitalize() for kind in ActionKind}
+        titles[ActionKind.PRIMITIVE] = "Primitives"
+        self._folders = {kind: gui.add_folder(title) for kind, title in titles.items()}
         self._cards: dict[tuple[ActionKind, str], Card] = {}
-        self._known: dict[tuple[ActionKind, str], tuple[object, ...]] = {}
+        self._known: dict[tuple[ActionKind, str], tuple[str, ...]] = {}
         self._tried = Tried()
         self._moves: dict[str, tuple[str, ...]] = {}
 
@@ -76,8 +74,9 @@ class ActionsPanel:
             self._cards.pop(key).remove()
             del self._known[key]
         for place, (key, group) in enumerate(groups.items()):
-            # Rebuilding a card would reset what the user has set in its controls.
-            signature = tuple(_signature(action) for action in group)
+            # Rebuilding a card would reset what the user has set in its controls. As text, since
+            # postures hold arrays, whose comparison gives an array instead of a bool.
+            signature = tuple(map(repr, group))
             if self._known.get(key) == signature:
                 self._cards[key].place(place)
                 self._cards[key].show_openings(openings)
@@ -136,8 +135,3 @@ class ActionsPanel:
                 folder.visible = any(
                     card.visible for key, card in self._cards.items() if key[0] is kind
                 )
-
-
-def _signature(action: Action) -> object:
-    # The text, since postures hold arrays, whose comparison gives an array instead of a bool.
-    return (action.name, action.elements, repr(action))

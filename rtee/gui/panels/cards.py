@@ -40,12 +40,7 @@ _FORCE_HINT = "Force between the fingertips [N], with the opening; 0: as hard as
 
 
 class Card:
-    """One action, or all primitives of one name.
-
-    Attributes:
-        name: Name of the action.
-        words: Text that the search field is compared with, in lower case.
-    """
+    """One action, or all primitives of one name; `words` is what the search is compared with."""
 
     def __init__(
         self,
@@ -59,17 +54,10 @@ class Card:
         remark: Callable[[Action], str] = lambda action: "",
         fingers: Callable[[Action], Sequence[str]] = lambda action: action.fingers,
     ) -> None:
-        """Add the card to the current container.
+        """Add the card of the primitives of one name, or of one other action.
 
-        Args:
-            bridge: Carries clicks.
-            hand: The hand.
-            actions: The primitives of one name, or one other action.
-            show: Shows a posture as a ghost.
-            expanded: Whether the card is open at first.
-            order: Position among the cards.
-            remark: Function that returns a remark about an action, or ``""``.
-            fingers: Function that returns the fingers that an action moves.
+        ``show`` shows a posture as a ghost. ``remark`` returns a remark about an action, or ``""``,
+        and ``fingers`` the fingers that it moves.
         """
         self.name = actions[0].name
         self._bridge = bridge
@@ -312,7 +300,7 @@ class Card:
         own = self._tried.own.get(key_of(self.action), ())
         html = ""
         if results:
-            outdated = any(one.trial.key in self._tried.outdated for one in results)
+            outdated = any(result.trial.key in self._tried.outdated for result in results)
             title = "Of the objects it was tried on in simulation (rtee try --all)"
             if outdated:
                 title += "; the hand, this action, or how trials are made, has changed since: try"
@@ -322,8 +310,8 @@ class Card:
                 f'<details><summary title="{title}">{summary}</summary>'
                 f"{tried_table(results)}</details>"
             )
-        for one in reversed(own):
-            summary = escape(f"{object_name(one.trial.object)}: {verdict(one)}")
+        for result in reversed(own):
+            summary = escape(f"{object_name(result.trial.object)}: {verdict(result)}")
             html += small(f"Tried now: {summary}")
         self._trials.content = html
         self._trials.visible = bool(results or own)

@@ -18,11 +18,7 @@ def options_at(combinations: Sequence[Combination], chosen: Sequence[str]) -> tu
 
 
 class ElementChoice:
-    """One dropdown per element; each offers only elements that fit those before it.
-
-    Attributes:
-        combinations: The existing combinations.
-    """
+    """One dropdown per element; each offers only elements that fit those before it."""
 
     def __init__(
         self,
@@ -33,11 +29,8 @@ class ElementChoice:
     ) -> None:
         """Add the dropdowns to the current container.
 
-        Args:
-            gui: The browser's controls.
-            combinations: The existing combinations, at least one, all of the same length.
-            changed: Function to call when the choice has changed.
-            noun: Noun for an element: ``Finger`` or ``Actuator``.
+        There is at least one combination, and all have the same length. ``changed`` is called when
+        the choice has changed; the noun of an element is ``Finger`` or ``Actuator``.
         """
         self.combinations = tuple(combinations)
         self._changed = changed

@@ -28,12 +28,7 @@ class ContactChoice:
     """A setting for all fingers, settings of single ones, and the force after a slip."""
 
     def __init__(self, gui: viser.GuiApi, fingers: Sequence[str]) -> None:
-        """Add the controls to the current container.
-
-        Args:
-            gui: The browser's controls.
-            fingers: Fingers of the action, if they are known.
-        """
+        """Add the controls to the current container, for the action's fingers if they are known."""
         # By finger; the empty name stands for all fingers.
         self._words: dict[str, OnContact] = {}
         self._finger = gui.add_dropdown(

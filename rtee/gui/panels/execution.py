@@ -23,13 +23,7 @@ class Execution:
     """The progress bars of an action, and its execution."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand, steps: Sequence[Step]) -> None:
-        """Add the bars to the current container.
-
-        Args:
-            bridge: Carries clicks.
-            hand: The hand.
-            steps: The inner actions of a timed action.
-        """
+        """Add the bars to the current container, one for each inner action of a timed action."""
         gui = bridge.server.gui
         self._hand = hand
         self._goal_id = ""
@@ -46,13 +40,7 @@ class Execution:
         self._word = gui.add_html("", order=6)
 
     async def do(self, action: Action, options: GoalOptions, effort: float) -> None:
-        """Execute an action and show its progress and result.
-
-        Args:
-            action: The action.
-            options: Options of the goal.
-            effort: Share of the actuators' effort limits, 0 to 1.
-        """
+        """Execute an action with a share of the effort limits; show its progress and result."""
         if effort < 1.0:
             # A goal takes limits by actuator [N·m | N]; actuators without a limit keep none.
             limits = {a.name: a.effort for a in (await self._hand.info()).actuators}
@@ -65,12 +53,7 @@ class Execution:
         await self.follow(self._hand.start(name, *elements, **options))
 
     async def follow(self, start: Awaitable[RunningGoal], *, width: bool = False) -> None:
-        """Send a goal and show its progress and result.
-
-        Args:
-            start: Awaitable that sends the goal.
-            width: Whether the goal is to hold an object of a given width.
-        """
+        """Send a goal, maybe for an object of some width, and show its progress and result."""
         self._reset()
         # The goal that this one replaces ends before the hand answers; its result is not shown.
         before, self._goal_id = self._goal_id, ""

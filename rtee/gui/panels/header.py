@@ -41,12 +41,7 @@ class Header:
     """Stop, Open, Recover, the devices and the holder of the lease."""
 
     def __init__(self, bridge: Bridge, hand: RemoteHand) -> None:
-        """Add the controls to the current container.
-
-        Args:
-            bridge: Carries clicks.
-            hand: The hand.
-        """
+        """Add the controls to the current container."""
         gui = bridge.server.gui
         self._bridge = bridge
         self._hand = hand

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from html import escape
 
 from rtee.actions.build import StepPlan
@@ -58,7 +59,9 @@ class PartsPanel:
         bridge.need(Role.MAINTAINER, self._name, self._store, self._make)
         self._add.on_click(lambda _: self._append())
         self._edit.on_click(lambda event: self._edited(str(event.target.value)))
-        self._make.on_click(lambda event: self._save(str(event.target.value)))
+        self._make.on_click(
+            lambda event: bridge.call(partial(self._make_action, str(event.target.value)))
+        )
         self._draw()
 
     def offer(self, actions: Sequence[Action]) -> None:
@@ -108,9 +111,6 @@ class PartsPanel:
         names = [f"{index}. {part.alias}" for index, part in enumerate(self._parts, 1)] or [NOTHING]
         self._part.options = names
         self._part.value = names[min(max(chosen, 0), len(names) - 1)]
-
-    def _save(self, button: str) -> None:
-        self._bridge.call(lambda: self._make_action(button))
 
     async def _make_action(self, button: str) -> None:
         name, store = str(self._name.value).strip(), bool(self._store.value)

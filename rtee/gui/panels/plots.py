@@ -49,14 +49,10 @@ def chart(
     title: str,
     height: int,
 ) -> viser.GuiUplotHandle:
-    """Add a plot to the current container.
+    """Add a plot of a height [pixels] to the current container.
 
-    Args:
-        gui: The browser's controls.
-        data: Times, the lines, and last the lower and the upper end of the axis, ``(k,)`` each.
-        series: Styles of the time axis and of each line.
-        title: Title of the plot, with the unit.
-        height: Height of the plot [pixels].
+    The data are the times, the lines, and last the lower and the upper end of the axis, ``(k,)``
+    each; the series are the styles of the time axis and of each line. The title has the unit.
     """
     # Invisible lines set the range, since a change of the scales would rebuild the plot.
     ends = [uplot.Series(label=end, stroke="#0000", width=0) for end in ("low", "high")]

@@ -55,14 +55,7 @@ class RecordingsPanel:
     """The recording being written, and the one being viewed."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand, opened: Opened) -> None:
-        """Add the panel to the current container.
-
-        Args:
-            bridge: Carries clicks.
-            remote: The hand.
-            hand: Model of the hand.
-            opened: Called with the recording to show.
-        """
+        """Add the panel to the current container; ``opened`` receives the recording to show."""
         gui = bridge.server.gui
         self._bridge, self._remote, self._hand, self._opened = bridge, remote, hand, opened
         self._playback: Playback | None = None

@@ -89,7 +89,7 @@ class TouchPanel:
 
     def draw(self, windows: Windows) -> None:
         """Draw the lines."""
-        sensors = [(s.name, s.unit) for its, _, _ in windows.values() for s in its]
+        sensors = [(s.name, s.unit) for known, _, _ in windows.values() for s in known]
         if sensors != self._shown:
             self._shown = sensors
             self._rebuild()
@@ -111,8 +111,8 @@ class TouchPanel:
 
     def _add_plot(self, unit: str) -> viser.GuiUplotHandle:
         series = [uplot.Series(label="t [s]")]
-        for number, (name, its) in enumerate(self._shown):
-            if its == unit:
+        for number, (name, its_unit) in enumerate(self._shown):
+            if its_unit == unit:
                 series.append(
                     uplot.Series(
                         label=name,

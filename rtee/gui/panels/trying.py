@@ -47,8 +47,7 @@ Found = Callable[[TrialResult], None]
 def number(value: Any, least: float, most: float, what: str) -> float:
     """Return a value of a page's field as a number; a manipulated page may send anything.
 
-    Raises:
-        ConfigError: if the value is not a number, or out of range.
+    Raises `ConfigError` if it is not a number, or out of range.
     """
     # A bool is an int in Python, but no number to a person.
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -67,11 +66,7 @@ def shape_text(kind: str, sizes: Sequence[float]) -> str:
 
 
 def folder_of(remote: str, hand: Hand) -> Path:
-    """Return the folder of a running hand on this computer.
-
-    Raises:
-        ConfigError: if the hand is not configured here.
-    """
+    """Return the folder of a running hand; raises `ConfigError` if it is not configured here."""
     folder = find_hand(remote)  # which refuses a name with a path in it
     if not hand.urdf.path.resolve().is_relative_to(folder.resolve()):
         raise ConfigError(
@@ -89,12 +84,7 @@ class TryPanel:
     ) -> None:
         """Add the panel to the current container.
 
-        Args:
-            bridge: Carries clicks.
-            remote: The hand.
-            hand: Model of the hand.
-            found: Receives the results of trials.
-            preview: Shows a planned grasp.
+        ``found`` receives the results of trials, ``preview`` shows a planned grasp.
         """
         gui = bridge.server.gui
         self._bridge, self._remote, self._hand, self._found = bridge, remote, hand, found
@@ -234,8 +224,7 @@ class TryPanel:
     def _job(self, *, planning: bool) -> Job:
         """Return the job that the fields describe.
 
-        Raises:
-            ConfigError: if an extra is missing, or a field has an invalid value.
+        Raises `ConfigError` if an extra is missing, or a field has an invalid value.
         """
         check_installed(planning=planning)
         folder = folder_of(self._remote.name, self._hand)
