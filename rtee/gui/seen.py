@@ -36,7 +36,10 @@ _SHARP: Final = 0.25
 
 
 class ObjectView:
-    """The object at its pose relative to the hand, both taken from the channels of the states."""
+    """The object at its pose relative to the hand, both taken from the channels of the states.
+
+    ``size`` is that of the hand [m].
+    """
 
     def __init__(self, scene: viser.SceneApi, size: float) -> None:
         self._scene, self._size = scene, size

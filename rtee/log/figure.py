@@ -88,9 +88,17 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A plot from ``start`` to ``end`` [s], with spans of actions, and times of marks and events.
+    """A plot.
 
-    The labels name these and are laid out without overlap; that of the efforts has their unit.
+    Attributes:
+        title: Title of the plot.
+        rows: Rows of the plot.
+        bands: Spans of actions.
+        marks: Times of marks and events [s].
+        labels: Names of spans, marks and events, laid out without overlap.
+        effort_label: Label of the right column, with its unit.
+        start: Left end of the time axis [s].
+        end: Right end of the time axis [s].
     """
 
     title: str

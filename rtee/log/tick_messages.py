@@ -114,7 +114,10 @@ def _rounded(values: FloatArray) -> bytes:
 
 
 class LinkTransforms:
-    """Encodes the poses of the links of moving joints, at the rate in the recorder's settings."""
+    """Encodes the poses of the links of moving joints, at the rate in the recorder's settings.
+
+    ``rate`` is that of the hand's loop [Hz].
+    """
 
     def __init__(self, hand: Hand, rate: float, settings: RecorderSettings) -> None:
         self._frames = JointFrames(hand)

@@ -127,7 +127,8 @@ def add_client(folder: Path, who: str, role: Role, days: int = DAYS) -> tuple[Pe
 def revoke(folder: Path, name: str) -> list[Person]:
     """Revoke certificates in a hand's folder; return those that were admitted before.
 
-    The name is a person's, for all certificates, or that in one of them; else raises `ConfigError`.
+    The name is a person's, for all certificates, or that in one of them. Raises `ConfigError` if
+    there is no such name.
     """
     known = _known(folder)
     matching = [client for client in known.people if name in (client.name, person(client.name))]

@@ -29,9 +29,10 @@ class GraspPlanning:
         self._closed = False
 
     def handle(self, request: IncomingRequest, actions: Path | None) -> None:
-        """Queue a request, which is answered when the plan is ready; `RteeError` if it is refused.
+        """Queue a request, which is answered when the plan is ready.
 
-        The actions are in a folder inside the hand's.
+        The folder of actions is inside the hand's folder. Raises `RteeError` if the request is
+        refused.
         """
         reach = request.request.name == "reach"
         question = _reach_question(request.fields) if reach else _question(request.fields)
