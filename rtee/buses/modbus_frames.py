@@ -141,6 +141,11 @@ class _Requests:
         self.errors = 0
         self._buffer = b""
 
+    @property
+    def pending(self) -> int:
+        """Bytes kept of an incomplete request."""
+        return len(self._buffer)
+
     def reset(self) -> None:
         """Forget the bytes of an incomplete request."""
         self._buffer = b""

@@ -101,7 +101,7 @@ def _links(root: Element) -> dict[str, UrdfLink]:
 
 
 def _mass(element: Element) -> float:
-    mass = element.number("value", most=MOST)
+    mass = element.number("value")
     if mass < 0.0:
         raise element.error(f"a mass of {mass:g} kg is negative")
     return mass

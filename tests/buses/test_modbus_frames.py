@@ -48,7 +48,7 @@ def test_a_request_is_found_behind_noise_byte_by_byte(frame: str, noise: bytes) 
     parser = RtuRequests(9)
     found = [r for byte in noise + raw for r in parser.feed(bytes([byte]))]
     assert [(r.unit, r.pdu) for r in found] == [(9, raw[1:-2])]
-    assert len(parser._buffer) == 0
+    assert parser.pending == 0
 
 
 def test_requests_to_other_slaves_are_skipped() -> None:
@@ -73,7 +73,7 @@ def test_any_bytes_leave_a_bounded_buffer_and_one_good_frame_is_heard(
         if kind is TcpRequests:
             noise = noise.replace(b"\0\0", b"\1\1")
         parser.feed(noise)
-        assert len(parser._buffer) <= 260
+        assert parser.pending <= 260
         heard += len(parser.feed(good))
     assert heard >= 2000
 
