@@ -297,7 +297,7 @@ async def connect(
         ConfigError: if several hands run and none is named, or an argument is no text.
     """
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
-        if not isinstance(value, str | None):
+        if not isinstance(value, str) and (value is not None or what == "client"):
             raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
     session, name, way = await open_hand(hand, endpoint, wait, on_wait)
     # The process id and a random part distinguish clients of the same name. The client's own name

@@ -103,6 +103,8 @@ def test_who_has_left_the_hand_is_told_to_connect_again(served: Served) -> None:
 def test_what_is_no_name_is_said() -> None:
     with pytest.raises(ConfigError, match="the hand to connect with should be a text, not 3"):
         rtee.connect_blocking(3)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="the client to connect with should be a text, not None"):
+        rtee.connect_blocking("small", client=None)  # type: ignore[arg-type]
 
 
 def test_all_that_the_other_does_it_does_too() -> None:

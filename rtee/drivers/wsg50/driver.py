@@ -345,6 +345,7 @@ class Wsg50Driver(GripperDriver):
 
     async def close(self) -> None:
         """Announce the end of the connection, else the gripper may fast-stop, and detach."""
+        self._active = False  # even if the announcement is cancelled
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
                 await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)
