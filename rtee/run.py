@@ -105,7 +105,7 @@ async def run_hands(
     if serve is not None:
         companions = (*options.companions, *_in_ros2(names, prepared, options))
         options = replace(options, companions=companions)
-    wanted = [realtime_settings(one.config, enabled=options.realtime) for one in prepared]
+    wanted = [realtime_settings(hand.config, enabled=options.realtime) for hand in prepared]
     realtime = next((settings for settings in wanted if settings.enabled), RealtimeSettings())
     collector = Collector()
     service = Service.of()

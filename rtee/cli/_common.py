@@ -44,8 +44,8 @@ def complete_action(ctx: typer.Context, incomplete: str) -> list[str]:
 def spelled_like(incomplete: str, names: Iterable[tuple[str, str]]) -> list[str]:
     """Return the completions of a text in the spelling that the user began.
 
-    ``pinch_t`` becomes ``pinch_tight``, and ``Pinch`` becomes ``PinchTight``. The names of actions
-    come each with the text that follows it.
+    ``pinch_t`` becomes ``pinch_tight``, and ``Pinch`` becomes ``PinchTight``. ``names`` has each
+    action's name and the text that follows it.
     """
     from rtee.actions.naming import snake_case
 

@@ -27,7 +27,7 @@ _DIGITS: Final = 9
 def _surroundings(scene: Scene, u: FloatArray, checker: CollisionChecker) -> tuple[Evidence, float]:
     """Return the evidence about other links near a posture and the straight path to it.
 
-    With it the share of their margins that these keep on both: 1, a quarter, or 0.
+    The second value is the share of their margins that other links keep on both: 1, a quarter or 0.
     """
     pose = path = 0.0
     near: list[LinkPair] = []

@@ -376,9 +376,8 @@ class Grip:
 def grip_at(grip: Grip | None, record: TickRecord) -> tuple[float, float, float, str]:
     """Return the opening [m], the force and its error [N], and the source of the force.
 
-    The publisher and the recorder call this in their own threads, so that the loop needn't.
-
-    By the grip of the last goal with an opening or a force, at the record of a tick.
+    ``grip`` is that of the last goal with an opening or a force. The publisher and the recorder
+    call this in their own threads, so that the loop needn't.
     """
     if grip is None:
         return math.nan, math.nan, math.nan, ""

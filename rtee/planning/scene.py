@@ -221,8 +221,9 @@ def _corners(points: list[FloatArray]) -> list[FloatArray]:
 def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the gaps ``(n, k)`` between upright boxes and their unit normals ``(n, k, 3)``.
 
-    From the ways between their middles ``(n, k, 3)`` and the sums of their half extents. Where
-    boxes overlap, the axis counts along which they overlap least; its gap is negative.
+    ``between`` are the ways between their middles ``(n, k, 3)`` [m], ``reach`` the sums of their
+    half extents [m]. Where boxes overlap, the axis along which they overlap least counts, with a
+    negative gap.
     """
     apart = np.abs(between) - reach
     ways = np.maximum(apart, 0.0)

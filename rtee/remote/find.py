@@ -31,7 +31,7 @@ _ANSWER_WITHIN = 1.0
 class Found(NamedTuple):
     """A session with a hand, its name, and the access path.
 
-    This is `HERE`, `PLAIN`, or the name of this user's certificate.
+    The access path is `HERE`, `PLAIN`, or the name of this user's certificate.
     """
 
     session: zenoh.Session

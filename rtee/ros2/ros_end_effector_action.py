@@ -70,10 +70,8 @@ def goal_of(command: Any) -> Goal:
             intensity=command.percentage,
             tolerance=tolerance,
         )
-    if command.action_type in (
-        command.GENERIC,
-        command.COMPOSED,
-    ):  # ROS End-Effector's are the same
+    # In ROS End-Effector, these two are the same.
+    if command.action_type in (command.GENERIC, command.COMPOSED):
         return Goal(command.action_name, intensity=command.percentage, tolerance=tolerance)
     if command.action_type == command.TIMED:
         return Goal(command.action_name, kind=ActionKind.TIMED, tolerance=tolerance)

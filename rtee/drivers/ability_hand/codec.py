@@ -289,7 +289,8 @@ def _touch_bytes(words: Sequence[int]) -> bytes:
 
 
 def _clipped(value: float) -> int:
-    return round(min(max(value, -32767), 32767))
+    most = 32767  # of a signed word of 16 bits, the same to both sides
+    return round(min(max(value, -most), most))
 
 
 def angle(counts: int) -> float:

@@ -275,7 +275,10 @@ def counts_per_rad(increments: int, turns: int, motor: int, shaft: int) -> float
         increments: Encoder increments.
         turns: Motor turns they are counted in.
         motor: Motor turns of the gear.
-        shaft: Shaft turns of the gear; raises `ValueError` unless all are positive.
+        shaft: Shaft turns of the gear.
+
+    Raises:
+        ValueError: unless all are positive.
     """
     if min(increments, turns, motor, shaft) <= 0:
         raise ValueError("encoder resolution and gear ratio must be positive")

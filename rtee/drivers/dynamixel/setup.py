@@ -130,14 +130,14 @@ def prepare(
 ) -> None:
     """Set up servos without torque, and power them at their positions; in the worker thread.
 
+    Raises `BusError` if the line fails, or a servo does not accept a value.
+
     Args:
         link: The line.
         options: Their settings.
         found: The servos without torque, by id.
         positions: Their present positions, as goals [pulse].
         currents: Their current limits [counts].
-
-    A value that a servo does not accept raises `BusError`, too.
     """
     mode = MODES[options.mode]
     for number, servo in found.items():

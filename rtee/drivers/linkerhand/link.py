@@ -6,7 +6,7 @@ import asyncio
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from rtee.buses.bus import Bus
 from rtee.buses.can import CanBus
@@ -73,12 +73,14 @@ class ModbusLink(LinkerLink):
 
     _bus: ModbusBus
 
-    def __init__(self, bus: ModbusBus, *hand: Any) -> None:
-        super().__init__(bus, *hand)
+    def __init__(
+        self, bus: ModbusBus, model: Model, unit: int, deadline: float, retries: int, spacing: float
+    ) -> None:
+        super().__init__(bus, model, unit, deadline, retries, spacing)
         self._both = True
         # An emulated line without wire time needs no silence, either.
         if bus.gap:
-            bus.gap = max(bus.gap, self._spacing)
+            bus.gap = max(bus.gap, spacing)
 
     async def version(self) -> Version | None:
         """Return the hand's version block; raises `BusError`."""

@@ -31,8 +31,11 @@ def leave_pairs_out(
         resting: It at rest, with the contacts of all pairs of links.
         touch: Says whether two links touch at rest on their exact geometry.
 
-    Returns what was left out for contact at rest, one sentence each. Raises `ModelError` if links
-    of two fingers are deep inside each other at rest.
+    Returns:
+        What was left out for contact at rest, one sentence each.
+
+    Raises:
+        ModelError: if links of two fingers are deep inside each other at rest.
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
     left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}

@@ -73,8 +73,9 @@ def tips(hand: Hand, u: FloatArray) -> FloatArray:
 
 
 def grasp_centre(hand: Hand) -> FloatArray:
-    """Return the middle ``(3,)`` [m] of half closed fingertips in the base frame."""
-    origins = tips(hand, from_rest(hand.rest, closed(hand), 0.5))
+    """Return the middle of the half-closed hand's fingertips ``(3,)`` [m] in its base frame."""
+    half = 0.5  # of the way from rest to the far limits: about where fingers meet an object
+    origins = tips(hand, from_rest(hand.rest, closed(hand), half))
     return np.asarray(origins.mean(axis=0)) if len(origins) else np.zeros(3)
 
 
@@ -185,8 +186,11 @@ def _clear_of_palm(
         place: The pose ``(4, 4)`` of the object in the hand's base frame.
         mount: The pose ``(4, 4)`` of that frame in the world.
 
-    Returns the first such place along the hand's reach, or the same where there is none near;
-    raises `ConfigError` if the object's mesh cannot be used.
+    Returns:
+        The first such place along the hand's reach, or the same where there is none near.
+
+    Raises:
+        ConfigError: if the object's mesh cannot be used.
     """
     probe = spec.copy()
     add_object(probe, shape, mass=1.0, pose=mount @ place)

@@ -254,7 +254,7 @@ class Interpolator:
     ) -> None:
         """Turn a jump of the path into errors that decay, within the limits if possible.
 
-        At ``now`` by the hand's clock [s]; ``period``: time between samples [s].
+        ``now`` is by the hand's clock [s], ``period`` the time between samples [s].
         """
         for place, index in enumerate(self.indices):
             if before[place] == after[place]:
