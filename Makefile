@@ -19,7 +19,10 @@ demo: .venv/.ready
 
 # Three processes: half of the tests wait for simulated wires and for a browser. These are real, so
 # that a test may fail when the computer is busy: it is run once more, and named in the summary.
-test: lint types layers .ros2-peers/.ready .device-peers/.ready
+# What comes before takes one processor each, so it is done at the same time.
+test: .venv/.ready
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target \
+		lint types layers .ros2-peers/.ready .device-peers/.ready
 	$(BIN)/python -m pytest -n 3 --reruns 1 --rerun-show-tracebacks -r fEsR --durations 25
 
 # Whole experiments in dynamics, too long for every commit.
