@@ -112,6 +112,7 @@ class ObjectShape:
 def is_shape(text: str) -> bool:
     """Return whether a text means a shape with its sizes or a drill, and not a file."""
     kind, colon, _ = text.partition(":")
+    # A mesh file may be called "box": only with sizes is it a shape.
     return text == DRILL or (bool(colon) and kind in NUMBERS)
 
 
@@ -165,6 +166,7 @@ def refuse_paths(text: str) -> None:
 
 
 def _no_object(text: str) -> str:
+    # What a request from outside names may be as long as a message.
     return f"'{text[:200]}' is not an object; write {SHAPES}"
 
 

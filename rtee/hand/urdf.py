@@ -180,6 +180,7 @@ class Urdf:
             raise UnknownLink(link, tuple(self.links), path=self.path)
         joints = []
         joint = self.joint_to.get(link)
+        # Upwards, since a link has one joint above it and any number below.
         while joint is not None:
             joints.append(joint)
             joint = self.joint_to.get(joint.parent)

@@ -44,6 +44,7 @@ def action_fields(action: Action, stored: bool = True) -> dict[str, Any]:
     }
     match action:
         case Primitive():
+            # A primitive has no description: it returns before that is filled in.
             fields["elements"], fields["fingers"] = action.elements, action.fingers
             fields["postures"] = [_posture_fields(posture) for posture in action.postures]
             fields["evidence"] = [_evidence_fields(evidence) for evidence in action.evidence]
@@ -218,6 +219,7 @@ def build_action(library: ActionLibrary, fields: Fields) -> Action:
             if len(fields["postures"]) != 1:
                 raise MessageError("a generic action has one posture")
             posture = _posture_from(fields["postures"][0])
+            # The positions of all other actuators are only there to draw the posture.
             chosen = {actuator: posture.position[actuator] for actuator in posture.involved}
             return generic(library.hand, name, chosen, description=description)
     raise ActionError(

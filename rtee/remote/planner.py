@@ -132,6 +132,7 @@ class HandInfo:
         return tuple(actuator.name for actuator in self.actuators)
 
 
+# The stiffness is not part of an actuator's specification, but of the hand's dynamics.
 _ACTUATOR = tuple(name for name in ActuatorInfo.__slots__ if name != "stiffness")
 
 
@@ -184,6 +185,7 @@ def _named(some: Sequence[str], whole: Sequence[str], plural: str) -> str:
 
 
 def _finger_fields(hand: Hand, finger: Finger, u: FloatArray) -> dict[str, Any]:
+    # Messages have no optional arrays: without a fingertip they are empty.
     pose = jacobian = np.empty(0)
     if finger.tip is not None:
         pose, jacobian = tip_pose_and_jacobian(hand, finger.tip, u)
@@ -221,6 +223,7 @@ def info_of(fields: Mapping[str, Any]) -> HandInfo:
             urdf=fields["urdf"],
             missing=tuple(fields["missing"]),
         )
+    # `reshape` raises it where sizes disagree.
     except ValueError as error:
         raise MessageError(f"a hand's information does not fit together: {error}") from None
 

@@ -119,6 +119,7 @@ class ReachClient:
             reached = await self.reach(
                 reached, width=width, pose=pose, fingers=fingers, approach=approach
             )
+        # Another hand may have actuators of the same names, with other postures for a grasp.
         elif reached.hand != self._link.hand:
             raise ConfigError(f"the grasp was reached for '{reached.hand}'")
         if reached.collisions and not despite_collisions:
@@ -148,6 +149,7 @@ class ReachClient:
             Stage.GRASP: (reached.posture,),
             Stage.BOTH: (reached.pre_grasp, reached.posture),
         }[part]
+        # All clients share the names of actions, and two may execute grasps at the same time.
         name = f"grasp_at_{os.urandom(4).hex()}"
         for posture in postures:
             action = Generic(name, Posture(posture, tuple(posture)), "A grasp of a planner.")
@@ -155,6 +157,7 @@ class ReachClient:
             try:
                 result = await self._goals.do(name)
             finally:
+                # All clients see the actions of the hand: none may be left behind.
                 await self._actions.remove_action(name)
             # Closing from where the hand could not open for it would push the object.
             if not (result.reached or result.stalled):

@@ -122,6 +122,7 @@ class StreamPlayer:
             self._late += 1
         for index in positions:
             if index not in path.indices:
+                # From where it was sent last, so that it does not jump.
                 path.include(index, reference[index], speed[index])
         path.add(positions, velocities, sample.stamp, playout.time, playout.now, playout.period)
         self.channels = {CHANNEL: np.array((playout.lag, playout.jitter))}
