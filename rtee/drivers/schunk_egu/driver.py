@@ -65,6 +65,14 @@ _POLL = 0.01
 """Time between two readings while waiting [s]."""
 _WRITE_GAP = 0.1
 """Pause between withdrawing an acknowledgement and the next one [s], as in the maker's tools."""
+_SHARE = 0.85
+"""Share of a cycle in which a grip is watched; the rest is for the stop that may come last."""
+_NEWER = 0.2
+"""Share of the newest exchange in the usual duration of one."""
+_MOVES = 20.0
+"""Way after which a grip counts as begun [µm]: more than the noise of an encoder."""
+_JITTER = 1e-3
+"""Least time between two positions that give a speed [s]."""
 _MISFIT = 1e-3
 """How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
 _EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
@@ -117,7 +125,14 @@ class SchunkEguDriver(BlocksDriver):
         self._gripping = False
         self._asked: tuple[bool, float] | None = None
         self._running = False
-        self._most_speed = 0.0
+        self._most_speed = self._grip_speed = 0.0
+        self._cycle_began = 0.0
+        # The last position of a grip that has begun [µm] and its time [s].
+        self._seen: tuple[float, float] | None = None
+        self._gripped_from = 0.0
+        self._closing = 0.0  # speed of the grip, or of the last one until it is timed [µm/s]
+        self._timed = False
+        self._read_time = self._write_time = 0.0
         self._word: Control | None = None
         self.capabilities = self._adopt(0.0, 1e6 * self._range, 1.0, {}, options.rate)
 
@@ -225,8 +240,11 @@ class SchunkEguDriver(BlocksDriver):
             for parameter, count in TEXTS.items()
         }
         self._most_speed = 1e3 * speed
+        self._grip_speed = 1e3 * await self._fastest_grip(bus, speed)
+        self._read_time = bus.exchange_time(5, 2 + 2 * IMAGE)
+        self._write_time = bus.exchange_time(6 + 2 * IMAGE, 5)
         # Three exchanges: the image is read, and a command takes two writes.
-        wire = bus.exchange_time(5, 2 + 2 * IMAGE) + 2 * bus.exchange_time(6 + 2 * IMAGE, 5)
+        wire = self._read_time + 2 * self._write_time
         self.capabilities = self._adopt(
             1e3 * least,
             1e3 * most,
@@ -242,6 +260,14 @@ class SchunkEguDriver(BlocksDriver):
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
         )
         self._input = await self._read()
+
+    async def _fastest_grip(self, bus: ModbusBus, otherwise: float) -> float:
+        """Return the largest speed of a grip, or that of motions if it says none [mm/s]."""
+        try:
+            speed = float_of(await self._parameter(bus, Parameter.MOST_GRIP_SPEED, 2))
+        except ModbusRefusal:
+            return otherwise
+        return speed if 0.0 < speed < otherwise else otherwise
 
     async def _parameter(self, bus: ModbusBus, what: Parameter, count: int) -> tuple[int, ...]:
         return await bus.read(self.options.unit, what.register, count, deadline=PATIENT)
@@ -319,6 +345,7 @@ class SchunkEguDriver(BlocksDriver):
 
     async def sense(self) -> ActuatorState:
         """Return the position and whether something is gripped."""
+        self._cycle_began = time.monotonic()
         now = await self._read_on()
         stamp = time.monotonic()
         if self._active:
@@ -350,10 +377,10 @@ class SchunkEguDriver(BlocksDriver):
         now = self._input
         here, held = float(now.position), bool(now.status & Status.GRIPPED)
         if self._gripping and self._running:
-            # A grip closes fully unless it is stopped at the reference.
-            if not self._closes(here, target) or force < (self._follower.force or 0.0):
-                await self._command(Control.STOP)
-                self._follower.halted(here)
+            if force < (self._follower.force or 0.0):
+                await self._halt()
+            else:
+                await self._watch(target)
             return
         order = self._follower.next(target, force, here, busy=self._running, held=held)
         if order is Order.STOP:
@@ -368,21 +395,78 @@ class SchunkEguDriver(BlocksDriver):
     async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
         if self._closes(here, target) or (held and here == target):
             await self._command(Control.GRIP, force=force)
+            self._follower.sent()
+            await self._watch(target)
         elif held:
             # It opens by its own release distance; the motion to the target follows.
             await self._command(Control.RELEASE)
             self._follower.forget()
-            return
         else:
             wanted = speed if math.isfinite(speed) else self.options.speed
             limited = max(1, round(min(wanted / _UM, self._most_speed)))
             await self._command(Control.MOVE, position=round(target), speed=limited)
-        self._follower.sent()
+            self._follower.sent()
+
+    async def _watch(self, target: float) -> None:
+        """Stop a grip at its target [µm] if it gets there before the next cycle.
+
+        It closes fully unless it is stopped. The time of the stop follows from the position and the
+        speed, which two readings give; until there are two, the speed of the last grip counts.
+        """
+        end = self._cycle_began + _SHARE * self._period
+        # When the next cycle could stop it.
+        later = self._cycle_began + self._period + self._read_time
+        while self._running:
+            left = self._way(float(self._input.position), target)
+            if left <= _REACHED:
+                await self._halt()
+                return
+            if left > 2.0 * self._period * self._grip_speed:
+                return
+            now = time.monotonic()
+            due = self._due(left)
+            # What the last grip did is checked while there is time.
+            sure = self._timed or due - now < 2.0 * self._read_time
+            if due - now > self._write_time and self._asked is None and self._word != Control.RUN:
+                # The bit of the grip is withdrawn in time, so that the stop is a single write.
+                await self._write(Output(Control.RUN))
+                continue
+            if due < math.inf and sure:
+                # Between the end of this cycle and what the next one can do, whichever is nearer.
+                if due > end and due - end > later - due:
+                    return
+                await asyncio.sleep(max(0.0, min(due, end) - now))
+                await self._halt()
+                return
+            if now + self._read_time > end:
+                return
+            await self._read_on()
+
+    def _due(self, left: float) -> float:
+        """Return when to stop a grip that has so far to go [µm]; infinity if it does not move."""
+        if self._seen is None or self._closing <= 0.0:
+            return math.inf
+        writes = 1 if self._word == Control.RUN else 2
+        return self._seen[1] + left / self._closing - writes * self._write_time
+
+    async def _halt(self) -> None:
+        """Stop a grip on its way."""
+        await self._command(Control.STOP)
+        self._follower.halted(float(self._input.position))
+
+    @property
+    def _period(self) -> float:
+        """Time between two cycles [s]."""
+        rate = self.spec.rate
+        return (self.spec.every or math.ceil(rate / self.capabilities.best_rate)) / rate
+
+    def _way(self, here: float, target: float) -> float:
+        """Return how much further closed a target is than a position [µm]."""
+        return target - here if self.options.opens == "down" else here - target
 
     def _closes(self, here: float, target: float) -> bool:
         """Return whether a target [µm] is further closed than the present position."""
-        further = target - here if self.options.opens == "down" else here - target
-        return further > _REACHED
+        return self._way(here, target) > _REACHED
 
     async def _command(
         self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
@@ -393,6 +477,8 @@ class SchunkEguDriver(BlocksDriver):
         # Before the write: if only the answer is lost, the command has begun.
         self._gripping = control is Control.GRIP
         self._running = True
+        self._seen, self._gripped_from = None, float(self._input.position)
+        self._timed = False
         self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
         await self._write(Output(Control.RUN | control, position, speed, force))
 
@@ -450,15 +536,31 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _read_on(self) -> Input:
         """Read the image and update the progress of the last command."""
+        asked = time.monotonic()
         now = self._input = await self._read()
+        answered = time.monotonic()
+        self._read_time += _NEWER * (answered - asked - self._read_time)
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
             self._asked = None
         if self._asked is None and now.status & RESULTS:
             self._running = False
+        if self._asked is None and self._gripping:
+            # The gripper has measured between question and answer.
+            self._time_way(float(now.position), 0.5 * (asked + answered))
         return now
+
+    def _time_way(self, position: float, at: float) -> None:
+        """Note how far a grip is [µm] at a time [s], once it moves, and how fast it is."""
+        if self._seen is not None:
+            self._closing = self._way(self._seen[0], position) / max(at - self._seen[1], _JITTER)
+            self._timed = True
+        if self._seen is not None or self._way(self._gripped_from, position) > _MOVES:
+            self._seen = position, at
 
     async def _write(self, output: Output) -> None:
         # Unknown until the gripper has answered.
         self._word = None
+        begun = time.monotonic()
         await self.connection.link.write(output.to_registers())
+        self._write_time += _NEWER * (time.monotonic() - begun - self._write_time)
         self._word = output.control
