@@ -11,22 +11,20 @@ from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
-from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.register_blocks import Blocks, BlocksDriver
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu.codec import (
     ERRORS,
     FAST_STOP,
     IMAGE,
-    MODULES,
     RESULTS,
     SILENT,
-    TEXTS,
     UNHEARD,
     WARNINGS,
     Control,
@@ -34,9 +32,9 @@ from rtee.drivers.schunk_egu.codec import (
     Output,
     Parameter,
     Status,
-    float_of,
-    text_of,
 )
+from rtee.drivers.schunk_egu.grip_timer import GripTimer
+from rtee.drivers.schunk_egu.identity import identify
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
@@ -67,12 +65,6 @@ _WRITE_GAP = 0.1
 """Pause between withdrawing an acknowledgement and the next one [s], as in the maker's tools."""
 _SHARE = 0.85
 """Share of a cycle in which a grip is watched; the rest is for the stop that may come last."""
-_NEWER = 0.2
-"""Share of the newest exchange in the usual duration of one."""
-_MOVES = 20.0
-"""Way after which a grip counts as begun [µm]: more than the noise of an encoder."""
-_JITTER = 1e-3
-"""Least time between two positions that give a speed [s]."""
 _MISFIT = 1e-3
 """How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
 _EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
@@ -127,12 +119,7 @@ class SchunkEguDriver(BlocksDriver):
         self._running = False
         self._most_speed = self._grip_speed = 0.0
         self._cycle_began = 0.0
-        # The last position of a grip that has begun [µm] and its time [s].
-        self._seen: tuple[float, float] | None = None
-        self._gripped_from = 0.0
-        self._closing = 0.0  # speed of the grip, or of the last one until it is timed [µm/s]
-        self._timed = False
-        self._read_time = self._write_time = 0.0
+        self._timer = GripTimer()
         self._word: Control | None = None
         self.capabilities = self._adopt(0.0, 1e6 * self._range, 1.0, {}, options.rate)
 
@@ -204,73 +191,34 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _identify(self, blocks: Blocks) -> None:
         bus = blocks.bus
-        # The bytes of the register are in the gripper's order, low byte first.
-        module = (await self._parameter(bus, Parameter.MODULE, 1))[0].to_bytes(2, "big")
-        name = MODULES.get(int.from_bytes(module, "little"))
-        if name is None:
-            raise HandshakeError(
-                self.spec.name,
-                "an EGU or EGK",
-                f"a device of module type {int.from_bytes(module, 'little')}",
-            )
-        least, most, force, speed = [
-            float_of(await self._parameter(bus, parameter, 2))
-            for parameter in (
-                Parameter.LEAST_POSITION,
-                Parameter.MOST_POSITION,
-                Parameter.MOST_FORCE,
-                Parameter.MOST_SPEED,
-            )
-        ]
-        if not (least < most and force > 0.0 and speed > 0.0):
-            raise HandshakeError(
-                self.spec.name,
-                "an EGU or EGK",
-                f"positions {least} to {most} mm, {force} N, {speed} mm/s",
-            )
-        if self._range > 1e-3 * (most - least) + _MISFIT:
+        found = await identify(bus, self.options.unit, self.spec.name)
+        way = found.most - found.least
+        if self._range > 1e-3 * way + _MISFIT:
             raise ConfigError(
-                f"device '{self.spec.name}': each finger of this {name} moves "
-                f"{most - least:.1f} mm, but the actuator has {1e3 * self._range:.1f} mm; set its "
-                "limits in the URDF",
+                f"device '{self.spec.name}': each finger of this {found.name} moves {way:.1f} mm, "
+                f"but the actuator has {1e3 * self._range:.1f} mm; set its limits in the URDF",
                 key=f"devices.{self.spec.name}.actuators",
             )
-        texts = {
-            parameter: text_of(await self._parameter(bus, parameter, count))
-            for parameter, count in TEXTS.items()
-        }
-        self._most_speed = 1e3 * speed
-        self._grip_speed = 1e3 * await self._fastest_grip(bus, speed)
-        self._read_time = bus.exchange_time(5, 2 + 2 * IMAGE)
-        self._write_time = bus.exchange_time(6 + 2 * IMAGE, 5)
+        self._most_speed, self._grip_speed = 1e3 * found.speed, 1e3 * found.grip_speed
+        self._timer.reading = bus.exchange_time(5, 2 + 2 * IMAGE)
+        self._timer.writing = bus.exchange_time(6 + 2 * IMAGE, 5)
         # Three exchanges: the image is read, and a command takes two writes.
-        wire = self._read_time + 2 * self._write_time
+        wire = self._timer.reading + 2 * self._timer.writing
         self.capabilities = self._adopt(
-            1e3 * least,
-            1e3 * most,
-            force,
+            1e3 * found.least,
+            1e3 * found.most,
+            found.force,
             {
-                "model": f"SCHUNK {name}",
+                "model": f"SCHUNK {found.name}",
                 "address": f"unit {self.options.unit}",
-                "serial": texts[Parameter.SERIAL],
-                "firmware": texts[Parameter.SOFTWARE],
-                "way of a finger": f"{most - least:.1f} mm",
-                "largest force": f"{force:g} N",
+                "serial": found.serial,
+                "firmware": found.firmware,
+                "way of a finger": f"{way:.1f} mm",
+                "largest force": f"{found.force:g} N",
             },
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
         )
         self._input = await self._read()
-
-    async def _fastest_grip(self, bus: ModbusBus, otherwise: float) -> float:
-        """Return the largest speed of a grip, or that of motions if it says none [mm/s]."""
-        try:
-            speed = float_of(await self._parameter(bus, Parameter.MOST_GRIP_SPEED, 2))
-        except ModbusRefusal:
-            return otherwise
-        return speed if 0.0 < speed < otherwise else otherwise
-
-    async def _parameter(self, bus: ModbusBus, what: Parameter, count: int) -> tuple[int, ...]:
-        return await bus.read(self.options.unit, what.register, count, deadline=PATIENT)
 
     async def activate(self) -> None:
         """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
@@ -414,8 +362,7 @@ class SchunkEguDriver(BlocksDriver):
         speed, which two readings give; until there are two, the speed of the last grip counts.
         """
         end = self._cycle_began + _SHARE * self._period
-        # When the next cycle could stop it.
-        later = self._cycle_began + self._period + self._read_time
+        later = self._cycle_began + self._period + self._timer.reading  # the next cycle's stop
         while self._running:
             left = self._way(float(self._input.position), target)
             if left <= _REACHED:
@@ -424,10 +371,14 @@ class SchunkEguDriver(BlocksDriver):
             if left > 2.0 * self._period * self._grip_speed:
                 return
             now = time.monotonic()
-            due = self._due(left)
+            due = self._timer.due(left, 1 if self._word == Control.RUN else 2)
             # What the last grip did is checked while there is time.
-            sure = self._timed or due - now < 2.0 * self._read_time
-            if due - now > self._write_time and self._asked is None and self._word != Control.RUN:
+            sure = self._timer.timed or due - now < 2.0 * self._timer.reading
+            if (
+                due - now > self._timer.writing
+                and self._asked is None
+                and self._word != Control.RUN
+            ):
                 # The bit of the grip is withdrawn in time, so that the stop is a single write.
                 await self._write(Output(Control.RUN))
                 continue
@@ -438,16 +389,9 @@ class SchunkEguDriver(BlocksDriver):
                 await asyncio.sleep(max(0.0, min(due, end) - now))
                 await self._halt()
                 return
-            if now + self._read_time > end:
+            if now + self._timer.reading > end:
                 return
             await self._read_on()
-
-    def _due(self, left: float) -> float:
-        """Return when to stop a grip that has so far to go [µm]; infinity if it does not move."""
-        if self._seen is None or self._closing <= 0.0:
-            return math.inf
-        writes = 1 if self._word == Control.RUN else 2
-        return self._seen[1] + left / self._closing - writes * self._write_time
 
     async def _halt(self) -> None:
         """Stop a grip on its way."""
@@ -477,8 +421,7 @@ class SchunkEguDriver(BlocksDriver):
         # Before the write: if only the answer is lost, the command has begun.
         self._gripping = control is Control.GRIP
         self._running = True
-        self._seen, self._gripped_from = None, float(self._input.position)
-        self._timed = False
+        self._timer.begin(self._way(0.0, float(self._input.position)))
         self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
         await self._write(Output(Control.RUN | control, position, speed, force))
 
@@ -539,28 +482,19 @@ class SchunkEguDriver(BlocksDriver):
         asked = time.monotonic()
         now = self._input = await self._read()
         answered = time.monotonic()
-        self._read_time += _NEWER * (answered - asked - self._read_time)
+        self._timer.read(answered - asked)
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
             self._asked = None
         if self._asked is None and now.status & RESULTS:
             self._running = False
         if self._asked is None and self._gripping:
-            # The gripper has measured between question and answer.
-            self._time_way(float(now.position), 0.5 * (asked + answered))
+            self._timer.see(self._way(0.0, float(now.position)), asked, answered)
         return now
-
-    def _time_way(self, position: float, at: float) -> None:
-        """Note how far a grip is [µm] at a time [s], once it moves, and how fast it is."""
-        if self._seen is not None:
-            self._closing = self._way(self._seen[0], position) / max(at - self._seen[1], _JITTER)
-            self._timed = True
-        if self._seen is not None or self._way(self._gripped_from, position) > _MOVES:
-            self._seen = position, at
 
     async def _write(self, output: Output) -> None:
         # Unknown until the gripper has answered.
         self._word = None
         begun = time.monotonic()
         await self.connection.link.write(output.to_registers())
-        self._write_time += _NEWER * (time.monotonic() - begun - self._write_time)
+        self._timer.wrote(time.monotonic() - begun)
         self._word = output.control
