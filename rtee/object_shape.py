@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtee.errors import ConfigError
 from rtee.sample import FloatArray
@@ -137,6 +138,32 @@ def parse_object(text: str, formats: Sequence[str]) -> ObjectShape:
     if not path.is_file():
         raise ConfigError("no such mesh", path=path)
     return ObjectShape("mesh", path=path)
+
+
+def open_mesh(corners: NDArray[np.floating], faces: NDArray[np.integer]) -> str:
+    """Return a sentence about a mesh that does not enclose its inside; empty if it does.
+
+    Args:
+        corners: Its corners ``(v, 3)``; those at the same place are one.
+        faces: Its triangles, as indices of corners ``(f, 3)``.
+    """
+    order = np.lexsort(corners.T)
+    new = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    place = np.zeros(len(corners), dtype=np.int64)
+    place[order[1:]] = np.cumsum(new)
+    found = place[np.asarray(faces, dtype=np.int64)]
+    # A triangle with a corner twice is a line, which closes nothing.
+    found = found[(found != np.roll(found, 1, axis=1)).all(axis=1)]
+    ends = np.sort(np.concatenate([found[:, [0, 1]], found[:, [1, 2]], found[:, [2, 0]]]), axis=1)
+    # An edge as one number is sorted many times faster than as a pair.
+    _, shared = np.unique(ends[:, 0] * len(corners) + ends[:, 1], return_counts=True)
+    single = int((shared == 1).sum())
+    if not single:
+        return ""
+    return (
+        f"the mesh is open, {single} of its edges have only one face; convex hulls count as solid: "
+        "nothing reaches into them, and the centre of mass is theirs"
+    )
 
 
 def _sizes(text: str, kind: str, numbers: str) -> tuple[float, ...]:

@@ -361,7 +361,7 @@ def recover(
         typer.Option("--out", metavar="PATH", help="Write the whole file here instead."),
     ] = None,
 ) -> None:
-    """Repair recordings whose program was killed."""
+    """Repair recordings whose program was killed, or that are damaged."""
     from rtee.log.recover import recover as repair
 
     paths = [path for file in files for path in _paths(file, False)]
@@ -377,6 +377,8 @@ def recover(
             text += f"; {recovery.damaged} damaged chunks left out"
         if recovery.lost_bytes:
             text += f"; {recovery.lost_bytes} bytes at the end were of no use"
+        for sentence in recovery.left_out:
+            text += f"; {sentence}"
         if recovery.damage:
             text += f"; not to be repaired: {', '.join(recovery.damage)}"
         print(text)

@@ -153,6 +153,7 @@ def try_(
             raise ConfigError("which action? give its name, such as Grasp")
         if intensity != 1.0:
             raise ConfigError("--task closes until contact; leave --intensity out")
+        _tell_of_meshes(object_ or [])
         options = TaskOptions(task, reflexes, force, max_force, width, mass, variations, seed)
         try_tasks(_resolved(hand), action, elements or [], object_ or [], options, json_)
         return
@@ -165,6 +166,7 @@ def try_(
         from rtee.trials.trial import Trial
 
     name = _resolved(hand)
+    _tell_of_meshes(object_ or [])
     choosing = CHOOSING if choose_by is None else choose_by
     if all_:
         if action is not None or pictures is not None or log is not None:
@@ -198,6 +200,25 @@ def try_(
     _show(results, json_)
     if not all(result.held for result in results):
         raise typer.Exit(1)
+
+
+def _tell_of_meshes(objects: Sequence[str]) -> None:
+    """Print what is assumed about objects that are meshes, beside the results on stdout."""
+    from rtee.errors import needing_extra
+    from rtee.object_shape import is_shape
+
+    meshes = [text for text in dict.fromkeys(objects) if not is_shape(text)]
+    if not meshes:
+        return
+    with needing_extra("a trial", "sim"):
+        from rtee.drivers.mujoco.objects import MESHES
+        from rtee.object_shape import parse_object
+        from rtee.planning.objects import read_object
+    for text in meshes:
+        # Refused for what the simulation reads, which is less than the planner does.
+        parse_object(text, MESHES)
+        for note in read_object(text).notes:
+            print(f"note: {text}: {note}", file=sys.stderr)
 
 
 def _resolved(hand: str) -> str:

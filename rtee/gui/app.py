@@ -27,8 +27,11 @@ from rtee.remote.model import model_of
 _POLL_PERIOD = 0.5
 """Time between two searches for running hands [s]: short enough to look immediate."""
 
-# Keeps the group that contains the banner in sight when the panel is scrolled.
-_STICKY: Final = """<style>
+# Keeps the group that contains the banner in sight when the panel is scrolled, and the right edges
+# of panels beside their scrollbars, which otherwise lie 3 px over them.
+_STYLE: Final = """<style>
+.mantine-ScrollArea-content > div[style*="width: 100%"] { padding-right: 4px; }
+.mantine-ScrollArea-content .mantine-ScrollArea-content > div { padding-right: 0 !important; }
 .mantine-ScrollArea-content div[style*="overflow: hidden"]:has(.rtee-top) {
   overflow: clip !important; }
 .mantine-ScrollArea-content div[style*="padding-top"] > :has(.rtee-top) {
@@ -97,7 +100,7 @@ class App:
     def _say(self, text: str, colour: str) -> None:
         self.message = text
         self._banner.content = (
-            f'{_STICKY}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
+            f'{_STYLE}<div role="alert" class="rtee-top" style="padding:0.25em 0.75em;'
             f'font-weight:600;{WRAPS};color:{colour}">{escape(text)}</div>'
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,27 +15,31 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rtee.errors import LogError
 from rtee.log.chunks import INDEX_ENTRY
+from rtee.log.damage import Damage
 from rtee.log.mcapfile import MAGIC
-from rtee.log.record_scanner import (
-    DamagedRecordError,
-    Record,
-    definitions_of,
-    messages_of,
-    parsed,
-    scan,
-)
+from rtee.log.record_scanner import definitions_of, messages_of, parsed, scan
+from rtee.log.resync import DAMAGE, HEAD, LATEST, DamagedRecordError, Record
 from rtee.log.rotation import METADATA
 from rtee.log.sink import reason
 
 _DEFINITIONS = (Opcode.SCHEMA, Opcode.CHANNEL)
 _INDEX_HEAD = struct.Struct("<HI")
 _CHUNK_TIMES = struct.Struct("<QQ")
+_FOOTER = struct.Struct("<QQI")
+_CHECKSUM = 4  # bytes of the checksum at the end of the footer
+_BLOCK = 1 << 20  # most bytes read at once for a checksum, which bounds the memory
 
 _LIBRARY = "rtee"
 """Prefix of the library's name in files written by this software."""
 
-_LATEST = 2**63 - 1
-"""Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
+_SUMMARY = (
+    Opcode.CHUNK_INDEX,
+    Opcode.ATTACHMENT_INDEX,
+    Opcode.STATISTICS,
+    Opcode.METADATA_INDEX,
+    Opcode.SUMMARY_OFFSET,
+)
+"""Kinds of records that stand only behind the data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,7 @@ class Survey:
         loose: Number of messages outside chunks, which only other software writes.
         notes: Sentences about problems of the file.
         damage: Those notes that report damage.
+        repairable: Those of them about damage that is not in a recovered file any more.
     """
 
     path: Path
@@ -84,6 +90,7 @@ class Survey:
     loose: int
     notes: tuple[str, ...]
     damage: tuple[str, ...] = ()
+    repairable: tuple[str, ...] = ()
 
     @property
     def values(self) -> Mapping[str, str]:
@@ -130,6 +137,26 @@ def survey(path: Path | str) -> Survey:
         raise LogError(f"cannot be read: {reason(error)}", path=path) from error
 
 
+def _summary_sound(footer: Record, stream: BinaryIO) -> bool:
+    """Return whether the checksum of the summary and the footer is right, or 0: there is none."""
+    start, _, checksum = _FOOTER.unpack(footer.read(stream))
+    if not checksum:
+        return True
+    position = start or footer.offset - HEAD.size
+    end = footer.end - _CHECKSUM
+    if not 0 < position < end:
+        return False
+    stream.seek(position)
+    found = 0
+    while position < end:
+        block = stream.read(min(_BLOCK, end - position))
+        if not block:
+            return False
+        found = zlib.crc32(block, found)
+        position += len(block)
+    return found == int(checksum)
+
+
 class _Surveyor:
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -141,7 +168,9 @@ class _Surveyor:
         self._chunks: list[ChunkPlace] = []
         self._loose = 0
         self._notes: list[str] = []
-        self._damage: list[str] = []
+        self._unreadable: list[str] = []
+        self._damage = Damage()
+        self._indexing = False
 
     def look(self) -> Survey:
         with self._path.open("rb") as stream:
@@ -152,18 +181,24 @@ class _Surveyor:
             data = True
             finished = False
             for record in scan(stream):
+                if record.mended:
+                    self._damage.mended.append(record)
                 if record.opcode == Opcode.FOOTER:
                     stream.seek(record.end)
                     finished = stream.read(len(MAGIC)) == MAGIC
-                elif record.opcode == Opcode.DATA_END:
+                    if finished and not _summary_sound(record, stream):
+                        self._damage.summary = True
+                elif record.opcode == Opcode.DATA_END or record.opcode in _SUMMARY:
                     data = False
-                # The summary after the data repeats the definitions; all other records have been
-                # counted.
+                elif record.opcode == DAMAGE and not data:
+                    self._damage.summary = True
+                # The summary repeats the definitions, which only files of other software lack in
+                # the data; all other records have been counted.
                 elif data or record.opcode in _DEFINITIONS:
                     try:
-                        self._take(record, stream)
+                        self._take(record, stream, repeated=not data)
                     except DamagedRecordError as error:
-                        self._damage.append(str(error))
+                        self._unreadable.append(str(error))
                     good = record.end if data else good
             # Other software may write the definitions only inside chunks.
             if not self._channels:
@@ -174,13 +209,19 @@ class _Surveyor:
             if self._chunks:
                 self._chunks[-1].indexes.clear()  # the index of the last chunk may be incomplete
             left = size - good if data else 0
-            self._notes.append(
-                f"the file is damaged at byte {good}"
-                if closed and left
-                else "the file was not closed: it is being written, or its writer was killed"
-            )
-            if left:
-                self._notes[-1] += f"; {left} bytes at its end are of no use"
+            if not closed:
+                self._notes.append(
+                    "the file was not closed: it is being written, or its writer was killed"
+                )
+                if left:
+                    self._notes[-1] += f"; {left} bytes at its end are of no use"
+            elif left:
+                self._lose(Record(DAMAGE, good, left))
+                good = size
+            else:
+                self._damage.summary = True
+        repairable = self._damage.sentences([(chunk.start, chunk.end) for chunk in self._chunks])
+        damage = (*self._unreadable, *repairable)
         return Survey(
             path=self._path,
             size=size,
@@ -193,8 +234,9 @@ class _Surveyor:
             channels=self._channels,
             chunks=tuple(self._chunks),
             loose=self._loose,
-            notes=(*self._damage, *self._notes),
-            damage=tuple(self._damage),
+            notes=(*damage, *self._notes),
+            damage=damage,
+            repairable=repairable,
         )
 
     def _define_from_chunks(self, stream: BinaryIO) -> None:
@@ -207,30 +249,36 @@ class _Surveyor:
             except DamagedRecordError:
                 continue
 
-    def _define(self, opcode: int, content: bytes) -> None:
+    def _define(self, opcode: int, content: bytes, *, repeated: bool = False) -> None:
+        """Take a schema or channel, and one that is ``repeated`` only if it is unknown."""
         if opcode == Opcode.SCHEMA:
             schema = parsed(Schema, content)
-            self._schemas[schema.id] = schema
+            if not repeated or schema.id not in self._schemas:
+                self._schemas[schema.id] = schema
         else:
             channel = parsed(Channel, content)
-            self._channels[channel.id] = channel
+            if not repeated or channel.id not in self._channels:
+                self._channels[channel.id] = channel
 
-    def _take(self, record: Record, stream: BinaryIO) -> None:
+    def _take(self, record: Record, stream: BinaryIO, *, repeated: bool) -> None:
+        # An index belongs to the chunk before it, unless damage is in between.
+        indexing, self._indexing = self._indexing, False
         match record.opcode:
             case Opcode.CHUNK:
                 times = record.read(stream, _CHUNK_TIMES.size)
                 if len(times) < _CHUNK_TIMES.size:
                     raise DamagedRecordError("a chunk is shorter than any")
                 start, end = _CHUNK_TIMES.unpack(times)
-                if not start <= end <= _LATEST:
+                if not start <= end <= LATEST:
                     raise DamagedRecordError("a chunk says impossible times")
                 self._chunks.append(ChunkPlace(record, start, end))
+                self._indexing = True
             case Opcode.MESSAGE_INDEX:
                 head = record.read(stream, _INDEX_HEAD.size)
-                if self._chunks and len(head) == _INDEX_HEAD.size:
+                if indexing and len(head) == _INDEX_HEAD.size:
                     channel, _ = _INDEX_HEAD.unpack(head)
-                    # An index belongs to the chunk before it.
                     self._chunks[-1].indexes[channel] = record
+                self._indexing = indexing
             case Opcode.HEADER:
                 self._library = parsed(Header, record.read(stream)).library
             case Opcode.METADATA:
@@ -239,11 +287,26 @@ class _Surveyor:
             case Opcode.ATTACHMENT:
                 content = record.read(stream)
                 attachment = parsed(Attachment, content)
-                if self._library.startswith(_LIBRARY) and not any(content[-4:]):
+                if self._ours and not any(content[-4:]):
                     # Attachments written by rtee always have a checksum.
-                    self._damage.append(f"attachment '{attachment.name}' has lost its checksum")
+                    self._unreadable.append(f"attachment '{attachment.name}' has lost its checksum")
                 self._attachments[attachment.name] = attachment
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._define(record.opcode, record.read(stream))
-            case Opcode.MESSAGE:
+                self._define(record.opcode, record.read(stream), repeated=repeated)
+            case Opcode.MESSAGE if not self._ours:
                 self._loose += 1
+            case _ if record.opcode == DAMAGE:
+                self._lose(record)
+            case _ if self._ours:
+                begin = record.offset - HEAD.size
+                self._lose(Record(DAMAGE, begin, record.end - begin))
+
+    @property
+    def _ours(self) -> bool:
+        """Whether rtee wrote the file, which knows all kinds of records in it."""
+        return self._library.startswith(_LIBRARY)
+
+    def _lose(self, record: Record) -> None:
+        self._damage.gaps.append((record, len(self._chunks)))
+        if self._chunks:
+            self._chunks[-1].indexes.clear()  # some of its indexes may be among the damage

@@ -14,8 +14,9 @@ from rtee.errors import MessageError
 from rtee.log import column_reader
 from rtee.log.file_index import Survey, survey
 from rtee.log.reader import read
-from rtee.log.record_scanner import DamagedRecordError, messages_of
+from rtee.log.record_scanner import messages_of
 from rtee.log.recording import Recording
+from rtee.log.resync import DamagedRecordError
 from rtee.messages import topics
 from rtee.messages.codec import SECOND
 from rtee.messages.convert import LOOP_STATISTICS

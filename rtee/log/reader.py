@@ -15,7 +15,7 @@ from rtee.log import column_reader
 from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.layout import MESHES
 from rtee.log.plans import plan_of
-from rtee.log.record_scanner import DamagedRecordError, messages_of
+from rtee.log.record_scanner import messages_of
 from rtee.log.recording import (
     ActuatorSeries,
     Channel,
@@ -25,6 +25,7 @@ from rtee.log.recording import (
     TouchSeries,
     touch_series,
 )
+from rtee.log.resync import DamagedRecordError
 from rtee.log.rotation import parts_of, recordings
 from rtee.log.sink import reason
 from rtee.loop.plan import Plan

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO, TypeVar
 
@@ -17,58 +15,27 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from rtee.log.mcapfile import MAGIC
-
-_HEAD = struct.Struct("<BQ")
-_LARGEST_CHUNK = 1 << 30
-"""Largest uncompressed size of a chunk accepted [bytes]: 1 GiB, hundreds of times that of rtee's
-chunks; a forged size must not exhaust the memory."""
+from rtee.log.resync import DAMAGE, HEAD, LARGEST_CHUNK, DamagedRecordError, Finder, Record
 
 R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
 
-class DamagedRecordError(ValueError):
-    """A record whose content is invalid."""
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """Kind of a record, and offset and length of its content in a file [bytes]."""
-
-    opcode: int
-    offset: int
-    length: int
-
-    @property
-    def end(self) -> int:
-        """Offset of the end in the file [bytes]."""
-        return self.offset + self.length
-
-    def read(self, stream: BinaryIO, most: int | None = None) -> bytes:
-        """Return the content, or at most its first ``most`` bytes."""
-        stream.seek(self.offset)
-        length = self.length if most is None else min(most, self.length)
-        data = stream.read(length)
-        if len(data) != length:
-            raise DamagedRecordError("the file ends within a record")
-        return data
-
-
 def scan(stream: BinaryIO) -> Iterator[Record]:
-    """Yield the records of a file in order, up to the footer or the end of a truncated file."""
-    size = os.fstat(stream.fileno()).st_size
+    """Yield the records of a file in order, up to the footer or the end of a truncated file.
+
+    Damage in between is yielded as a record of kind `DAMAGE`.
+    """
+    finder = Finder(stream)
     position = len(MAGIC)
-    while position + _HEAD.size <= size:
-        stream.seek(position)
-        head = stream.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            return
-        opcode, length = _HEAD.unpack(head)
-        record = Record(opcode, position + _HEAD.size, length)
-        # 0 is no opcode, but a power cut may leave zeros at the end of a file.
-        if record.end > size or opcode == 0:
-            return
+    while position + HEAD.size <= finder.size:
+        record = finder.at(position)
+        if record is None:
+            end = finder.after(position)
+            if end is None:
+                return
+            record = Record(DAMAGE, position, end - position)
         yield record
-        if opcode == Opcode.FOOTER:
+        if record.opcode == Opcode.FOOTER:
             return
         position = record.end
 
@@ -93,7 +60,7 @@ def _checked(content: bytes) -> bool:
 def messages_of(content: bytes) -> tuple[bytes, Chunk]:
     """Return the uncompressed records of a chunk, and the chunk."""
     chunk = parsed(Chunk, content)
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
+    if chunk.uncompressed_size > LARGEST_CHUNK:
         raise DamagedRecordError("a chunk is larger than any")
     data = _decompressed(chunk)
     if len(data) != chunk.uncompressed_size:
@@ -106,9 +73,9 @@ def messages_of(content: bytes) -> tuple[bytes, Chunk]:
 def definitions_of(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and content of the schemas and channels among the records of a chunk."""
     position = 0
-    while position + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, position)
-        position += _HEAD.size
+    while position + HEAD.size <= len(data):
+        opcode, length = HEAD.unpack_from(data, position)
+        position += HEAD.size
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield opcode, data[position : position + length]
         position += length

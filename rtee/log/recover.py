@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from mcap.opcode import Opcode
 
 from rtee.errors import LogError
 from rtee.log import column_reader
 from rtee.log.chunks import PackedChunk, index_records
 from rtee.log.file_index import ChunkPlace, Survey, survey
 from rtee.log.mcapfile import McapFile, Preamble, being_written
-from rtee.log.record_scanner import DamagedRecordError, messages_of
+from rtee.log.record_scanner import messages_of
+from rtee.log.resync import HEAD, DamagedRecordError
 from rtee.log.sink import reason
 from rtee.messages.codec import SECOND
-
-_RECORD_HEAD = 9  # bytes of a record's opcode and length
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,7 @@ class Recovery:
         lost_bytes: Length of the unusable end of the file [bytes].
         seconds: Time from the first to the last message [s].
         damage: Sentences about damage that cannot be repaired.
+        left_out: Sentences about damage that the repaired file does not have any more.
     """
 
     path: Path
@@ -47,10 +48,11 @@ class Recovery:
     lost_bytes: int
     seconds: float
     damage: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
-    """Repair a recording that was never closed or has damaged chunks.
+    """Repair a recording that was never closed or is damaged.
 
     Keeps every intact chunk with a new index. Writes the repaired file to ``output``, or else
     beside the old one, and replaces that only when the new file is complete. Raises `LogError` if
@@ -66,7 +68,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     try:
         with path.open("rb") as stream:
             damaged = sum(1 for chunk in content.chunks if not _sound(chunk, stream))
-            if content.finished and not damaged:
+            if content.finished and not damaged and not content.repairable:
                 if target != path:
                     shutil.copyfile(path, target)
                 return _report(content, target, 0, untouched=True)
@@ -93,7 +95,8 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     done = _report(
         survey(target), target, damaged, untouched=False, lost=content.size - content.good
     )
-    return replace(done, damage=content.damage)
+    lasting = tuple(note for note in content.damage if note not in content.repairable)
+    return replace(done, damage=lasting, left_out=content.repairable)
 
 
 def _report(
@@ -147,10 +150,9 @@ def _chunks(file: Survey, stream: BinaryIO) -> Iterator[PackedChunk]:
         if not entries:
             continue
         index, where = index_records(entries)
-        # Copy the chunk as it is, still compressed.
-        stream.seek(place.record.offset - _RECORD_HEAD)
         yield PackedChunk(
-            record=stream.read(_RECORD_HEAD) + content,
+            # The content as it is, still compressed, behind a head that may have been damaged.
+            record=HEAD.pack(Opcode.CHUNK, len(content)) + content,
             index=index,
             index_offsets=where,
             counts={number: len(times) for number, (times, _) in entries.items()},

@@ -18,7 +18,15 @@ from rtee.hand.files import read_bytes
 from rtee.hand.geometry import hull_of
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import FORMATS, why_no_mesh
-from rtee.object_shape import DRILL, LARGEST, NUMBERS, SMALLEST, drill_parts, parse_object
+from rtee.object_shape import (
+    DRILL,
+    LARGEST,
+    NUMBERS,
+    SMALLEST,
+    drill_parts,
+    open_mesh,
+    parse_object,
+)
 from rtee.sample import FloatArray
 
 _MOST_TRIANGLES: Final = 300_000
@@ -233,15 +241,13 @@ def _mesh(path: Path, scale: float) -> tuple[tuple[Piece, ...], tuple[str, ...]]
         filled = abs(_signed_volume(corners[part]))
         hollow += filled < _HOLLOW * shape.computeVolume()
         pieces.append(Piece("mesh", (), shape, np.array(shape.points())))
-    notes = (
-        (
+    notes = [note] if (note := open_mesh(corners, faces)) else []
+    if hollow:
+        notes.append(
             f"{hollow} of {len(pieces)} parts of the mesh "
-            f"{'is' if hollow == 1 else 'are'} hollow or open; the convex hull counts",
+            f"{'is' if hollow == 1 else 'are'} hollow or open; the convex hull counts"
         )
-        if hollow
-        else ()
-    )
-    return tuple(pieces), notes
+    return tuple(pieces), tuple(notes)
 
 
 def _triangles(path: Path, scale: float) -> tuple[FloatArray, NDArray[np.int64]]:

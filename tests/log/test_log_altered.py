@@ -27,8 +27,9 @@ from rtee.log.export import Format, export
 from rtee.log.file_index import survey
 from rtee.log.info import info
 from rtee.log.mcapfile import being_written
-from rtee.log.record_scanner import DamagedRecordError, Record, messages_of, scan
+from rtee.log.record_scanner import messages_of, scan
 from rtee.log.recover import recover
+from rtee.log.resync import DamagedRecordError, Record
 from rtee.log.rotation import recordings
 
 HEAD = struct.Struct("<BQ")

@@ -412,11 +412,11 @@ def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> N
     damaged.write_bytes(
         data[:head] + bytes(0xFF ^ byte for byte in data[head:][:9]) + data[head + 9 :]
     )
-    for path, said in ((cut, "was not closed"), (damaged, "is damaged at byte")):
+    for path, said in ((cut, "the file was not closed"), (damaged, "the head of 1 record is")):
         _, out = run("info", path)
-        assert f"note: {path.name}: the file {said}" in out
+        assert f"note: {path.name}: {said}" in out
         checked = CliRunner().invoke(app, ["replay", str(path), "--check"])
-        assert f"note: {path.name}: the file {said}" in checked.stderr
+        assert f"note: {path.name}: {said}" in checked.stderr
 
 
 def test_info_of_a_series(claw: Hand, tmp_path: Path) -> None:

@@ -148,6 +148,21 @@ def test_a_mesh_is_planned_for_as_the_shape_it_has(library: ActionLibrary, tmp_p
         assert _pose(other.pose) == pytest.approx(_pose(one.pose), abs=1e-3)
 
 
+def test_an_open_mesh_is_told(library: ActionLibrary, tmp_path: Path) -> None:
+    corners, faces = box((0.04, 0.02, 0.03))
+    closed, one_less, lidless = (
+        plan_grasps(
+            library.hand, library, read_object(str(_stl(tmp_path / f"{n}.stl", (corners, part))))
+        )
+        for n, part in enumerate((faces, faces[1:], faces[2:]))
+    )
+    assert closed.notes == ()
+    for ranking, edges in ((one_less, 3), (lidless, 4)):
+        (note,) = to_document(ranking)["notes"]
+        assert note.startswith(f"the mesh is open, {edges} of its edges have only one face; ")
+        assert [p.label for p in ranking.plans] == [p.label for p in closed.plans]
+
+
 @pytest.mark.parametrize("origin", [0.5, -0.5, 2.0])
 def test_a_mesh_may_have_its_origin_anywhere(
     library: ActionLibrary, tmp_path: Path, origin: float

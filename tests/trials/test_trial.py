@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 pytest.importorskip("mujoco")
@@ -285,6 +286,17 @@ def test_a_lost_object_is_exit_status_1() -> None:
     outcome = CliRunner().invoke(app_of(try_), [GRIPPER, "Grasp", "--object", "sphere:0.06"])
     assert outcome.exit_code == 1
     assert "does not fit" in outcome.stdout
+
+
+def test_an_open_mesh_is_told_beside_the_result(tmp_path: Path) -> None:
+    # As wide as no gripper, so that no trial takes its time.
+    mesh = trimesh.creation.box((0.2, 0.2, 0.2))
+    path = tmp_path / "open.stl"
+    trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(path)
+    outcome = CliRunner().invoke(app_of(try_), [GRIPPER, "Grasp", "--object", str(path), "--json"])
+    assert outcome.exit_code == 1
+    assert json.loads(outcome.stdout)["fits"] is False
+    assert outcome.stderr.startswith(f"note: {path}: the mesh is open, 3 of its edges have only ")
 
 
 def test_all_resumes_what_is_known(tmp_path: Path) -> None:

@@ -132,15 +132,14 @@ def next_control(state: State) -> Control | None:
     }.get(state)
 
 
+@dataclass(frozen=True, slots=True)
 class Pdo:
-    """Base class of the four PDOs.
+    """Base class of the four PDOs, whose fields are the mapped objects in their order.
 
     Attributes:
         FORM: Layout of the data.
         MAP: The mapped objects as index, subindex and bits, as in objects 1600h and 1A00h.
     """
-
-    __slots__ = ()
 
     FORM: ClassVar[struct.Struct]
     MAP: ClassVar[tuple[int, ...]]
@@ -154,7 +153,7 @@ class Pdo:
 
     def to_bytes(self) -> bytes:
         """Return the PDO's data."""
-        return self.FORM.pack(*astuple(self))  # type: ignore[call-overload]
+        return self.FORM.pack(*astuple(self))
 
 
 @dataclass(frozen=True, slots=True)

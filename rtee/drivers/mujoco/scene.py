@@ -19,7 +19,7 @@ from rtee.hand.allowed_collisions import touch_at_rest
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.model import Hand
-from rtee.object_shape import ObjectShape, parse_object
+from rtee.object_shape import ObjectShape, open_mesh, parse_object
 from rtee.sample import FloatArray
 from rtee.types import from_rest
 
@@ -223,6 +223,18 @@ def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
     return None if shape is None or shape.path is None else (OBJECT, shape.path)
 
 
+def _notes_on(model: mujoco.MjModel, shape: ObjectShape | None) -> list[str]:
+    """Return what is to be known about the mesh of an object, if it has one."""
+    if shape is None or shape.path is None:
+        return []
+    mesh = model.mesh(OBJECT)
+    begin, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+    corners = model.mesh_vert[begin : begin + count]
+    begin, count = int(mesh.faceadr[0]), int(mesh.facenum[0])
+    note = open_mesh(corners, model.mesh_face[begin : begin + count])
+    return [f"{shape.path.name}: {note}"] if note else []
+
+
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
     """Return the bodies of links that the object is inside of, where all is placed."""
     mujoco.mj_kinematics(model, data)
@@ -290,6 +302,5 @@ def make_simulation(
             if container is not None:
                 add_container(built.spec, shape.lowest(pose), container)
     model = compiled(built.spec, hand, _file_of(shape))
-    return Simulation(
-        model, hand, options, actuators, period, built.servos, (*built.notes, *built.following)
-    )
+    notes = (*built.notes, *built.following, *_notes_on(model, shape))
+    return Simulation(model, hand, options, actuators, period, built.servos, notes)

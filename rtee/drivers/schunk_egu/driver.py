@@ -11,22 +11,20 @@ from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.deadlines import time_limit
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
-from rtee.drivers.register_blocks import PATIENT, Blocks, BlocksDriver
+from rtee.drivers.register_blocks import Blocks, BlocksDriver
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu.codec import (
     ERRORS,
     FAST_STOP,
     IMAGE,
-    MODULES,
     RESULTS,
     SILENT,
-    TEXTS,
     UNHEARD,
     WARNINGS,
     Control,
@@ -34,9 +32,9 @@ from rtee.drivers.schunk_egu.codec import (
     Output,
     Parameter,
     Status,
-    float_of,
-    text_of,
 )
+from rtee.drivers.schunk_egu.grip_timer import GripTimer
+from rtee.drivers.schunk_egu.identity import identify
 from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
@@ -65,6 +63,8 @@ _POLL = 0.01
 """Time between two readings while waiting [s]."""
 _WRITE_GAP = 0.1
 """Pause between withdrawing an acknowledgement and the next one [s], as in the maker's tools."""
+_SHARE = 0.85
+"""Share of a cycle in which a grip is watched; the rest is for the stop that may come last."""
 _MISFIT = 1e-3
 """How far the actuator's range may exceed the gripper's stroke [m]: rounding in models."""
 _EXPECTED = frozenset({FAST_STOP, SILENT, UNHEARD})
@@ -117,7 +117,9 @@ class SchunkEguDriver(BlocksDriver):
         self._gripping = False
         self._asked: tuple[bool, float] | None = None
         self._running = False
-        self._most_speed = 0.0
+        self._most_speed = self._grip_speed = 0.0
+        self._cycle_began = 0.0
+        self._timer = GripTimer()
         self._word: Control | None = None
         self.capabilities = self._adopt(0.0, 1e6 * self._range, 1.0, {}, options.rate)
 
@@ -189,62 +191,34 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _identify(self, blocks: Blocks) -> None:
         bus = blocks.bus
-        # The bytes of the register are in the gripper's order, low byte first.
-        module = (await self._parameter(bus, Parameter.MODULE, 1))[0].to_bytes(2, "big")
-        name = MODULES.get(int.from_bytes(module, "little"))
-        if name is None:
-            raise HandshakeError(
-                self.spec.name,
-                "an EGU or EGK",
-                f"a device of module type {int.from_bytes(module, 'little')}",
-            )
-        least, most, force, speed = [
-            float_of(await self._parameter(bus, parameter, 2))
-            for parameter in (
-                Parameter.LEAST_POSITION,
-                Parameter.MOST_POSITION,
-                Parameter.MOST_FORCE,
-                Parameter.MOST_SPEED,
-            )
-        ]
-        if not (least < most and force > 0.0 and speed > 0.0):
-            raise HandshakeError(
-                self.spec.name,
-                "an EGU or EGK",
-                f"positions {least} to {most} mm, {force} N, {speed} mm/s",
-            )
-        if self._range > 1e-3 * (most - least) + _MISFIT:
+        found = await identify(bus, self.options.unit, self.spec.name)
+        way = found.most - found.least
+        if self._range > 1e-3 * way + _MISFIT:
             raise ConfigError(
-                f"device '{self.spec.name}': each finger of this {name} moves "
-                f"{most - least:.1f} mm, but the actuator has {1e3 * self._range:.1f} mm; set its "
-                "limits in the URDF",
+                f"device '{self.spec.name}': each finger of this {found.name} moves {way:.1f} mm, "
+                f"but the actuator has {1e3 * self._range:.1f} mm; set its limits in the URDF",
                 key=f"devices.{self.spec.name}.actuators",
             )
-        texts = {
-            parameter: text_of(await self._parameter(bus, parameter, count))
-            for parameter, count in TEXTS.items()
-        }
-        self._most_speed = 1e3 * speed
+        self._most_speed, self._grip_speed = 1e3 * found.speed, 1e3 * found.grip_speed
+        self._timer.reading = bus.exchange_time(5, 2 + 2 * IMAGE)
+        self._timer.writing = bus.exchange_time(6 + 2 * IMAGE, 5)
         # Three exchanges: the image is read, and a command takes two writes.
-        wire = bus.exchange_time(5, 2 + 2 * IMAGE) + 2 * bus.exchange_time(6 + 2 * IMAGE, 5)
+        wire = self._timer.reading + 2 * self._timer.writing
         self.capabilities = self._adopt(
-            1e3 * least,
-            1e3 * most,
-            force,
+            1e3 * found.least,
+            1e3 * found.most,
+            found.force,
             {
-                "model": f"SCHUNK {name}",
+                "model": f"SCHUNK {found.name}",
                 "address": f"unit {self.options.unit}",
-                "serial": texts[Parameter.SERIAL],
-                "firmware": texts[Parameter.SOFTWARE],
-                "way of a finger": f"{most - least:.1f} mm",
-                "largest force": f"{force:g} N",
+                "serial": found.serial,
+                "firmware": found.firmware,
+                "way of a finger": f"{way:.1f} mm",
+                "largest force": f"{found.force:g} N",
             },
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
         )
         self._input = await self._read()
-
-    async def _parameter(self, bus: ModbusBus, what: Parameter, count: int) -> tuple[int, ...]:
-        return await bus.read(self.options.unit, what.register, count, deadline=PATIENT)
 
     async def activate(self) -> None:
         """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
@@ -319,6 +293,7 @@ class SchunkEguDriver(BlocksDriver):
 
     async def sense(self) -> ActuatorState:
         """Return the position and whether something is gripped."""
+        self._cycle_began = time.monotonic()
         now = await self._read_on()
         stamp = time.monotonic()
         if self._active:
@@ -350,10 +325,10 @@ class SchunkEguDriver(BlocksDriver):
         now = self._input
         here, held = float(now.position), bool(now.status & Status.GRIPPED)
         if self._gripping and self._running:
-            # A grip closes fully unless it is stopped at the reference.
-            if not self._closes(here, target) or force < (self._follower.force or 0.0):
-                await self._command(Control.STOP)
-                self._follower.halted(here)
+            if force < (self._follower.force or 0.0):
+                await self._halt()
+            else:
+                await self._watch(target)
             return
         order = self._follower.next(target, force, here, busy=self._running, held=held)
         if order is Order.STOP:
@@ -368,21 +343,74 @@ class SchunkEguDriver(BlocksDriver):
     async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
         if self._closes(here, target) or (held and here == target):
             await self._command(Control.GRIP, force=force)
+            self._follower.sent()
+            await self._watch(target)
         elif held:
             # It opens by its own release distance; the motion to the target follows.
             await self._command(Control.RELEASE)
             self._follower.forget()
-            return
         else:
             wanted = speed if math.isfinite(speed) else self.options.speed
             limited = max(1, round(min(wanted / _UM, self._most_speed)))
             await self._command(Control.MOVE, position=round(target), speed=limited)
-        self._follower.sent()
+            self._follower.sent()
+
+    async def _watch(self, target: float) -> None:
+        """Stop a grip at its target [µm] if it gets there before the next cycle.
+
+        It closes fully unless it is stopped. The time of the stop follows from the position and the
+        speed, which two readings give; until there are two, the speed of the last grip counts.
+        """
+        end = self._cycle_began + _SHARE * self._period
+        later = self._cycle_began + self._period + self._timer.reading  # the next cycle's stop
+        while self._running:
+            left = self._way(float(self._input.position), target)
+            if left <= _REACHED:
+                await self._halt()
+                return
+            if left > 2.0 * self._period * self._grip_speed:
+                return
+            now = time.monotonic()
+            due = self._timer.due(left, 1 if self._word == Control.RUN else 2)
+            # What the last grip did is checked while there is time.
+            sure = self._timer.timed or due - now < 2.0 * self._timer.reading
+            if (
+                due - now > self._timer.writing
+                and self._asked is None
+                and self._word != Control.RUN
+            ):
+                # The bit of the grip is withdrawn in time, so that the stop is a single write.
+                await self._write(Output(Control.RUN))
+                continue
+            if due < math.inf and sure:
+                # Between the end of this cycle and what the next one can do, whichever is nearer.
+                if due > end and due - end > later - due:
+                    return
+                await asyncio.sleep(max(0.0, min(due, end) - now))
+                await self._halt()
+                return
+            if now + self._timer.reading > end:
+                return
+            await self._read_on()
+
+    async def _halt(self) -> None:
+        """Stop a grip on its way."""
+        await self._command(Control.STOP)
+        self._follower.halted(float(self._input.position))
+
+    @property
+    def _period(self) -> float:
+        """Time between two cycles [s]."""
+        rate = self.spec.rate
+        return (self.spec.every or math.ceil(rate / self.capabilities.best_rate)) / rate
+
+    def _way(self, here: float, target: float) -> float:
+        """Return how much further closed a target is than a position [µm]."""
+        return target - here if self.options.opens == "down" else here - target
 
     def _closes(self, here: float, target: float) -> bool:
         """Return whether a target [µm] is further closed than the present position."""
-        further = target - here if self.options.opens == "down" else here - target
-        return further > _REACHED
+        return self._way(here, target) > _REACHED
 
     async def _command(
         self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
@@ -393,6 +421,7 @@ class SchunkEguDriver(BlocksDriver):
         # Before the write: if only the answer is lost, the command has begun.
         self._gripping = control is Control.GRIP
         self._running = True
+        self._timer.begin(self._way(0.0, float(self._input.position)))
         self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
         await self._write(Output(Control.RUN | control, position, speed, force))
 
@@ -450,15 +479,22 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _read_on(self) -> Input:
         """Read the image and update the progress of the last command."""
+        asked = time.monotonic()
         now = self._input = await self._read()
+        answered = time.monotonic()
+        self._timer.read(answered - asked)
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
             self._asked = None
         if self._asked is None and now.status & RESULTS:
             self._running = False
+        if self._asked is None and self._gripping:
+            self._timer.see(self._way(0.0, float(now.position)), asked, answered)
         return now
 
     async def _write(self, output: Output) -> None:
         # Unknown until the gripper has answered.
         self._word = None
+        begun = time.monotonic()
         await self.connection.link.write(output.to_registers())
+        self._timer.wrote(time.monotonic() - begun)
         self._word = output.control

@@ -172,6 +172,7 @@ class FeedbackAll:
         )
 
 
+@dataclass(frozen=True, slots=True)
 class Fields:
     """Base class of data that are the fields of a dataclass in their order.
 
@@ -179,8 +180,6 @@ class Fields:
         FORM: Their layout; by default that of the ten settings of a controller.
         WHAT: Their name in messages.
     """
-
-    __slots__ = ()
 
     FORM: ClassVar[struct.Struct] = struct.Struct("<10f")
     WHAT: ClassVar[str]
@@ -192,7 +191,7 @@ class Fields:
 
     def to_bytes(self) -> bytes:
         """Return their bytes."""
-        return self.FORM.pack(*astuple(self))  # type: ignore[call-overload]
+        return self.FORM.pack(*astuple(self))
 
 
 @dataclass(frozen=True, slots=True)

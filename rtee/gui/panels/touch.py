@@ -43,7 +43,13 @@ class TouchPanel:
         self._legend = gui.add_html(small(_NONE))
         self._folder = gui.add_folder(None)
         self._window = gui.add_slider(
-            "Length [s]", 2, int(LONGEST), 1, 10, hint="Length of time of touch shown [s]"
+            "Length [s]",
+            2,
+            int(LONGEST),
+            1,
+            10,
+            hint="Length of time of touch shown [s]",
+            visible=False,
         )
         self._table = gui.add_html("")
         self._plots: dict[str, viser.GuiUplotHandle] = {}
@@ -105,6 +111,7 @@ class TouchPanel:
         self._plots.clear()
         names = dict(enumerate(name for name, _ in self._shown))
         self._legend.content = legend(names) if names else small(_NONE)
+        self._window.visible = bool(names)
         with self._folder:
             for unit in dict.fromkeys(unit for _, unit in self._shown):
                 self._plots[unit] = self._add_plot(unit)

@@ -77,6 +77,19 @@ def test_a_mesh_is_described_where_its_file_puts_it(tmp_path: Path) -> None:
     assert corners.max(axis=0) == pytest.approx(mesh.bounds[1], abs=1e-5)
 
 
+def test_an_open_mesh_is_noted(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((0.03, 0.03, 0.03))
+    mesh.export(tmp_path / "closed.stl")
+    trimesh.Trimesh(mesh.vertices, mesh.faces[1:]).export(tmp_path / "open.stl")
+    notes = {
+        name: [note for note in simulated(object=str(tmp_path / name)).notes if name in note]
+        for name in ("closed.stl", "open.stl")
+    }
+    assert notes["closed.stl"] == []
+    (note,) = notes["open.stl"]
+    assert note.startswith("open.stl: the mesh is open, 3 of its edges have only one face; ")
+
+
 def test_a_mesh_with_too_many_triangles_is_described_by_its_hull(tmp_path: Path) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
     assert len(mesh.faces) > 20_000

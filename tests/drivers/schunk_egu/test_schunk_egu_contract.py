@@ -13,7 +13,7 @@ from rtee.drivers.schunk_egu.codec import Control, Status
 from rtee.drivers.schunk_egu.driver import SchunkEguDriver
 from rtee.errors import ConfigError, DeviceFault, HandshakeError
 from rtee.testing import DeviceCase, DriverContract, Session, actuator, cycles
-from rtee.types import JointKind
+from rtee.types import JointKind, Reference
 from tests.drivers.objects import close_schunk_egu
 from tests.drivers.use import cycled
 
@@ -72,6 +72,29 @@ async def test_a_grip_is_stopped_where_the_reference_is() -> None:
         assert Control.STOP in session.emulator.taken
         assert session.near(state, [0.006])
         assert not session.emulator.image().status & Status.NO_WORKPIECE
+
+
+async def test_the_stop_of_a_grip_is_sent_before_it_is_too_far() -> None:
+    """Not only in the cycle that finds it at the reference: that is a cycle's way too late."""
+    emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 50.0}
+    case = replace(CASE, options={"settle": 0.02, "emulator": emulator}, rate=25.0)
+    early = 0
+    async with Session(case) as session:
+        await session.start()
+        for goal in (0.006, 0.012, 0.018, 0.024, 0.030):
+            stops = 0
+            while not stops:
+                begun = asyncio.get_running_loop().time()
+                state = await session.cycle(Reference.at([goal]))
+                stops = session.emulator.taken.count(Control.STOP)
+                await asyncio.sleep(max(0.0, begun + 0.04 - asyncio.get_running_loop().time()))
+            assert state is not None
+            early += float(state.position[0]) < goal - 0.0002
+            session.emulator.taken.clear()
+            assert session.near(await session.reach([goal]), [goal])
+            session.emulator.taken.clear()
+    # A busy computer may miss the moment now and then.
+    assert early >= 2
 
 
 async def test_what_is_gripped_is_released_before_it_opens() -> None:

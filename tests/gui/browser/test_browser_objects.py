@@ -60,6 +60,7 @@ def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
     grasp(window)
     window.tab("Touch")
     window.says("finger_1_tip")
+    window.says("Length [s]")
     window.says(re.compile(r"^\d\d+\.\d\d$"))  # newtons, of a sum or the largest taxel
     window.tab("View")
     toggle(window, "Touch")

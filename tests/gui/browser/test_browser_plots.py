@@ -14,6 +14,17 @@ pytestmark = in_a_browser
 FOLLOWING = "left_inner_knuckle_joint"
 """A joint of the gripper that follows its actuator."""
 
+_UNDER_SCROLLBARS = """
+() => [...document.querySelectorAll(".mantine-ScrollArea-root")].flatMap((area) => {
+  const bar = area.querySelector(":scope > [data-orientation=vertical]");
+  if (!bar?.getBoundingClientRect().width) return [];
+  const boxes = [...area.querySelectorAll(".mantine-Paper-root")].filter((box) => box.offsetParent);
+  const right = Math.max(...boxes.map((box) => box.getBoundingClientRect().right));
+  return [right - bar.getBoundingClientRect().left];
+})
+"""
+"""How far the boxes in each panel that scrolls reach below its scrollbar [CSS px]."""
+
 
 def _joint_row(window: Window) -> list[str]:
     """Return what the table of joints says of that joint."""
@@ -57,4 +68,26 @@ def test_the_table_tells_how_fast_joints_move(window: Window, other: BlockingHan
     finally:
         over.set()
         mover.join()
+    window.tab("Plots")
+
+
+def test_nothing_lies_under_a_scrollbar(window: Window) -> None:
+    page = window.page
+    size = page.viewport_size
+    assert size is not None
+    window.tab("Joints")
+    # So low that both panels scroll.
+    page.set_viewport_size({"width": size["width"], "height": 400})
+    try:
+        window.until(lambda: len(page.evaluate(_UNDER_SCROLLBARS)) == 2)
+        assert max(page.evaluate(_UNDER_SCROLLBARS)) <= 0.0
+    finally:
+        page.set_viewport_size(size)
+        window.tab("Plots")
+
+
+def test_a_hand_without_touch_sensors_has_no_length_of_their_plots(window: Window) -> None:
+    window.tab("Touch")
+    window.says("The hand measures no touch.")
+    assert window.page.locator("label:visible", has_text="Length [s]").count() == 0
     window.tab("Plots")

@@ -1,0 +1,288 @@
+"""Find the records of an MCAP file, also behind damage.
+
+A record's content repeats its length, since the strings and arrays in it say how long they are. A
+head (opcode and length) that disagrees with its content is damaged, and the content tells what it
+was. Where the content is damaged as well, the walk goes on at the next chunk that has the layout of
+one, or else at the summary.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from dataclasses import dataclass
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from rtee.log.chunks import INDEX_ENTRY
+from rtee.log.mcapfile import MAGIC
+
+HEAD = struct.Struct("<BQ")
+"""Layout of the head of a record: opcode and length of the content."""
+
+DAMAGE = 0
+"""Stands for the opcode of bytes that are no record; no record has this one."""
+
+LATEST = 2**63 - 1
+"""Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
+
+LARGEST_CHUNK = 1 << 30
+"""Largest uncompressed size of a chunk accepted [bytes]: 1 GiB, hundreds of times that of rtee's
+chunks; a forged size must not exhaust the memory."""
+
+_OWN = 0x80  # first opcode of records that other software may define for itself
+_FOOTER = struct.Struct("<BQQQI")  # head, begin of the summary, of its offsets, checksum
+_CHUNK = struct.Struct("<QQQI")  # begin of a chunk's content: start, end, size, checksum
+_NAME = HEAD.size + _CHUNK.size  # offset of the compression's name in the record of a chunk
+_INDEX_BEGIN = 6  # bytes before the entries of a message index: channel and their length
+_LONGEST_NAME = 8  # bytes of the name's length and of the longest name
+_FIRST_BLOCK = 4096  # bytes searched first: most damage is short
+_LARGEST_BLOCK = 1 << 20  # most bytes searched at once, which bounds the memory
+_PREFIXES = {4: struct.Struct("<I"), 8: struct.Struct("<Q")}
+
+_NAMES = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0")
+"""The names of compressions with their lengths."""
+
+
+class _Layout(NamedTuple):
+    """Layout of a content (MCAP specification, "Records").
+
+    Attributes:
+        parts: For each string, map or array: bytes before it, and bytes of its length [bytes].
+        rest: Bytes behind the last one.
+    """
+
+    parts: tuple[tuple[int, int], ...]
+    rest: int = 0
+
+
+_LAYOUTS: dict[int, _Layout] = {
+    Opcode.HEADER: _Layout(((0, 4), (0, 4))),
+    Opcode.FOOTER: _Layout((), 20),
+    Opcode.SCHEMA: _Layout(((2, 4), (0, 4), (0, 4))),
+    Opcode.CHANNEL: _Layout(((4, 4), (0, 4), (0, 4))),
+    Opcode.CHUNK: _Layout(((_CHUNK.size, 4), (0, 8))),
+    Opcode.MESSAGE_INDEX: _Layout(((2, 4),)),
+    Opcode.CHUNK_INDEX: _Layout(((32, 4), (8, 4)), 16),
+    Opcode.ATTACHMENT: _Layout(((16, 4), (0, 4), (0, 8)), 4),
+    Opcode.ATTACHMENT_INDEX: _Layout(((40, 4), (0, 4))),
+    Opcode.STATISTICS: _Layout(((42, 4),)),
+    Opcode.METADATA: _Layout(((0, 4), (0, 4))),
+    Opcode.METADATA_INDEX: _Layout(((16, 4),)),
+    Opcode.SUMMARY_OFFSET: _Layout((), 17),
+    Opcode.DATA_END: _Layout((), 4),
+}
+
+_BY_CONTENT = (
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.ATTACHMENT,
+    Opcode.CHANNEL,
+    Opcode.SCHEMA,
+    Opcode.METADATA,
+)
+"""Kinds that a record with a damaged opcode may have; those with the strictest layout first,
+since a content may have the layouts of several."""
+
+_CHECKED = (Opcode.HEADER, *_BY_CONTENT[2:], Opcode.CHUNK)
+"""Kinds whose content is checked when it is read."""
+
+
+class DamagedRecordError(ValueError):
+    """A record whose content is invalid."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A record in a file.
+
+    Attributes:
+        opcode: Its kind, or `DAMAGE` for bytes that are no record.
+        offset: Offset of its content in the file [bytes].
+        length: Length of its content [bytes].
+        mended: Whether its head is damaged, and kind and length follow from the content.
+    """
+
+    opcode: int
+    offset: int
+    length: int
+    mended: bool = False
+
+    @property
+    def end(self) -> int:
+        """Offset of the end in the file [bytes]."""
+        return self.offset + self.length
+
+    def read(self, stream: BinaryIO, most: int | None = None) -> bytes:
+        """Return the content, or at most its first ``most`` bytes."""
+        stream.seek(self.offset)
+        length = self.length if most is None else min(most, self.length)
+        data = stream.read(length)
+        if len(data) != length:
+            raise DamagedRecordError("the file ends within a record")
+        return data
+
+
+class Finder:
+    """Finds records in a file of ``size`` bytes.
+
+    No search begins before the end of what was found before, so that a walk takes a time
+    proportional to the file's size.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._chunks = False
+        self.size = os.fstat(stream.fileno()).st_size
+
+    def at(self, position: int) -> Record | None:
+        """Return the record that begins at a position [bytes], or ``None`` if none does."""
+        head = self._read(position, HEAD.size)
+        if len(head) < HEAD.size:
+            return None
+        opcode, length = HEAD.unpack(head)
+        offset = position + HEAD.size
+        first = position == len(MAGIC)
+        # A header and metadata have the same layout, and only the first record is a header.
+        if first == (opcode == Opcode.HEADER) and self._length(opcode, offset) == length:
+            record: Record | None = Record(opcode, offset, length)
+        else:
+            record = self._doubtful(opcode, offset, length, first=first)
+        if record is not None and record.opcode == Opcode.CHUNK:
+            self._chunks = True
+        return record
+
+    def after(self, position: int) -> int | None:
+        """Return where the walk goes on behind damage that begins at a position [bytes].
+
+        This is the next chunk, else the summary, else the footer. Returns ``None`` if there is none
+        of them.
+        """
+        ends = [end for end in self._ends() if end > position]
+        chunk = self._search(position + 1, ends[0] if ends else self.size)
+        if chunk is not None:
+            return chunk
+        return next((end for end in ends if self._confirmed(end)), None)
+
+    def _read(self, position: int, size: int) -> bytes:
+        self._stream.seek(position)
+        return self._stream.read(size)
+
+    def _doubtful(self, opcode: int, offset: int, length: int, *, first: bool) -> Record | None:
+        """Return the record with a head that its content does not confirm."""
+        kinds = (Opcode.HEADER,) if first else _BY_CONTENT
+        fits = opcode != DAMAGE and self._followed(offset + length)
+        # A message has no length in its content. Files with messages outside of chunks have none.
+        loose = opcode == Opcode.MESSAGE and not self._chunks
+        if fits and not loose:
+            for kind in kinds:
+                if self._plausible(kind, offset) == length:
+                    return Record(kind, offset, length, mended=True)
+        said = self._length(opcode, offset)
+        if fits and (opcode in _CHECKED or opcode not in _LAYOUTS or (said or length) < length):
+            # A kind, or fields, of later versions; or a content whose reader notices its damage.
+            return Record(opcode, offset, length)
+        if fits:
+            return Record(DAMAGE, offset - HEAD.size, HEAD.size + length)
+        for kind in (opcode, *kinds):
+            said = self._plausible(kind, offset)
+            if said is None:
+                continue
+            # The content of a chunk has a checksum, which that of others lacks.
+            if kind == Opcode.CHUNK or self._confirmed(offset + said):
+                return Record(kind, offset, said, mended=True)
+        return None
+
+    def _length(self, opcode: int, offset: int) -> int | None:
+        """Return the length that a content has as a record of a kind [bytes]."""
+        layout = _LAYOUTS.get(opcode)
+        if layout is None:
+            return None
+        position = offset
+        for before, width in layout.parts:
+            prefix = self._read(position + before, width)
+            if len(prefix) < width:
+                return None
+            position += before + width + _PREFIXES[width].unpack(prefix)[0]
+            if position > self.size:
+                return None
+        position += layout.rest
+        return position - offset if position <= self.size else None
+
+    def _plausible(self, kind: int, offset: int) -> int | None:
+        """Return the length of a content that may be of a kind [bytes], ``None`` if it is not."""
+        length = self._length(kind, offset)
+        if length is None:
+            return None
+        if kind == Opcode.MESSAGE_INDEX and (length - _INDEX_BEGIN) % INDEX_ENTRY:
+            return None
+        if kind == Opcode.CHUNK:
+            start, end, size, checksum = _CHUNK.unpack(self._read(offset, _CHUNK.size))
+            # Without a checksum nobody could tell whether what was found is a chunk.
+            if not (checksum and start <= end <= LATEST and size <= LARGEST_CHUNK):
+                return None
+            if not _NAMES.match(self._stream.read(_LONGEST_NAME)):
+                return None
+        return length
+
+    def _confirmed(self, position: int) -> bool:
+        """Return whether the head at a position is plausible and agrees with its content."""
+        head = self._read(position, HEAD.size)
+        if len(head) < HEAD.size:
+            return False
+        opcode, length = HEAD.unpack(head)
+        offset = position + HEAD.size
+        if opcode == Opcode.MESSAGE or opcode >= _OWN:
+            return int(offset + length) <= self.size
+        return bool(self._length(opcode, offset) == length)
+
+    def _followed(self, end: int) -> bool:
+        """Return whether the file, or a record, ends at an offset [bytes]."""
+        return end == self.size or (end < self.size and self._confirmed(end))
+
+    def _search(self, position: int, stop: int) -> int | None:
+        """Return the offset of the first chunk from a position to before a stop [bytes]."""
+        block = _FIRST_BLOCK
+        while position < stop:
+            # The overlap holds what the pattern looks at behind the last opcode.
+            data = self._read(position, block + _NAME + _LONGEST_NAME)
+            for begin in _alike(data, block):
+                offset = position + begin + HEAD.size
+                if position + begin >= stop:
+                    break
+                if self._plausible(Opcode.CHUNK, offset) == HEAD.unpack_from(data, begin)[1]:
+                    return position + begin
+            position += block
+            block = min(2 * block, _LARGEST_BLOCK)
+        return None
+
+    def _ends(self) -> tuple[int, ...]:
+        """Return the offsets of summary and footer of a file that was closed, else nothing."""
+        position = self.size - _FOOTER.size - len(MAGIC)
+        data = self._read(max(position, 0), _FOOTER.size + len(MAGIC))
+        if position < len(MAGIC) or data[_FOOTER.size :] != MAGIC:
+            return ()
+        opcode, length, summary, _, _ = _FOOTER.unpack_from(data)
+        if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - HEAD.size):
+            return ()
+        return (summary, position) if 0 < summary < position else (position,)
+
+
+def _alike(data: bytes, most: int) -> list[int]:
+    """Return where chunks may begin among the first bytes.
+
+    There is the opcode, and a plausible length of a compression's name at its place. Whole arrays
+    are compared, since nonsense may be full of either.
+    """
+    array = np.frombuffer(data, dtype=np.uint8)
+    count = min(most, array.size - _NAME - _LONGEST_NAME)
+    if count <= 0:
+        return []
+    alike = (array[:count] == Opcode.CHUNK) & (array[_NAME : _NAME + count] < _LONGEST_NAME)
+    for byte in range(1, 4):  # the higher bytes of the name's length
+        alike &= array[_NAME + byte : _NAME + byte + count] == 0
+    begins: list[int] = np.flatnonzero(alike).tolist()
+    return begins
