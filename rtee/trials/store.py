@@ -19,9 +19,10 @@ FILE_NAME = TRIALS
 """The file with the results in a hand's folder."""
 
 METHOD = 2
-"""How trials are made: raised whenever the choice of places, the draws or the physics change what
-they find, so that earlier results count as outdated. 1: files that do not say; the place of an
-object was chosen by the draws that were reported."""
+"""How trials are made: raised whenever the draws, the physics or what counts as held change, so
+that earlier results cannot be compared and count as outdated. A better search for places does not
+raise it, since what was found at a place still holds there. 1: files that do not say; the place of
+an object was chosen by the draws that were reported."""
 
 
 def to_document(result: TrialResult) -> dict[str, Any]:

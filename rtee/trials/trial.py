@@ -146,11 +146,8 @@ def run_trial(
     ranked = sorted(tried, key=lambda here: here.rank, reverse=True)
     if not ranked[0].result.held:
         return ranked[0].result
-    if trial.choosing >= _SCANNED_FROM:
-        # The last trial left the hand lifted, and moved places would be freed of a hand up there.
-        # With fewer tries that is so, and stays so until METHOD of `store` is raised: the stored
-        # results were found in this way.
-        simulation.reset()
+    # The last trial left the hand lifted, and moved places would be freed of a hand up there.
+    simulation.reset()
     free = Places(simulation, hand, action)
     if trial.choosing > CHOOSING:
         best = _carefully(ranked[:_CONTENDERS], varied, free)

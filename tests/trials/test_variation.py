@@ -287,8 +287,9 @@ def test_the_middle_of_a_row_counts_its_neighbours(shares: dict[int, float], mid
     assert _middle(shares) == middle
 
 
+@pytest.mark.parametrize("choosing", [20, 40])
 def test_moved_places_are_freed_of_the_hand_where_it_began(
-    monkeypatch: pytest.MonkeyPatch,
+    choosing: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not of the hand as the last trial left it, lifted: there, the ball would be in its base."""
     ready = bench("onrobot_3fg15")
@@ -301,7 +302,7 @@ def test_moved_places_are_freed_of_the_hand_where_it_began(
 
     monkeypatch.setattr("rtee.trials.trial._carefully", compare)
     monkeypatch.setattr("rtee.trials.trial._scanned", lambda best, varied, free: best)
-    trial = Trial("Grasp", object="sphere:0.05", places=1, variations=1, choosing=40)
+    trial = Trial("Grasp", object="sphere:0.05", places=1, variations=1, choosing=choosing)
     assert run_trial(ready.hand, ready.library, ready.settings, trial).held
     assert np.array(moved) == pytest.approx(np.zeros((1, 4, 4)))
 
