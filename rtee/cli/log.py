@@ -374,7 +374,8 @@ def recover(
         )
         text = f"{recovery.path}: {verb} {recovery.messages} messages, {recovery.seconds:.1f} s"
         if recovery.damaged:
-            text += f"; {recovery.damaged} damaged chunks left out"
+            chunks = "chunk" if recovery.damaged == 1 else "chunks"
+            text += f"; {recovery.damaged} damaged {chunks} left out"
         if recovery.lost_bytes:
             text += f"; {recovery.lost_bytes} bytes at the end were of no use"
         for sentence in recovery.left_out:
