@@ -143,5 +143,6 @@ class JointControl:
                 # At the end, since the limit applies to the sum of all terms.
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
+            # Rounded towards zero, so as not to exceed the limit.
             counts.append(int(torque * self.scale.pwm_per_torque))
         return [counts[f * PER_FINGER : (f + 1) * PER_FINGER] for f in range(FINGERS)]

@@ -150,6 +150,7 @@ class AllegroDriver(Driver):
         while not self.control.sets:
             if time.monotonic() > end:
                 raise NotConnected(self.spec.name, "the hand does not report its positions")
+            # About one period of the hand's frames.
             await asyncio.sleep(0.002)
 
     async def activate(self) -> None:

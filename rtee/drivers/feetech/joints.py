@@ -72,6 +72,7 @@ class Differential:
         # The flexion may use the whole range, the tilt the rest.
         most = self.limit / max(abs(a), abs(c), 1e-9)
         bent = min(max(self._flexion.inverse(flexion), -most), most)
+        # The flexion changes how far a tilt moves the joint, so it is determined first.
         lean = self._tilt.inverse(tilt / self._share_at(bent)[0])
         for row, by in ((a, b), (c, d)):
             if by:

@@ -28,11 +28,11 @@ def leave_pairs_out(
     Args:
         spec: The hand's model.
         hand: The hand.
-        resting: It at rest, with the contacts of all pairs of links.
-        touch: Says whether two links touch at rest on their exact geometry.
+        resting: The hand at rest, with the contacts of all pairs of links.
+        touch: Returns whether the exact geometries of two links touch at rest.
 
     Returns:
-        What was left out for contact at rest, one sentence each.
+        The pairs left out because they touch at rest, one sentence each.
 
     Raises:
         ModelError: if links of two fingers are deep inside each other at rest.
@@ -83,8 +83,8 @@ def _adjacent(hand: Hand) -> list[tuple[str, str]]:
 def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str) -> None:
     """Let the outer shapes of two joined fingertips meet, though the links are excluded.
 
-    Near their joint the links touch at every position, which means nothing. What counts are the
-    shapes whose middles are beyond most of the shorter link's reach from the joint's axis, and
+    Near their joint the links always touch, which is no contact of the jaws. Outer shapes are those
+    whose middles are further from the joint's axis than `_OUTER` of the shorter link's reach, and
     that are apart at rest.
     """
     model = data.model

@@ -113,7 +113,7 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
     # The carrier is moved by its servos alone; its weight would only make them sag.
     mount.gravcomp = 1.0
     if _is_nothing(mount):
-        # A base that is but a frame: MuJoCo moves nothing without mass.
+        # The base is a mere frame, and MuJoCo cannot move a body without mass.
         set_tiny(mount)
     for index, axis in enumerate(AXES):
         if options.carrier == "lift" and axis != "z":
@@ -132,7 +132,7 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
 
 
 def _is_nothing(body: mujoco.MjsBody) -> bool:
-    """Return whether a body has neither mass nor shape, nor what is fixed to it."""
+    """Return whether neither a body nor anything fixed to it has mass or shape."""
     if body.geoms or (body.explicitinertial and body.mass > 0.0):
         return False
     return all(_is_nothing(each) for each in body.bodies if not each.joints)
@@ -264,11 +264,11 @@ def make_simulation(
         container: Where on the table a container has its middle, x and y in the world [m]; there is
             none unless given.
         built: The hand's model, as `build_hand` makes it of options that differ from these in
-            object and friction at most; it is built anew unless given.
+            object and friction at most; by default it is built here.
 
     Raises:
         ModelError: if the hand cannot be simulated.
-        ConfigError: if the object is none, or its mesh cannot be used.
+        ConfigError: if there is no such object, or its mesh cannot be used.
     """
     shape: ObjectShape | None = None
     built = copied(built, hand, options.friction) if built else build_hand(hand, options)

@@ -263,5 +263,6 @@ class OrcaTouchDriver(Driver):
     async def close(self) -> None:
         """Detach from the line; the board goes on sending."""
         if self.connection.is_open:
+            # The stream goes on; another device on the line must not feed this one.
             self.connection.link.listen(None)
         await super().close()

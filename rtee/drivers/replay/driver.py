@@ -185,6 +185,7 @@ class ReplayDriver(Driver):
                 if wanted < self._next.stamp[0]:
                     return
                 self._block, self._next = self._next, None
+                # Rows count from 0 again, and the first one must count as new.
                 self._shown = -1
                 self._fetch()
             elif self._options.repeat:

@@ -348,5 +348,6 @@ class Wsg50Driver(GripperDriver):
         self._active = False  # even if the announcement is cancelled
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
+                # Sent once: a gripper that is gone must not delay closing.
                 await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)
         await super().close()
