@@ -199,6 +199,7 @@ def primitives_document(primitives: Sequence[Primitive]) -> dict[str, Any]:
 
 def _primitive_entry(primitive: Primitive) -> dict[str, Any]:
     entries: list[dict[str, Any]] = [{"set_points": set_points(p)} for p in primitive.postures]
+    # Not strict: either all postures have evidence or none.
     for entry, evidence in zip(entries, primitive.evidence, strict=False):
         entry["evidence"] = evidence_document(evidence)
     fingers = {"fingers": list(primitive.fingers)} if primitive.kind.of_actuators else {}

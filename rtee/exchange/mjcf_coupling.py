@@ -95,6 +95,7 @@ def motion_of(model: mujoco.MjModel) -> Motion:
 def _hold(constraints: Constraints) -> None:
     """Hold the joints that follow only held ones, and the masters of held linear followers."""
     left: list[Curve] = []
+    # Until nothing changes: a joint that is held may hold its followers in turn.
     while len(left) != len(constraints.curves):
         left, constraints.curves = constraints.curves, []
         for curve in left:
@@ -154,6 +155,7 @@ def _supposed_motors(
         chosen: list[int] = []
         for joint in group.joints:
             lines = [*group.lines, *(Line({each: 1.0}, 0.0) for each in (*chosen, joint))]
+            # A joint that the couplings and the chosen ones already determine needs no motor.
             rank = int(np.linalg.matrix_rank(_matrix(lines, group.joints)))
             if len(chosen) < free and (group.loops or group.curves or rank == len(lines)):
                 chosen.append(joint)
@@ -389,6 +391,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> 
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
     linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs)
     solved = solve_loop(linkage, (lower, upper), what) if others else None
+    # A tendon's force is no effort of one joint: its lever is not known here.
     effort = 0.0 if motor.tendon is not None else motor.effort
     if solved is None:
         motion.driven[joint] = Driven(lower, upper, effort)
