@@ -426,7 +426,7 @@ def first_mistake(
         mistakes: The errors, as `Invalid.errors` or pydantic's errors have them.
         document: The file.
         kind: The dataclass that the content was checked against, where unknown keys are refused.
-        at: Where that content is in the file; its root unless given.
+        at: Location of that content in the file; by default its root.
     """
     placed = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
     location, mistake = document.located(placed)[0]

@@ -160,6 +160,7 @@ class BlocksDriver(GripperDriver):
         """Write registers, several times if need be; return whether they arrived."""
         # A stop may come before the connection is open or after it was closed, and must not raise.
         for _ in range(_TRIES if self.connection.is_open else 0):
+            # A lost frame is no reason to give up a stop.
             with contextlib.suppress(BusError):
                 await self.connection.link.write(registers)
                 return True

@@ -375,7 +375,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> 
         )
     motor = group.motors[0]
     factors = motor_factors(model, motor)
-    # The first joint stands for a tendon, whose length no joint has alone.
+    # The first joint represents a tendon, whose length no joint has alone.
     joint = min(factors or group.joints)
     lower, upper = joint_range(model, joint)
     if motor.joint is not None:

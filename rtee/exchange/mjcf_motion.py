@@ -142,7 +142,7 @@ class Motion:
     Attributes:
         driven: The joints with motors.
         follows: The joints that follow others.
-        fixed: Positions of the joints that stand still [rad | m].
+        fixed: Positions of the joints that do not move [rad | m].
         passive: The joints that no motor moves.
         dropped: Joints of motors that are not part of the hand.
         notes: Sentences about choices.
@@ -411,7 +411,8 @@ def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 def null_space(matrix: FloatArray, least: float | None = None) -> FloatArray:
     """Return an orthonormal basis ``(n, k)`` of the null space of a matrix ``(m, n)``.
 
-    Singular values up to ``least`` count as 0; unless given, `TINY` times the largest, or 1.
+    Singular values up to ``least`` count as 0; by default `TINY` times the largest, but at
+    least `TINY`.
     """
     if not matrix.size:
         return np.eye(matrix.shape[1])

@@ -247,6 +247,7 @@ class InspireRh56Driver(Driver):
             self._touch = await self._tactile.read(self.connection.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.angle(report.angles[motor]) for motor, scale in both]
+        # For `move`, which compares references with it while a grip is kept.
         self._here = np.array(position)
         return ActuatorState.measured(
             position,

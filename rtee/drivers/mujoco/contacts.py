@@ -76,9 +76,9 @@ def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
 
 
 def make_object(geom: mujoco.MjsGeom) -> None:
-    """Give a shape of an object its contact: hard, with a skin, without friction of its own.
+    """Give a shape of an object its contact: hard, with a skin, and frictionless.
 
-    MuJoCo takes the larger friction of two shapes, so the coefficient of a pair is that of what
+    MuJoCo takes the larger friction of two shapes, so a pair has the coefficient of the shape that
     touches the object.
     """
     make_hard(geom, friction=0.0)

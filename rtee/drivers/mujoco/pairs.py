@@ -39,6 +39,7 @@ def leave_pairs_out(
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
     left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}
+    # Each once, since SRDFs usually disable joined links, too.
     for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
     return _exclude_touching_at_rest(spec, hand, resting, touch, left_out)
@@ -171,7 +172,7 @@ def rest_position(
 ) -> FloatArray:
     """Return generalised positions ``(nq,)`` with all but the hand as modelled.
 
-    The hand is at actuator positions ``(n,)`` [rad | m], at rest unless given.
+    The hand is at actuator positions ``(n,)`` [rad | m], by default at rest.
     """
     u = hand.rest if posture is None else posture
     position = model.qpos0.copy()

@@ -103,7 +103,7 @@ def downward(hand: Hand) -> FloatArray:
 
 
 def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> None:
-    """Turn the carrier and let it move as the options say; a fixed one stays as it is."""
+    """Turn the carrier and give it the motions of the options; a fixed one stays as it is."""
     if options.carrier == "fixed":
         return
     mount = spec.body(CARRIER)
@@ -208,6 +208,7 @@ def _clear_of_palm(
             data.qpos[:] = posture
             data.qpos[start : start + 3] = origin + out * (mount[:3, :3] @ way)
             met = _links_inside(model, data)
+            # One posture in which other links are in the way is enough.
             if met:
                 break
         # Found in all postures: only fingertips, or nothing, are in the object.
@@ -258,11 +259,11 @@ def make_simulation(
         options: What is simulated.
         actuators: The actuators that are read and commanded, in order.
         period: Time between exchanges [s].
-        place: Pose ``(4, 4)`` of the object in the hand's base frame; its middle is where the
-            fingertips meet unless given.
-        mount: How a carried hand is turned ``(3, 3)`` in the world; it reaches down unless given.
-        container: Where on the table a container has its middle, x and y in the world [m]; there is
-            none unless given.
+        place: Pose ``(4, 4)`` of the object in the hand's base frame; by default its middle is
+            where the fingertips meet.
+        mount: Rotation ``(3, 3)`` of a carried hand in the world; by default it reaches down.
+        container: Middle of a container on the table, x and y in the world [m]; ``None``: there is
+            no container.
         built: The hand's model, as `build_hand` makes it of options that differ from these in
             object and friction at most; by default it is built here.
 

@@ -227,7 +227,7 @@ class Simulation:
             position: References ``(n,)`` [rad | m].
             max_effort: Effort limits ``(n,)`` [N·m | N]; ``inf``: the actuator's own.
             mask: Which actuators are meant ``(n,)``.
-            max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; the actuators' own unless given.
+            max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; by default the actuators' own.
         """
         self._target[mask] = position[mask]
         if max_velocity is not None:

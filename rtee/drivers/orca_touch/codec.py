@@ -352,6 +352,7 @@ def forces_bytes(resultants: FloatArray, taxels: Sequence[FloatArray], content: 
                 data += bytes((low & 0xFF, 0xFF if low < 0 else 0))
         if content & Content.TAXELS:
             counts = np.rint(of_finger / NEWTONS)
+            # Saturated, so that a large force does not wrap to the other sign.
             counts[:, :2] = counts[:, :2].clip(-128, 127)
             counts[:, 2] = counts[:, 2].clip(0, 255)
             data += (counts.astype(np.int64) & 0xFF).astype(np.uint8).tobytes()

@@ -226,6 +226,8 @@ class OrcaTouchDriver(Driver):
         bus.check()
         now = time.monotonic()
         if now - self._heard > _SILENT:
+            # The start takes several exchanges, which would delay every cycle of a board that is
+            # gone.
             if now - self._armed < _AGAIN:
                 raise BusTimeout(bus.name, f"the board sent no frame for {now - self._heard:.1f} s")
             await patiently(lambda: self._arm(bus))
@@ -261,8 +263,8 @@ class OrcaTouchDriver(Driver):
         """See `Driver.move`: the board moves nothing."""
 
     async def close(self) -> None:
-        """Detach from the line; the board goes on sending."""
+        """Detach from the line; the board continues to send."""
         if self.connection.is_open:
-            # The stream goes on; another device on the line must not feed this one.
+            # The board continues to send, and this driver must not receive it any more.
             self.connection.link.listen(None)
         await super().close()

@@ -214,6 +214,7 @@ class Wsg50Emulator(Emulator, Grasps):
                 return self._measured(command, frame.payload, now)
             return self._done(command, frame)
         except WsgFrameError:
+            # Shorter than any number: too few parameters; any other wrong length is a wrong format.
             few = len(frame.payload) < _NUMBER
             status = Status.TOO_FEW_PARAMETERS if few else Status.FORMAT
             return answer(command, status)
@@ -380,6 +381,7 @@ class Wsg50Emulator(Emulator, Grasps):
         self.axis.advance(dt)
         if self._running is None or self.axis.velocity != 0.0:
             return None
+        # At rest; whether at its target or at an obstacle decides about the result.
         there = abs(self.axis.position - self.axis.target) < _NEAR
         if self._running == Command.GRASP:
             return self._grasped(there, dt)

@@ -179,6 +179,7 @@ class XBot2Driver(Driver):
         """Return the newest state that XBot2 has published; waits briefly for a new one."""
         bus = self.connection.link
         bus.check()
+        # Only if there is no new state: one that has arrived already must not cost a wait.
         if self._stamp == self._seen:
             self._arrived.clear()
             with contextlib.suppress(TimeoutError):
