@@ -89,7 +89,6 @@ class StepFollower:
             held: Whether it reports that it holds something.
         """
         now = time.monotonic()
-        # A change of either restarts the time for which the reference has rested.
         if (target, force) != self._wanted:
             self._wanted, self._since = (target, force), now
         rested = now - self._since >= self._settle

@@ -200,6 +200,7 @@ class CanLink(LinkerLink):
                 values = tables[table][at : at + count]
                 parts.append(codec.property_frame(self.unit, code, values))
                 at += count
+            # In the order of the maker's SDK.
             for frame in reversed(parts):
                 await self._pause()
                 await self._bus.send(frame)

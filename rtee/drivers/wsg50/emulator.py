@@ -381,7 +381,6 @@ class Wsg50Emulator(Emulator, Grasps):
         self.axis.advance(dt)
         if self._running is None or self.axis.velocity != 0.0:
             return None
-        # At rest; whether at its target or at an obstacle decides about the result.
         there = abs(self.axis.position - self.axis.target) < _NEAR
         if self._running == Command.GRASP:
             return self._grasped(there, dt)
