@@ -108,6 +108,7 @@ class AllegroDriver(Driver):
         version = info.version if options.version is None else options.version
         # A new one, so that no position of an earlier connection counts as measured.
         self.control = self._controller(version)
+        # Before the periods are set, so that no frame of the first set is missed.
         link.listen(self._receive)
         await link.set_periods(Periods(self._period(version)))
         await self._first_set()

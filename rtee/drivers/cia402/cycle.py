@@ -82,6 +82,7 @@ class DriveCycle:
         # Before sending, since an answer counts only if it is newer than this SYNC.
         before = [drive.stamp for drive in self.drives]
         bus.send_now(CanFrame(cia301.SYNC))
+        # Counted here, since the bus sees only single frames.
         bus.counters.transactions += 1
         end = now + self._options.deadline
         while True:

@@ -42,6 +42,7 @@ class Curve:
 
 
 def _line(x: Sequence[float], y: Sequence[float], at: float) -> tuple[float, float]:
+    # Clamped, so that the outermost segments continue beyond the points.
     i = min(max(bisect.bisect_right(x, at), 1), len(x) - 1)
     slope = (y[i] - y[i - 1]) / (x[i] - x[i - 1])
     return y[i - 1] + slope * (at - x[i - 1]), slope

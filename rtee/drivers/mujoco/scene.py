@@ -225,9 +225,9 @@ def _file_of(shape: ObjectShape | None) -> tuple[str, Path] | None:
 
 
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
-    """Return the bodies of links that the object is inside of, where all is placed."""
+    """Return the bodies of links that the object overlaps at the present positions."""
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)  # what MuJoCo finds near pairs by
+    mujoco.mj_comPos(model, data)  # MuJoCo's search for near pairs needs it
     mujoco.mj_collision(model, data)
     links = set()
     for contact in data.contact:

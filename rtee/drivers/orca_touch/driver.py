@@ -245,6 +245,7 @@ class OrcaTouchDriver(Driver):
         # A tenth less than the period, since frames do not arrive at multiples of it.
         if stamp - self._taken < 0.9 / self.options.touch_rate:
             return
+        # Taken once: the same frame must not become a second reading.
         self._newest, self._taken, self._error = None, stamp, frame.error
         if frame.error:
             return  # its forces cannot be trusted; the last reading becomes stale

@@ -207,6 +207,7 @@ class SchunkEguDriver(BlocksDriver):
                 Parameter.MOST_SPEED,
             )
         ]
+        # Another device may return zeros for registers that it does not have.
         if not (least < most and force > 0.0 and speed > 0.0):
             raise HandshakeError(
                 self.spec.name,

@@ -109,6 +109,7 @@ class XBot2Driver(Driver):
             ),
             lambda bus: bus,
         )
+        # Before the request, since states arrive all the time and the wait below needs one.
         self._undo = bus.subscribe(self._take)
         try:
             raw = await bus.request(codec.request("joint_names"), options.deadline)
