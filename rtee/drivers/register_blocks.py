@@ -129,7 +129,7 @@ class Blocks(Unhurried):
         return cached
 
     def best_rate(self, sent: int) -> float:
-        """Return the fastest rate of exchanges that write so many registers [Hz]."""
+        """Return the fastest rate of exchanges that write ``sent`` registers [Hz]."""
         # Bytes between address and checksum: function, length, two for each register.
         answer = 2 + 2 * self._count
         if self.combined:

@@ -274,5 +274,5 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self.activations += self._progress is Progress.ACTIVATING
             self._progress = Progress.DONE
             self._halt()
-            # A target that came meanwhile is followed only from here on.
+            # A target received meanwhile is followed only from here on.
             self._obey(self._command())

@@ -57,7 +57,7 @@ def motion_of(model: mujoco.MjModel) -> Motion:
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     constraints = constraints_of(model)
-    # First of all, since what is held drops motors, and followers of it need no solution.
+    # First of all, since held joints drop their motors, and their followers need no solution.
     _hold(constraints)
     motion = Motion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
     held = [motor for motor in constraints.motors if motor.joint in constraints.fixed]

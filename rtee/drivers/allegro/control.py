@@ -96,7 +96,7 @@ class JointControl:
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
         if pause and self._fresh and not self._parted:
-            # After a lost frame a set began amid another one, and so would all that follow.
+            # After a lost frame a set began in the middle of another one, as would all later ones.
             self._fresh.clear()
         if not self._fresh:
             self._parted = pause

@@ -96,7 +96,7 @@ def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
 
 
 def hand_friction(asked: float | None, *, tip: bool) -> float:
-    """Return the friction of a link of the hand: what was asked, else what is usual."""
+    """Return the friction of a link of the hand: the given one, or the usual one."""
     if asked is not None:
         return asked
     return PAD_FRICTION if tip else LINK_FRICTION

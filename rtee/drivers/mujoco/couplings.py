@@ -179,7 +179,7 @@ def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
 def add_couplings(
     spec: mujoco.MjSpec, hand: Hand, servos: Mapping[str, Servo], options: SimOptions
 ) -> list[str]:
-    """Couple the joints of a model as the transmission says; returns what was assumed."""
+    """Couple the joints of a model like the transmission; returns the assumptions made."""
     notes: list[str] = []
     every = followers(hand)
     for follower in every:

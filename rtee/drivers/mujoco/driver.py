@@ -134,7 +134,7 @@ class MujocoDriver(Driver):
             ) from error
 
     def _exchange(self, simulation: Simulation, count: int) -> ActuatorState:
-        """Advance by so many periods, then measure; in any thread."""
+        """Advance by ``count`` periods, then measure; in any thread."""
         # An exchange that was given up may still run in its thread, and measuring reads contacts
         # that a step replaces.
         with self._advancing:

@@ -59,7 +59,7 @@ Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dt
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """A MuJoCo model under construction, and what was assumed about the hand.
+    """A MuJoCo model under construction, and the assumptions about the hand.
 
     Attributes:
         spec: The model; objects may still be added before it is compiled.
@@ -252,7 +252,7 @@ def _add_links(
     servos: Mapping[str, Servo],
     options: SimOptions,
 ) -> list[str]:
-    """Add every link below ``mount``; returns what was assumed."""
+    """Add every link below ``mount``; returns the assumptions made."""
     urdf = hand.urdf
     tips = {finger.tip for finger in hand.fingers}
     bodies: dict[str, mujoco.MjsBody] = {}
