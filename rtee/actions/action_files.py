@@ -259,6 +259,7 @@ def _read_custom(kind: ActionKind, path: Path) -> Definition:
 def _refuse_twins(primitives: Iterable[Primitive], folder: Path) -> None:
     seen: set[tuple[str, frozenset[str]]] = set()
     for primitive in primitives:
+        # A set, since the order of elements does not matter.
         key = (primitive.name, frozenset(primitive.elements))
         if key in seen:
             raise ActionError(

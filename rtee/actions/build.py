@@ -83,7 +83,7 @@ def _inside(spec: ActuatorSpec, value: float) -> float:
             f"the set-point {value:g} {unit} of '{spec.name}' is outside its {side} limit "
             f"{limit:g} {unit}"
         )
-    # A value outside by less than `SLACK` stands for the limit.
+    # A value outside by less than `SLACK` means the limit.
     return min(max(value, spec.lower), spec.upper)
 
 

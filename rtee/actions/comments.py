@@ -26,6 +26,7 @@ def rewritten(text: str, data: Mapping[str, Any]) -> str | None:
     # At the default width, ruamel would fold long lines that have not changed.
     yaml.width = 4096
     try:
+        # Through text, so that both sides have the types that YAML gives them.
         fresh = yaml_reader().load(emit(data))
         document = yaml.load(text)
         if not isinstance(document, dict):

@@ -25,6 +25,7 @@ def scale_of(hand: Hand, posture: Posture, set_points: Mapping[str, float]) -> f
     # The rest posture is the same at every scale.
     scale = 1.0
     if abs(whole[widest]) > SLACK:
+        # Rounded, since the stored set-points are rounded, too.
         scale = round((set_points[widest] - rest[widest]) / whole[widest], 4)
     scaled = {name: from_rest(rest[name], posture.position[name], scale) for name in whole}
     close = all(abs(scaled[name] - set_points[name]) <= CLOSE for name in scaled)

@@ -199,6 +199,7 @@ def primitives_document(primitives: Sequence[Primitive]) -> dict[str, Any]:
 
 def _primitive_entry(primitive: Primitive) -> dict[str, Any]:
     entries: list[dict[str, Any]] = [{"set_points": set_points(p)} for p in primitive.postures]
+    # Not strict: either all postures have evidence or none.
     for entry, evidence in zip(entries, primitive.evidence, strict=False):
         entry["evidence"] = evidence_document(evidence)
     fingers = {"fingers": list(primitive.fingers)} if primitive.kind.of_actuators else {}
@@ -425,7 +426,7 @@ def first_mistake(
         mistakes: The errors, as `Invalid.errors` or pydantic's errors have them.
         document: The file.
         kind: The dataclass that the content was checked against, where unknown keys are refused.
-        at: Where that content is in the file; its root unless given.
+        at: Location of that content in the file; by default its root.
     """
     placed = [{**mistake, "loc": (*at, *mistake["loc"])} for mistake in mistakes]
     location, mistake = document.located(placed)[0]

@@ -143,6 +143,7 @@ class Index:
         def passes(action: Action) -> bool:
             if wanted_kind not in (None, kind_of(action)):
                 return False
+            # A counted primitive passes by its name with and without the count.
             names = {normalise(action.name)}
             if isinstance(action, Primitive):
                 names.add(normalise(action.kind))

@@ -217,6 +217,7 @@ class ActionLibrary:
         """
         others = self._index.without(action)
         if len(others) < len(self) and not replace_same:
+            # In its own spelling, which may differ from the new one's.
             same = self.find(action.name, action.elements).name
             raise ActionError(f"there already is an action '{label(same, action.elements)}'")
         if not isinstance(action, Primitive):
@@ -287,6 +288,7 @@ class ActionLibrary:
         kept: list[Action] = list(self._index.primitives)
         for other in self._index.custom.values():
             if other is action:
+                # A copy, since other threads may still use the old action.
                 changed.append(replace(action, name=new_name))
             elif any(normalise(use.action) == old for use in other.uses):
                 changed.append(other.with_uses(renamed))

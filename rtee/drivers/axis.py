@@ -136,6 +136,7 @@ class Axis:
         if dt <= 0.0:
             return
         steps = min(max(1, math.ceil(dt / _STEP)), _MOST_STEPS)
+        # Several, since contact force and heat change the motion and are computed after each.
         for _ in range(steps):
             self._advance(dt / steps)
 

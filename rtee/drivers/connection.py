@@ -88,6 +88,7 @@ class Connection(Generic[L]):
         Raises:
             BusError: if the bus cannot be opened.
         """
+        # A second `configure` must not leave the driver attached to the first bus.
         await self.close()
         bus = await opening
         self._bus, self._link = bus, talk(bus)

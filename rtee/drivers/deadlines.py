@@ -65,6 +65,8 @@ async def time_limit(
     except BusTimeout:
         raise
     except (TimeoutError, asyncio.CancelledError) as ended:
+        # The device must not go on without supervision. A cancelled task can still wait for this:
+        # the cancellation is raised only once.
         if end is not None:
             await end()
         if isinstance(ended, asyncio.CancelledError):

@@ -143,6 +143,7 @@ class Grasps(ABC):
             width = 0.0 if thing.width is None else thing.width
             raise ConfigError(f"an object {width * 1e3:g} mm wide is not between the fingers")
         closings = self.closings()
+        # Motors that press on an object are not compared: the new object replaces it.
         if any(one.motor.obstacle is None and one.part > at + _SLACK for one in closings):
             raise ConfigError("the fingers are closed further than that; open them first")
         for one in closings:

@@ -102,6 +102,7 @@ class OnRobotDriver(ExchangingDriver[S]):
         except BusTimeout as error:
             raise self._absent("no answer") from error
         except ModbusRefusal as error:
+            # Other refusals come from a tool that does not have these registers.
             if error.code not in _GATEWAY:
                 raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
             raise self._absent("the Compute Box finds no tool") from error

@@ -128,6 +128,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         if not self._busy or self.axis.velocity != 0.0:
             return
         there = abs(self.axis.target - self.axis.position) < self.NEAR
+        # A motor that is stuck has met no object, so no force builds up.
         if there or self.axis.stuck or not self._can_grip:
             self._busy = False
             return

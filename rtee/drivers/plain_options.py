@@ -1,6 +1,6 @@
 """Read the options of a driver that are a plain dataclass; defaults and errors of all options.
 
-The stand-in for devices runs on every computer, so its options need no pydantic, whose import takes
+The kinematic driver runs on every computer, so its options need no pydantic, whose import takes
 9 MB; those of drivers for devices are pydantic models, see `rtee.drivers.options`.
 """
 

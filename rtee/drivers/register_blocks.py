@@ -129,7 +129,7 @@ class Blocks(Unhurried):
         return cached
 
     def best_rate(self, sent: int) -> float:
-        """Return the fastest rate of exchanges that write so many registers [Hz]."""
+        """Return the fastest rate of exchanges that write ``sent`` registers [Hz]."""
         # Bytes between address and checksum: function, length, two for each register.
         answer = 2 + 2 * self._count
         if self.combined:
@@ -160,6 +160,7 @@ class BlocksDriver(GripperDriver):
         """Write registers, several times if need be; return whether they arrived."""
         # A stop may come before the connection is open or after it was closed, and must not raise.
         for _ in range(_TRIES if self.connection.is_open else 0):
+            # A lost frame is no reason to give up a stop.
             with contextlib.suppress(BusError):
                 await self.connection.link.write(registers)
                 return True

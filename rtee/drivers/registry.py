@@ -116,13 +116,14 @@ def _offered(group: str) -> Mapping[str, str]:
 
 
 def _target(name: str, built_in: Mapping[str, str], group: str) -> str | None:
-    """Return the ``module:Class`` that a name stands for; built-in names take precedence."""
+    """Return the ``module:Class`` of a name; built-in names take precedence."""
     return built_in.get(name) or _offered(group).get(name) or (name if ":" in name else None)
 
 
 def _imported(what: str, target: str, base: type) -> Any:
     module_name, _, class_name = target.partition(":")
     try:
+        # Imported when first needed: a hand must not need the packages of other hands' drivers.
         imported = getattr(importlib.import_module(module_name), class_name)
     except Exception as error:  # importing a module of another package may raise anything
         raise ConfigError(f"{what} cannot be imported: {error}") from error

@@ -51,8 +51,8 @@ class Fault:
     Attributes:
         name: Its name for messages.
         hint: What to do.
-        warning: It does not stop the gripper.
-        major: Only a reset with a new activation clears it.
+        warning: Whether the gripper goes on in spite of it.
+        major: Whether only a reset with a new activation clears it.
     """
 
     name: str

@@ -44,9 +44,9 @@ class RobotiqProperties:
         framing: ``rtu`` or ``tcp``.
         baudrate: Bits per second.
         activation_time: Duration of the activation [s].
-        activated: It is activated at power-up, as after an earlier connection.
+        activated: Whether it is activated at power-up, as after an earlier connection.
         functions: Function codes that it knows.
-        haste: How much faster than the real one it moves and activates.
+        haste: Factor by which it moves and activates faster than the real one.
     """
 
     unit: Byte = 9
@@ -145,7 +145,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         self._fault = self.CODES.get(fault, self._fault)
 
     def clear(self, fault: str | None = None) -> None:
-        """Take the cause of a fault away; major faults stay until the host resets the gripper."""
+        """Remove the cause of a fault; major faults stay until the host resets the gripper."""
         super().clear(fault)
         if self._fault == self.CODES[self.PASSING] and self.PASSING not in self.faults:
             self._fault = 0
@@ -251,7 +251,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self._fault = _RELEASED
 
     def _progress_by(self, dt: float) -> None:
-        """Go on with an activation under way."""
+        """Continue an activation under way."""
         if self._progress is Progress.ACTIVATING:
             self._activate(dt)
 
@@ -274,5 +274,5 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self.activations += self._progress is Progress.ACTIVATING
             self._progress = Progress.DONE
             self._halt()
-            # A target that came meanwhile is followed only from here on.
+            # A target received meanwhile is followed only from here on.
             self._obey(self._command())

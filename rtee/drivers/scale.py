@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class LinearScale:
-    """The straight line through two points, each a device's value and the SI value it stands for.
+    """The straight line through two points, each a device's value and its SI value.
 
     Attributes:
         raw: The device's values at the two points [counts].
@@ -26,7 +26,7 @@ class LinearScale:
         return (self.si[1] - self.si[0]) / (self.raw[1] - self.raw[0])
 
     def to_si(self, raw: float) -> float:
-        """Return the SI value that a device's value stands for."""
+        """Return the SI value of a device's value."""
         share = (raw - self.raw[0]) / (self.raw[1] - self.raw[0])
         return self.si[0] + share * (self.si[1] - self.si[0])
 

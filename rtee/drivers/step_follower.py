@@ -94,6 +94,7 @@ class StepFollower:
         rested = now - self._since >= self._settle
         sent = self._sent
         if sent is None:
+            # It may hold something, which it keeps until the reference leaves the measured width.
             if busy or abs(target - here) <= self._same:
                 return Order.NOTHING
         elif busy:
@@ -102,6 +103,7 @@ class StepFollower:
             # A greater force can wait until the gripper has arrived, a smaller one cannot.
             if not passes and force >= sent[1]:
                 return Order.NOTHING
+            # After the stop it rests here, as if it had been sent here with the same force.
             self._due = here, sent[1]
             return Order.STOP
         else:

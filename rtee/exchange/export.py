@@ -130,6 +130,7 @@ def _parsed(text: str) -> ElementTree.Element:
 def _drop_repeated(joint: ElementTree.Element) -> None:
     """Keep only the first of repeated elements, as rtee reads them; MuJoCo refuses repetitions."""
     seen: set[str] = set()
+    # A copy of the list, since the loop removes children.
     for child in list(joint):
         if isinstance(child.tag, str) and child.tag in seen:
             joint.remove(child)

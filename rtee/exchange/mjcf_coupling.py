@@ -57,7 +57,7 @@ def motion_of(model: mujoco.MjModel) -> Motion:
             motors, or a joint follows several motors, or a linkage cannot be solved.
     """
     constraints = constraints_of(model)
-    # First of all, since what is held drops motors, and followers of it need no solution.
+    # First of all, since held joints drop their motors, and their followers need no solution.
     _hold(constraints)
     motion = Motion(fixed=dict(constraints.fixed), notes=list(constraints.notes))
     held = [motor for motor in constraints.motors if motor.joint in constraints.fixed]
@@ -95,6 +95,7 @@ def motion_of(model: mujoco.MjModel) -> Motion:
 def _hold(constraints: Constraints) -> None:
     """Hold the joints that follow only held ones, and the masters of held linear followers."""
     left: list[Curve] = []
+    # Until nothing changes: a joint that is held may hold its followers in turn.
     while len(left) != len(constraints.curves):
         left, constraints.curves = constraints.curves, []
         for curve in left:
@@ -154,6 +155,7 @@ def _supposed_motors(
         chosen: list[int] = []
         for joint in group.joints:
             lines = [*group.lines, *(Line({each: 1.0}, 0.0) for each in (*chosen, joint))]
+            # A joint that the couplings and the chosen ones already determine needs no motor.
             rank = int(np.linalg.matrix_rank(_matrix(lines, group.joints)))
             if len(chosen) < free and (group.loops or group.curves or rank == len(lines)):
                 chosen.append(joint)
@@ -373,7 +375,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> 
         )
     motor = group.motors[0]
     factors = motor_factors(model, motor)
-    # The first joint stands for a tendon, whose length no joint has alone.
+    # The first joint represents a tendon, whose length no joint has alone.
     joint = min(factors or group.joints)
     lower, upper = joint_range(model, joint)
     if motor.joint is not None:
@@ -389,6 +391,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> 
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
     linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs)
     solved = solve_loop(linkage, (lower, upper), what) if others else None
+    # A tendon's force is no effort of one joint: its lever is not known here.
     effort = 0.0 if motor.tendon is not None else motor.effort
     if solved is None:
         motion.driven[joint] = Driven(lower, upper, effort)

@@ -50,6 +50,7 @@ def differential_motion(
         return None
     for chosen in itertools.combinations(carrying, len(motors)):
         slopes = np.array([rows[joint][1:] for joint in chosen])
+        # Joints whose positions do not determine those of the motors cannot represent them.
         if abs(np.linalg.det(slopes)) < TINY:
             continue
         motors_by_joints = np.linalg.inv(slopes)

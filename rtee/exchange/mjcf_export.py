@@ -78,6 +78,7 @@ def mjcf_of(hand: Hand) -> tuple[str, list[str]]:
         qpos=rest_position(model, plain),
         ctrl=[hand.rest[hand.actuator_index(motor.name)] for motor in spec.actuators],
     )
+    # Again, since the model now has the keyframe.
     model = spec.compile()
     return _in_full(spec.to_xml(), spec, model), [*built.notes, *names, *notes]
 

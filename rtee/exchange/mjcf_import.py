@@ -89,6 +89,7 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
         with listening(notes):
             motion = motion_of(model)
     except ModelError as error:
+        # The solution knows only the model and not its file.
         error.path = source.path
         raise
     except np.linalg.LinAlgError:

@@ -111,6 +111,7 @@ class Linkage:
         flags = mujoco.mjtDisableBit
         # Contacts and limits would move the joints, but only the equalities are solved here.
         model.opt.disableflags |= flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT
+        # Dense, so that `efc_J` is a plain matrix.
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.model, self.joint, self.others = model, joint, list(others)
         self._data = mujoco.MjData(model)
@@ -192,6 +193,8 @@ class Linkage:
                 best, least = q, size
             if size < _CLOSED and not self._by_springs:
                 break
+            # By the pseudo-inverse, since equalities of a linkage are often redundant: in a plane,
+            # one of the three equations of a `connect` always holds.
             step = -np.linalg.pinv(jacobian, rcond=_SINGULAR) @ residual
             if self._by_springs:
                 # Along the open directions, to the equilibrium of the springs.

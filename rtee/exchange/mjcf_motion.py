@@ -142,7 +142,7 @@ class Motion:
     Attributes:
         driven: The joints with motors.
         follows: The joints that follow others.
-        fixed: Positions of the joints that stand still [rad | m].
+        fixed: Positions of the joints that do not move [rad | m].
         passive: The joints that no motor moves.
         dropped: Joints of motors that are not part of the hand.
         notes: Sentences about choices.
@@ -192,6 +192,7 @@ def tendon_factors(model: mujoco.MjModel, tendon: int) -> dict[int, float] | Non
         if model.wrap_type[i] != mujoco.mjtWrap.mjWRAP_JOINT:
             return None
         joint = int(model.wrap_objid[i])
+        # Added up, since a tendon may name a joint several times.
         factors[joint] = factors.get(joint, 0.0) + float(model.wrap_prm[i])
     return factors
 
@@ -285,6 +286,7 @@ def _motors(model: mujoco.MjModel) -> list[Motor]:
             raise ModelError(
                 f"actuator '{name}' moves neither a joint nor a tendon, which rtee cannot command"
             )
+        # Joints and tendons use the first of the six numbers.
         gear = float(model.actuator_gear[i, 0])
         # Without a gear the motor has no effect on the joint.
         if abs(gear) < TINY:
@@ -323,6 +325,7 @@ def _targets(model: mujoco.MjModel, i: int, gear: float) -> tuple[float, float]:
 def _effort(model: mujoco.MjModel, i: int, joint: int | None, gear: float) -> float:
     limits = []
     if model.actuator_forcelimited[i]:
+        # The larger side, since rtee has one limit for both directions.
         limits.append(float(np.abs(model.actuator_forcerange[i]).max()) * abs(gear))
     # The force is the control times the gain only without a bias, unlike that of a servo.
     elif model.actuator_ctrllimited[i] and model.actuator_biastype[i] == mujoco.mjtBias.mjBIAS_NONE:
@@ -411,7 +414,8 @@ def joint_range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 def null_space(matrix: FloatArray, least: float | None = None) -> FloatArray:
     """Return an orthonormal basis ``(n, k)`` of the null space of a matrix ``(m, n)``.
 
-    Singular values up to ``least`` count as 0; unless given, `TINY` times the largest, or 1.
+    Singular values up to ``least`` count as 0; by default `TINY` times the largest, but at
+    least `TINY`.
     """
     if not matrix.size:
         return np.eye(matrix.shape[1])

@@ -232,6 +232,7 @@ class ClearSearch:
         """
         y, collided = start, list[LinkPair]()
         for _ in range(self._budget.pushes):
+            # Rounded as stored: what is checked must be the posture that is kept.
             u = self._function.stored(y)
             # Check nested links, which are costly, only if the others are clear.
             hits = self._checker.unnested(u) or self._checker.nested(u)
@@ -291,6 +292,7 @@ class ClearSearch:
         for _ in range(self._budget.trust_steps):
             if self._out_of_budget:
                 break
+            # Linear gaps meet in kinks, for which `polish` is made.
             trial = polish(
                 self._above(gaps, y),
                 y,
@@ -305,6 +307,7 @@ class ClearSearch:
             elif hits := self._collides(trial):
                 radius *= _TIGHTER
                 new = {pair.links: pair for pair in hits if pair.links not in concerned}
+                # Only links that have collided before are bounded, so new ones are added here.
                 concerned |= new
                 gaps += self._linear_gaps(y, new.values()) if new else []
             else:

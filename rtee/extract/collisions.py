@@ -247,6 +247,8 @@ class CollisionChecker:
     def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
         """Return the first collision of these links on a path, or ``None``."""
         first: Blocked | None = None
+        # In the order of their beginnings, so that runs behind the first collision need no exact
+        # checks.
         for pair, ends in sorted(self._near_runs(path, pairs), key=lambda run: run[1][0]):
             if first is not None:
                 if ends[0] >= first.at:
@@ -312,6 +314,7 @@ class CollisionChecker:
     def _first_in(self, pair: LinkPair, path: StraightPath, ends: Sequence[float]) -> float | None:
         """Return the intensity of a pair's first contact on a run of the path, or ``None``."""
         travelled = self._motion.travelled(pair, path, ends)
+        # Equal steps of motion instead of intensity: links move unevenly along the path.
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
         before, margin = ends[0], self._margin_of[pair.number]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:

@@ -123,6 +123,7 @@ class Constraints:
                 # The exact gap may be added to the overlap of the convex parts.
                 gap = self._scene.exact_distance(c.pair) - margin
                 c.allowance = max(c.allowance, COARSE.rounded_value(overlap + gap - CLOSE))
+                # The weight was raised for the old allowance; the new one may need less.
                 c.weight = WEIGHT
 
     def learn(self, pair: LinkPair, y: FloatArray) -> None:
@@ -135,6 +136,7 @@ class Constraints:
             return
         path = self._path(y)
         at = bisect(self._scene, pair, path, 0.0, 1.0, self._checker.margin(pair), _COARSE)
+        # A little before the contact, whose intensity is known only to `_COARSE`.
         overlap = self._overlap(pair, path, max(0.0, at - _COARSE))
         self._known.append(Constraint(pair, _POSE, overlap))
 
@@ -224,6 +226,7 @@ class Constraints:
                 return value, sloping
             slope = sloping()  # now, since the links are moved next
             for c in before:
+                # Only the least gap of all stations counts, like the maximum of their overlaps.
                 least, steepest = np.inf, slope
                 for t in c.times:
                     scene.place(from_rest(scene.hand.rest, u, t))

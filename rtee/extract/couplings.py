@@ -36,6 +36,7 @@ class Couplings:
         """Return joint positions ``(m,)`` at actuator positions ``(n,)`` [rad | m]."""
         q: FloatArray = matvec(self._matrix, u) + self._offset
         for table in self._tables:
+            # Their rows of the matrix are 0, and the table has their whole position.
             q[table.rows] = table.at(float(u[table.actuator]))[0]
         return q
 

@@ -177,6 +177,7 @@ def _search_line(
         if new > value + _DECREASE * dot(slope, inside - y):
             above = t
         else:
+            # Not before: half of the trials are too long and need no derivative.
             new_slope = resolution.rounded_slope(rise())
             if best is None or new < best[1]:
                 best = (inside, new, new_slope)

@@ -90,12 +90,14 @@ class DistanceQueries:
             self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
         self._data = self._model.createData()
         distance = coal.DistanceRequest()
+        # One contact is enough, since only whether they touch is asked.
         collision = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
         if self._guided:
             distance.gjk_initial_guess = collision.gjk_initial_guess = coal.CachedGuess
         for k in range(len(self.couples)):
             self._data.distanceRequests[k] = distance
             self._data.collisionRequests[k] = collision
+        # Their elements are Pinocchio's own requests, so that changes below take effect.
         self._distances = list(self._data.distanceRequests)
         for request, (i, j) in zip(self._distances, self.couples, strict=True):
             if draft and not any(isinstance(bodies[n], _ENDLESS) for n in (i, j)):

@@ -93,6 +93,7 @@ def _simplified(part: coal.ConvexBase) -> Draft:
     more than the slack, adds the farthest one, until there is none.
     """
     points = np.array(part.points())
+    # Each once, since several directions may have the same outermost vertex.
     chosen = np.unique(_along(points, _DIRECTIONS).argmax(axis=0))
     for _ in range(_ROUNDS):
         hull = hull_of(points[chosen])

@@ -178,6 +178,7 @@ class MultiPinchGoal:
     def value(self) -> float:
         """Return the value [m]."""
         gaps = self._scene.distances(self._pairs)
+        # Only the gaps of the tree are closed: the tips are linked without the others.
         tree = spanning_tree(self._size, self._ends, gaps)
         value = sum(min(gap, 0.0) for gap in gaps)
         value += _PULL * sum(max(0.0, gaps[i] + _MARGIN) for i in tree)

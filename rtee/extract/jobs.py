@@ -50,6 +50,7 @@ def parallel_map(
     """
     total, jobs = len(tasks), min(jobs, len(tasks))
     done: dict[int, Result] = {}
+    # A fork copies locks that other threads hold, but not the threads that would release them.
     if jobs > 1 and sys.platform.startswith("linux") and threading.active_count() == 1:
         # Processes of the caller must not be killed below.
         others = set(active_children())

@@ -226,6 +226,7 @@ class DistanceBounds:
     def learn(self, pairs: NDArray[np.intp], gaps: Sequence[float], joints: FloatArray) -> None:
         """Store the distances [m] of pairs, by their indices, at joint positions ``(m,)``."""
         self._gaps[pairs] = gaps
+        # Each pair with its own positions, since pairs are measured at different postures.
         self._joints[pairs] = joints
 
 

@@ -379,6 +379,7 @@ class _Table:
                 continue
             towards = (centre - point) / distance
             moved = way.jacobian(finger, point)
+            # Twice, since the opening is a diameter and each tip closes a radius.
             lever += 2.0 * vecmat(towards, moved) / len(fingers)
             angle = max(angle, _angle(matvec(moved, way.direction), towards))
         return _Sample(2.0 * max(distance for distance, _ in reach), lever, angle)

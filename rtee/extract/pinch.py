@@ -101,6 +101,7 @@ class PinchSearch:
                 # With full margins; reduced ones are only for pinches without such a posture.
                 if any(candidate.margin for candidate in candidates):
                     break
+        # Further deep postures take the places that clear ones have left.
         candidates += candidates_of(probe.postures[1 : most + 1 - len(candidates)])
         names = tuple(finger.name for finger in self._fingers)
         return FoundPinch(probe.kind, names, ranked(self._hand, candidates, self._rank))

@@ -97,6 +97,7 @@ class Scene:
         self._stacks: dict[tuple[tuple[int, bool], ...], FloatArray] = {}
         self._joints = np.zeros((6, self._model.nv))
         self._stamp = self._jacobian_stamp = 0
+        # At rest, where `_tip_pairs` tests which joined tips touch.
         self.place(hand.rest)
         self.tips = self._tip_pairs()
 
@@ -220,6 +221,7 @@ class Scene:
         known = self._stacks.get(key)
         if known is None:
             if len(self._stacks) >= _MOST_STACKS:
+                # All at once, since the sets of earlier searches hardly come back.
                 self._stacks.clear()
             known = self._stacks[key] = np.array([pair.moved_by for pair, _ in terms])
         return known

@@ -84,6 +84,7 @@ class MotorControl:
         for motor, error in enumerate(errors):
             rate = codec.velocity(counts[motor], motor)
             torque = self.stiffness * error + self.damping * (self._feed[motor] - rate)
+            # The limit last, since it applies to the sum of both terms.
             torques.append(_within(_REFERRED[motor] * torque, self._efforts[motor]))
         return torques
 

@@ -96,7 +96,7 @@ class JointControl:
         """
         pause, self._heard = stamp - self._heard > self._pause, stamp
         if pause and self._fresh and not self._parted:
-            # After a lost frame a set began amid another one, and so would all that follow.
+            # After a lost frame a set began in the middle of another one, as would all later ones.
             self._fresh.clear()
         if not self._fresh:
             self._parted = pause
@@ -143,5 +143,6 @@ class JointControl:
                 # At the end, since the limit applies to the sum of all terms.
                 torque = min(max(torque, -self._limit[i]), self._limit[i])
             self.torque[i] = torque
+            # Rounded towards zero, so as not to exceed the limit.
             counts.append(int(torque * self.scale.pwm_per_torque))
         return [counts[f * PER_FINGER : (f + 1) * PER_FINGER] for f in range(FINGERS)]

@@ -108,6 +108,7 @@ class AllegroDriver(Driver):
         version = info.version if options.version is None else options.version
         # A new one, so that no position of an earlier connection counts as measured.
         self.control = self._controller(version)
+        # Before the periods are set, so that no frame of the first set is missed.
         link.listen(self._receive)
         await link.set_periods(Periods(self._period(version)))
         await self._first_set()
@@ -150,6 +151,7 @@ class AllegroDriver(Driver):
         while not self.control.sets:
             if time.monotonic() > end:
                 raise NotConnected(self.spec.name, "the hand does not report its positions")
+            # About one period of the hand's frames.
             await asyncio.sleep(0.002)
 
     async def activate(self) -> None:

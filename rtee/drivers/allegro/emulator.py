@@ -111,6 +111,7 @@ class _Joint:
         if self.velocity and velocity * self.velocity < 0.0 and abs(push) <= 2.0 * drag:
             velocity = 0.0
         self.velocity = velocity
+        # By the new velocity (semi-implicit Euler), so that a contact's oscillation stays bounded.
         angle = self.angle + dt * velocity
         if not self.lower <= angle <= self.upper:
             angle = min(max(angle, self.lower), self.upper)

@@ -85,6 +85,7 @@ class AllegroLink:
 
 def _reader(finger: int, on_positions: OnPositions) -> Callable[[CanFrame], None]:
     def read(frame: CanFrame) -> None:
+        # Another host's request has the same identifier as the hand's answer.
         if frame.remote:
             return
         try:

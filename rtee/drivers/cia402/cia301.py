@@ -73,6 +73,7 @@ def heartbeat(node: int, state: NmtState) -> CanFrame:
 def read_heartbeat(data: bytes) -> NmtState:
     """Return the state in a heartbeat; raises `CanopenFrameError`."""
     try:
+        # The top bit is no part of the state: it toggles in the older node guarding.
         return NmtState(data[0] & 0x7F)
     except (IndexError, ValueError) as error:
         raise CanopenFrameError("this is not a heartbeat") from error

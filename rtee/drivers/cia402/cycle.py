@@ -82,11 +82,13 @@ class DriveCycle:
         # Before sending, since an answer counts only if it is newer than this SYNC.
         before = [drive.stamp for drive in self.drives]
         bus.send_now(CanFrame(cia301.SYNC))
+        # Counted here, since the bus sees only single frames.
         bus.counters.transactions += 1
         end = now + self._options.deadline
         while True:
             bus.check()
             late = [d.id for d, stamp in zip(self.drives, before, strict=True) if d.stamp <= stamp]
+            # Checked before missing answers, which a restart explains.
             restarted = [d for d in self.drives if d.booted]
             if restarted:
                 raise NotConnected(
@@ -179,10 +181,12 @@ class DriveCycle:
                 edge = drive.controlword == Control.DISABLE_VOLTAGE
                 drive.controlword = Control.FAULT_RESET if edge else Control.DISABLE_VOLTAGE
                 drive.forget()
+            # A lost frame costs one round; only the end of the time is a failure.
             with contextlib.suppress(BusTimeout):
                 await self.exchange()
         for drive in self.drives:
             drive.emergency = None
+            # Drives that had no fault keep their power.
             enabled = drive.state is State.ENABLED
             drive.controlword = Control.ENABLE if enabled else Control.DISABLE_VOLTAGE
 
@@ -249,6 +253,7 @@ class DriveCycle:
         while True:
             if drive.status is not None and drive.status.mode == Mode.HOMING:
                 begun = min(begun, time.monotonic())
+            # Homing begins with the rising edge of its bit, which counts only in homing mode.
             started = math.isfinite(begun)
             drive.controlword = Control.ENABLE | (codec.HOMING_START if started else 0)
             with contextlib.suppress(BusTimeout):

@@ -103,6 +103,7 @@ class DriveLink:
             (cia301.EMERGENCY + self.id, self._receive_emergency),
         ):
             self._undo.append(self.bus.subscribe(receive, cob))
+        # A broken bus, too, has to end the wait for answers.
         self._undo.append(self.bus.watch(notify))
 
     def detach(self) -> None:
@@ -192,6 +193,7 @@ class DriveLink:
         except DriverError:
             self.found_target = None
         self.download(Object.PRODUCER_HEARTBEAT, 0, "H", max(1, round(beat * 1000.0)))
+        # CiA 301, object 1016h: node id and time [ms] in one value; 0 ends the watch.
         limit = host << 16 | round(silence * 1000.0) if silence > 0.0 else 0
         self.download(Object.CONSUMER_HEARTBEAT, 1, "I", limit)
         if silence > 0.0:

@@ -82,6 +82,7 @@ class Cia402Driver(Driver):
 
     async def configure(self) -> None:
         """Open the network, identify the drives, set up their process data; enables nothing."""
+        # Not left to `open`: the old drives' subscriptions have to end, too.
         await self.close()
         options = self.options
         cycle = await self.connection.open(
@@ -94,6 +95,7 @@ class Cia402Driver(Driver):
             ),
             lambda bus: DriveCycle(self.spec, bus, options),
         )
+        # SDO transfers block, so they run in the worker thread, one drive after the other.
         bus = cycle.bus
         identities = [
             await bus.run(
@@ -154,6 +156,7 @@ class Cia402Driver(Driver):
         self._active = False
         if self.connection.is_open:
             cycle = self.connection.link
+            # Otherwise the drives would take the end of the heartbeats for a failure.
             if cycle.bus.connected and cycle.operational and self.options.watchdog > 0.0:
                 with contextlib.suppress(RteeError, OSError):
                     await cycle.bus.run(partial(_disarm, cycle), _DISARM_WITHIN)
@@ -186,6 +189,7 @@ class Cia402Driver(Driver):
             self._homed.add(drive.id)
         self._home_asked = False
         for drive, holds in zip(cycle.drives, holding, strict=True):
+            # Homing has moved the drive and its zero, so an older target means nothing.
             if not holds:
                 drive.assume(drive.position)
         self._attached.begin(i for i, holds in enumerate(holding) if holds)
@@ -230,6 +234,7 @@ class Cia402Driver(Driver):
         drives = cycle.drives
         return ActuatorState.measured(
             [d.scale.to_position(d.position) for d in drives],
+            # The oldest, since the state has one time for all drives.
             min(d.stamp for d in drives),
             velocity=[d.scale.to_velocity(d.motion.velocity) for d in drives],
             effort=[d.scale.to_effort(d.motion.torque) for d in drives],
@@ -272,6 +277,7 @@ class Cia402Driver(Driver):
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
+            # A SYNC first, which brings the positions to hold up to date.
             await patiently(cycle.synchronise)
             self._attached.begin()
             for drive in cycle.drives:
@@ -302,6 +308,7 @@ class Cia402Driver(Driver):
 def _disarm(cycle: DriveCycle) -> None:
     """Stop the drives from watching this program's heartbeat; in the worker thread."""
     for drive in cycle.drives:
+        # One attempt: closing must not wait long for a drive that is gone.
         drive.download(Object.CONSUMER_HEARTBEAT, 1, "I", 0, tries=1)
 
 

@@ -428,6 +428,7 @@ def way_home(
     """
 
     def pulse(start: float, direction: int) -> Leg:
+        # The next pulse ahead, even if it starts on one.
         return Leg((math.floor(direction * start / turn) + 1) * turn * direction, slow)
 
     return {

@@ -84,6 +84,7 @@ async def check_device(spec: DeviceSpec, pool: BusPool, *, search: bool = True) 
     plan = None if spec.emulated or not search else _search(options)
     try:
         found += await _connected(driver, pool, plan)
+    # The driver may have opened its bus even if a check has failed.
     finally:
         await driver.close()
     if address is not None and network and _unreached(found):

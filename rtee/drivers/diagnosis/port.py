@@ -46,6 +46,7 @@ async def _network(address: str) -> Check:
         refused = error.errno == errno.ECONNREFUSED
         text = f"{host} refuses port {port}" if refused else f"{host} cannot be reached: {error}"
         return wrong("address", text, f"ping {host}   # and is it the right port?")
+    # At once: many devices serve only one connection.
     writer.close()
     with contextlib.suppress(OSError):
         await writer.wait_closed()

@@ -40,6 +40,7 @@ async def ended(bus: Bus, answers: Awaitable[list[Found]]) -> list[Found]:
     try:
         return await answers
     finally:
+        # The next probe opens the same port, often at another rate.
         await bus.detach(OWNER)
 
 
@@ -277,6 +278,7 @@ def dynamixel(baudrate: int) -> Probe:
         return BAUD_RATES[value] if heard else baudrate
 
     def everybody(bus: DynamixelBus) -> list[tuple[int, int, int, int]]:
+        # It takes as long as answers of all possible ids would take on the line.
         data, _ = bus.packets.broadcastPing(bus.port)
         return [(n, *data[n], reported_rate(bus, n)) for n in sorted(data)]
 
@@ -322,6 +324,7 @@ def feetech(baudrate: int) -> Probe:
     async def listen(bus: SerialBus, address: str) -> list[Found]:
         if not await anybody(bus):
             return []
+        # Any family will do: only the model's raw bytes are used, whose order tells the family.
         link, found = FeetechLink(bus, FAMILIES["sts"], _SERVO, 0), []
         for number in range(LARGEST_ID + 1):
             try:

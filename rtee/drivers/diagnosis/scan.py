@@ -117,6 +117,7 @@ async def _ask(plan: Plan, pool: BusPool, tell: Callable[[str], None]) -> Addres
             if not found:
                 return Address(plan.address, plan.about, problem=error.message)
             continue
+        # The line speaks this protocol, so probes of others would only disturb it.
         if answers:
             protocol = probe.name
             found += [one for one in answers if one not in found]

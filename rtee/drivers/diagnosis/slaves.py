@@ -116,6 +116,7 @@ async def _registers(
 ) -> tuple[int, ...] | ModbusRefusal | None:
     try:
         return await bus.read(unit, address, count, deadline=ANSWER, retries=0)
+    # A refusal is an answer, which says that there is a slave.
     except ModbusRefusal as refusal:
         return refusal
     except (BusTimeout, FrameError):

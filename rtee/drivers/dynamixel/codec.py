@@ -150,6 +150,7 @@ class InstructionPacket:
     def from_bytes(cls, raw: bytes) -> Self:
         """Return the packet that ``raw`` is; raises `DynamixelFrameError`."""
         device, body = _opened(raw)
+        # On a half-duplex line, a servo receives the answers of the others, too.
         if body[0] == STATUS:
             raise DynamixelFrameError("this is a status packet")
         body = unstuff(body)
@@ -187,6 +188,7 @@ def fast_status(answers: Sequence[StatusPacket], sizes: Sequence[int] | None = N
     length = 1 + sum(size + 4 for size in sizes)
     packet = HEADER + struct.pack("<BHB", BROADCAST, length, STATUS)
     for answer in answers:
+        # Not stuffed, since the SDK does not undo it in fast reads.
         packet += bytes([answer.error, answer.device]) + answer.params
         packet += struct.pack("<H", crc16(packet))
     return packet
@@ -223,6 +225,7 @@ class InstructionParser(FramedParser[InstructionPacket]):
     def _tried(self, at: int, length: int) -> InstructionPacket | None:
         packet = super()._tried(at, length)
         if packet is None and length and at == 0 and self._buffer[7] != STATUS:
+            # Stored only for a wrong CRC, which a servo answers with an error.
             raw = self._buffer[:length]
             if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8:
                 self.damaged = [*self.damaged[-7:], (raw[4], raw[7])]

@@ -76,7 +76,8 @@ class ServoCycle:
         """Find all servos and adopt the units of their models; raises as `setup.find`."""
         named = {name: self._options.servos[name] for name in self.names.values()}
         self.found = setup.find(self.link, self._device, named, self._options.port)
-        # The delay of each answer, in the register's unit of 2 µs.
+        # In a group read the servos answer one after the other, so their delays add up; the
+        # register counts in units of 2 µs.
         self.link.delay = sum(found.return_delay for found in self.found.values()) * 2e-6
         for servo, scale in zip(self._servos, self.scales, strict=True):
             model = model_of(self.found[servo.id].model)
@@ -110,6 +111,7 @@ class ServoCycle:
                     f"device '{self._device}': the range of '{actuator.name}' crosses the turn "
                     "of its servo; use mode 'extended_position' or 'current_based_position'"
                 )
+        # `Scales` has copies of the zeros and turns, so it is made again when they change.
         self._units = Scales(self.link.ids, self.scales)
 
     def set_zeros(self, angles: FloatArray) -> None:
@@ -136,6 +138,8 @@ class ServoCycle:
         self.check()
         positions = self.positions()
         torque, _ = link.read_group(table.TORQUE.address, 1)
+        # Servos with torque are not set up: writing some registers needs the torque off, which
+        # would end a grip.
         off = {n: replace(self.found[n], torque=False) for n in link.ids if not torque[n][0]}
         at_rest = {n: positions[n] for n in off}
         setup.prepare(link, self._options, off, self._as_goals(at_rest), self._current_limits())
@@ -144,10 +148,12 @@ class ServoCycle:
         # After clearing a tripped watchdog, a servo must not move to its old goal.
         tripped = {n: positions[n] for n in link.ids if guard[n][0] == _TRIPPED}
         link.write_confirmed(table.GOAL_POSITION, self._as_goals(tripped), within=setup.NEAR)
+        # All others have got their own positions as goals, so they grip nothing.
         self._attached.begin(i for i, n in enumerate(link.ids) if n not in off and n not in tripped)
         # Limits written before a power cycle are lost.
         self._sent, self._limits = {}, None
         if off:
+            # `prepare` may have changed return delays, and with them the time to wait for answers.
             self.find()
 
     # --- every cycle -------------------------------------------------------------------------
@@ -175,6 +181,7 @@ class ServoCycle:
             velocity=velocity,
             effort=effort,
             current=current,
+            # A copy, since each state needs new arrays and this one is read only now and then.
             temperature=self._temperature.copy(),
             extras=self._extras,
         )
@@ -223,6 +230,7 @@ class ServoCycle:
             mask = [commanded and i not in left for i, commanded in enumerate(mask)]
         limits = reference.max_effort.tolist(), reference.max_velocity.tolist(), mask
         if limits != self._limits:
+            # Forgotten first, so that a failed write is repeated in the next cycle.
             self._limits = None
             self._write_limits(*limits)
             self._limits = limits
@@ -236,6 +244,7 @@ class ServoCycle:
 
     def hold(self) -> None:
         """Make the present positions the goals; raises `BusError`."""
+        # The new goals end every grip, so no actuator is left alone any more.
         self._attached.begin()
         self.link.write_confirmed(table.GOAL_POSITION, self._as_goals(self.positions()))
 
@@ -243,6 +252,7 @@ class ServoCycle:
         """Return positions [pulse] limited to the goals that the servos accept."""
         if self._options.mode != "position":
             return dict(positions)
+        # A joint may rest a little outside the limits, where the servo would refuse the goal.
         return {
             n: min(max(at, self.found[n].lowest), self.found[n].highest)
             for n, at in positions.items()
@@ -280,6 +290,7 @@ class ServoCycle:
         changed = {n: v for n, v in values.items() if sent.get(n) != v}
         if changed:
             self.link.write_group(register, changed)
+            # Not before the write, so that a failed one is repeated.
             sent.update(changed)
 
     def _current_limits(self) -> dict[int, int]:

@@ -78,6 +78,7 @@ class DynamixelDriver(CalibratesServos):
         # Bytes of the read request, the answers (one packet, or one per servo), the write request.
         answer = 8 + n * (size + 4) if fast else n * (size + 11)
         count = 14 + n + answer + 14 + n * 5
+        # A byte takes ten bits on the line: eight of data between a start and a stop bit.
         return 1.0 / (count * 10.0 / self.options.baudrate + self.options.turnaround)
 
     # --- life --------------------------------------------------------------------------------
@@ -137,6 +138,7 @@ class DynamixelDriver(CalibratesServos):
         """Set up the servos without torque and power them at their positions."""
         cycle = self.connection.link
         cycle.link.patient = True
+        # Again, since a power cycle after `configure` has reset the turn counts.
         await cycle.link.run(cycle.unwrap, _SLOW)
         await cycle.link.run(cycle.power, _SLOW)
         # From now on the exchanges have to fit into a cycle.
@@ -153,6 +155,7 @@ class DynamixelDriver(CalibratesServos):
         """Disable the torque."""
         if self.connection.is_open:
             cycle = self.connection.link
+            # From here on, missing torque is no fault.
             cycle.active = False
             await cycle.link.run(cycle.release, _ONE_SERVO)
 
@@ -183,6 +186,7 @@ class DynamixelDriver(CalibratesServos):
 
     async def stop(self) -> None:
         """Hold the measured posture."""
+        # It must not raise, not even before the line is open.
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
             await patiently(partial(cycle.link.run, cycle.hold))
@@ -200,6 +204,7 @@ class DynamixelDriver(CalibratesServos):
         broken = await link.run(partial(setup.hurt, link), _SLOW)
         for number in broken:
             await link.run(partial(link.reboot, number), _ONE_SERVO)
+        # A servo is silent until its reboot is done.
         end = time.monotonic() + self.options.reboot_time
         while broken:
             await asyncio.sleep(_REBOOT_POLL)

@@ -71,6 +71,7 @@ async def set_id(
 
 async def _set_rate(pool: BusPool, port: str, old: int, number: int, new: int) -> None:
     for _ in range(_ATTEMPTS):
+        # Opened for each attempt, as `model_at` below opens the same line at the new rate.
         bus = await _line(pool, port, old)
         try:
             await _store(bus, number, table.BAUD_RATE, table.BAUD_RATES.index(new))

@@ -59,6 +59,7 @@ class GroupRead(sdk.GroupSyncRead):  # type: ignore[misc]
             data, result, error = self.ph.readRx(self.port, number, self.data_length)
             if result != sdk.COMM_SUCCESS:
                 return int(result)
+            # The SDK passes on an answer of any length whose checksum is right.
             if len(data) < self.data_length:
                 return int(sdk.COMM_RX_CORRUPT)
             self.data_dict[number], self.errors[number] = data, error
@@ -176,6 +177,7 @@ class DynamixelLink:
 
         try:
             self.repeated(attempt)
+        # A broken line is passed on: it says nothing about this servo.
         except (BusTimeout, FrameError):
             return None
         return found[-1]
@@ -267,5 +269,6 @@ class DynamixelLink:
 
     def reboot(self, number: int) -> None:
         """Reboot a servo, whether it answers or not."""
+        # As in `repeated`. The result does not matter: the caller pings the servo until it is back.
         self.bus.port.is_using = False
         self.bus.packets.reboot(self.bus.port, number)

@@ -187,6 +187,7 @@ class Servo(EmulatedServo):
     def factory_reset(self, now: float, option: int) -> None:
         """Reset the EEPROM, too; option 1 keeps the id, 2 also the baud rate."""
         kept = {0x01: (table.ID,), 0x02: (table.ID, table.BAUD_RATE)}.get(option, ())
+        # The model number is the servo's identity and no setting.
         values = [(register, self.get(register)) for register in (*kept, table.MODEL)]
         self._memory.reset(table.REGISTERS)
         for register, value in values:
@@ -247,6 +248,7 @@ class Servo(EmulatedServo):
         torque = self.get(table.TORQUE)
         period = self.get(table.BUS_WATCHDOG) * table.WATCHDOG_UNIT
         if torque and period > 0.0 and now - self._heard > period:
+            # A trip as in the manual: the servo stops, and its profile registers become 0.
             self.set(table.BUS_WATCHDOG, -1)
             self.set(table.PROFILE_VELOCITY, 0)
             self.set(table.PROFILE_ACCELERATION, 0)

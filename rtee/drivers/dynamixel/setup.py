@@ -90,6 +90,7 @@ def find(
         HandshakeError: if some are missing or differ from what is expected.
         BusError: if the line fails.
     """
+    # All are pinged first, so that one message names all missing servos.
     models = {servo.id: link.ping(servo.id) for servo in servos.values()}
     expected = {name: (servo.id, servo.model) for name, servo in servos.items()}
     check_present(device, port, expected, models, _named)
@@ -139,11 +140,13 @@ def prepare(
         positions: Their present positions, as goals [pulse].
         currents: Their current limits [counts].
     """
+    # The mode before gains and goals: a servo that changes its mode resets its goals.
     mode = MODES[options.mode]
     for number, servo in found.items():
         if servo.mode != mode:
             # Only if it differs, since EEPROM wears out.
             link.write(number, table.OPERATING_MODE, mode)
+        # From the factory it is 0.5 ms, so 16 servos would delay every read by 8 ms.
         delay = options.return_delay
         if delay is not None and servo.return_delay != delay:
             link.write(number, table.RETURN_DELAY, delay)
@@ -161,6 +164,7 @@ def prepare(
     # Before the torque: an old goal would make the servo jump to it.
     goals = {n: positions[n] for n in found}
     link.write_confirmed(table.GOAL_POSITION, goals, within=NEAR)
+    # One by one, since a servo answers only its own write and so can refuse it.
     for number in found:
         link.write(number, table.TORQUE, 1)
 
@@ -184,6 +188,7 @@ def refuse(
     alerted = [number for number, error in errors.items() if error & ALERT]
     if not alerted:
         return
+    # The alert bit says that there is an error; this register says which.
     hardware = {}
     for number in alerted:
         data, _ = link.read_group(table.HARDWARE_ERROR.address, 1, [number])

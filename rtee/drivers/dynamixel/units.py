@@ -115,4 +115,5 @@ class Scales:
 
     def pulses(self, angles: FloatArray) -> list[int]:
         """Return the servos' positions [pulse] for the joints' angles [rad]."""
+        # Rounded before the turns are added, as in `Scale.to_pulses`, so that both agree.
         return [int(p) for p in (np.rint(angles / self._rad + self._zero) + self._turns).tolist()]

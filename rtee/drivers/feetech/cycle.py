@@ -172,6 +172,7 @@ class ServoCycle:
             if not {i, j} <= held:
                 held -= {i, j}
         self.attached.begin(held)
+        # At the end: until here, missing torque is no fault.
         self.active = True
 
     # --- every cycle -------------------------------------------------------------------------
@@ -206,6 +207,7 @@ class ServoCycle:
         try:
             states = await self.states()
         except BusTimeout:
+            # Remembered for the next cycle, which looks for a power cycle.
             self._silent = True
             raise
         stamp = time.monotonic()
@@ -252,6 +254,7 @@ class ServoCycle:
         torque, marked = POWERED, True
         for _ in range(2):
             torque, marked = await setup.condition(self.link, self.family, number)
+            # A servo that had no mark when it was found cannot lose it.
             marked = marked or not self.found[number].marked
             if torque == POWERED and marked:
                 return
@@ -299,6 +302,7 @@ class ServoCycle:
 
     async def move(self, reference: Reference) -> None:
         """Set positions, speeds and torque limits of the servos that a reference commands."""
+        # A copy, since the reference belongs to the caller.
         mask = reference.mask.copy()
         if self.attached:
             here = self.joints.positions(self._angles)
@@ -389,9 +393,12 @@ class ServoCycle:
         by_current = family.limits_torque == "current"
         for i, (position, speed, torque) in goals.items():
             low, high = self.found[self.ids[i]].limits
+            # Both limits are 0 in a servo that counts turns.
             if low < high:
                 position = min(max(position, low), high)
             values = family.pack(table.GOAL_POSITION, position)
+            # HLS servos have the goal torque in this register; in others it is a running time,
+            # which only counts without a speed.
             values += family.pack(table.GOAL_TIME, torque if by_current else 0)
             values += family.pack(table.GOAL_SPEED, speed)
             if family.limits_torque == "share":

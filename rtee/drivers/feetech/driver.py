@@ -175,6 +175,7 @@ class FeetechDriver(CalibratesServos):
         """Hold the measured posture; servos without torque stay without."""
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
+            # The new goals end every grip, so no actuator is left alone any more.
             cycle.attached.begin()
             with cycle.link.unhurried():
                 powered = cycle.ids
@@ -196,6 +197,7 @@ class FeetechDriver(CalibratesServos):
         `activate` powers them again.
         """
         cycle = self.connection.link
+        # From here on, missing torque is no fault.
         cycle.active = False
         with cycle.link.unhurried():
             states = await cycle.states()

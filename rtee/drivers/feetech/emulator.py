@@ -220,6 +220,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
 
 def _collided(answers: Sequence[bytes]) -> bytes:
     """Return the bytes on the wire when several servos send at once."""
+    # 0xFF: a servo that is done leaves the line at rest, which is high.
     columns = itertools.zip_longest(*answers, fillvalue=0xFF)
     return bytes(functools.reduce(operator.and_, column) for column in columns)
 

@@ -42,6 +42,7 @@ class Curve:
 
 
 def _line(x: Sequence[float], y: Sequence[float], at: float) -> tuple[float, float]:
+    # Clamped, so that the outermost segments continue beyond the points.
     i = min(max(bisect.bisect_right(x, at), 1), len(x) - 1)
     slope = (y[i] - y[i - 1]) / (x[i] - x[i - 1])
     return y[i - 1] + slope * (at - x[i - 1]), slope
@@ -72,6 +73,7 @@ class Differential:
         # The flexion may use the whole range, the tilt the rest.
         most = self.limit / max(abs(a), abs(c), 1e-9)
         bent = min(max(self._flexion.inverse(flexion), -most), most)
+        # The flexion changes how far a tilt moves the joint, so it is determined first.
         lean = self._tilt.inverse(tilt / self._share_at(bent)[0])
         for row, by in ((a, b), (c, d)):
             if by:

@@ -73,6 +73,7 @@ class FeetechLink(Unhurried):
         request = Frame(number, Instruction.READ, bytes([address, size])).to_bytes()
 
         def answers(reply: Frame) -> bool:
+            # An adapter with an echo returns the request, which has the form of an answer.
             mine = reply.device == number and len(reply.params) == size
             return mine and reply.to_bytes() != request
 
@@ -115,6 +116,7 @@ class FeetechLink(Unhurried):
         """Return a servo's model number, or ``None`` if it does not answer."""
         try:
             return await self.value(number, MODEL)
+        # A broken line is passed on: it says nothing about this servo.
         except (BusTimeout, FrameError):
             return None
 

@@ -81,6 +81,7 @@ class DifferentialOptions(BaseModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         (a, b), (c, d) = self.matrix
+        # Relative to its terms, since the matrix has no scale of its own.
         if abs(a * d - b * c) < 1e-6 * max(abs(a * d), abs(b * c), 1e-9):
             raise ValueError("the matrix cannot be inverted: its rows must not be alike")
         for name in ("flexion", "tilt", "tilt_share"):

@@ -199,6 +199,7 @@ def _settings(
         wanted = {n: gain for n, gain in given.items() if gain is not None}
         yield register, wanted, {n: servo.gains[i] for n, servo in found.items()}
     if family.offset is not None:
+        # SCS servos have no such register; their limits choose between position and turning.
         yield table.MODE, dict.fromkeys(found, 0), {n: servo.mode for n, servo in found.items()}
     if options.torque is not None and not family.limits_torque:
         most = round(options.torque * FULL)

@@ -261,6 +261,7 @@ class HeriEthercatDriver(Driver):
             )
 
     async def _clear_faults(self) -> None:
+        # Only bits that are set are acknowledged, so a new fault meanwhile is not cleared unseen.
         for reply in self._replies:
             self._acknowledge |= reply.fault & codec.ACKNOWLEDGE
         try:
@@ -268,6 +269,7 @@ class HeriEthercatDriver(Driver):
             for _ in range(3):
                 await self._exchange()
         finally:
+            # Also after a failed exchange: otherwise later frames would clear every new fault.
             self._acknowledge = 0
         await self._exchange()
         self._refuse()

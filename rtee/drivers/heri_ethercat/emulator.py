@@ -194,6 +194,7 @@ class HeriEmulator(Emulator, Grasps):
         late = self._heard is not None and self.timeout and now - self._heard > self.timeout
         if self.state is State.OPERATIONAL and late:
             self.become(State.SAFE_OPERATIONAL, now)
+            # Until the master requests a state again: late frames alone do not revive the boards.
             self._dropped = True
         self._heard = now
         if self._dropped or self.state < State.SAFE_OPERATIONAL:

@@ -84,6 +84,7 @@ async def calibrate(
         CalibrationError: if a finger does not open, or an idle one reads a force.
         ConfigError: if the file cannot be written.
     """
+    # Restored below, since the hand keeps set-points until its supply is cut.
     before = await patiently(lambda: link.read(Register.SPEED_SET, 2 * COUNT))
     await patiently(lambda: link.write(Register.SPEED_SET, table([_SPEED] * COUNT)))
     try:

@@ -165,6 +165,7 @@ class InspireRh56Driver(Driver):
             )
         return await self.connection.open(
             self.buses.serial(options.port, owner=owner, baudrate=rate, emulator=emulator),
+            # The deadline is set when the best rate is known; so far, exchanges are `unhurried`.
             lambda bus: FrameLink(bus, options.unit, 0.0, options.retries),
         )
 
@@ -242,9 +243,11 @@ class InspireRh56Driver(Driver):
         stamp = time.monotonic()
         self._check(report)
         if self._tactile is not None:
+            # ``None`` until every area has been read once.
             self._touch = await self._tactile.read(self.connection.link) or self._touch
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.angle(report.angles[motor]) for motor, scale in both]
+        # For `move`, which compares references with it while a grip is kept.
         self._here = np.array(position)
         return ActuatorState.measured(
             position,

@@ -53,16 +53,16 @@ class Rh56Link(Unhurried, ABC):
 
     @abstractmethod
     def read_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to read so many bytes of registers [s].
+        """Return the shortest time to read ``size`` bytes of registers [s].
 
         Args:
-            size: Their number.
+            size: The number of bytes.
             turnaround: Time that the hand needs before it answers [s].
         """
 
     @abstractmethod
     def write_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to write so many bytes; arguments as for `read_time`."""
+        """Return the shortest time to write ``size`` bytes; arguments as for `read_time`."""
 
 
 class FrameLink(Rh56Link):
@@ -98,13 +98,13 @@ class FrameLink(Rh56Link):
         return reply.data
 
     def read_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to read so many bytes of registers [s]."""
+        """Return the shortest time to read ``size`` bytes of registers [s]."""
         # Two frames; the request has one byte of data, the number of bytes to read.
         count = 2 * OVERHEAD + 1 + size
         return wire_time(count, self._bus.line.baudrate) + turnaround
 
     def write_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to write so many bytes of registers [s]."""
+        """Return the shortest time to write ``size`` bytes of registers [s]."""
         return self.read_time(size, turnaround)
 
 
@@ -131,10 +131,10 @@ class ModbusLink(Rh56Link):
         )
 
     def read_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to read so many bytes of registers [s]."""
+        """Return the shortest time to read ``size`` bytes of registers [s]."""
         # The PDUs are function, address and number; and function, length and registers.
         return self._bus.exchange_time(5, 2 + size, turnaround=turnaround)
 
     def write_time(self, size: int, turnaround: float) -> float:
-        """Return the shortest time to write so many bytes of registers [s]."""
+        """Return the shortest time to write ``size`` bytes of registers [s]."""
         return self._bus.exchange_time(6 + size, 5, turnaround=turnaround)

@@ -169,6 +169,7 @@ class Memory:
         at = address - tactile.FIRST
         if at >= 0 and at + size <= len(self.taxels):
             return bytes(self.taxels[at : at + size])
+        # The registers between angles and forces have no meaning.
         hole = range(Register.ANGLE + WORDS, Register.FORCE)
         known = address >= FIRST and address + size <= LAST
         if self.properties.unknown == "refused" and (

@@ -251,6 +251,7 @@ class KinematicDriver(Driver):
 
     def _advance(self) -> float:
         now = self.now()
+        # Before `configure`, no time passes.
         dt = now - (now if self._last is None else self._last)
         self._last = now
         if dt > 0.0:

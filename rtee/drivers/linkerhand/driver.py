@@ -245,12 +245,14 @@ class LinkerHandDriver(Driver):
             tables[Table.POSITION] = targets
         if not tables:
             return
+        # A set-point counts as unknown until the hand has confirmed it.
         before, self._targets = self._targets, None
         # Limits count as unknown until the hand has confirmed them.
         self._torques = self._speeds = None
         await self.connection.link.write(tables)
         now = time.monotonic()
         for motor, target in enumerate(targets):
+            # A motor with a new set-point gets the time to move before it counts as resting.
             if before is None or target != before[motor]:
                 self._moved[motor] = now
         self._targets, self._torques, self._speeds = targets, torques, speeds

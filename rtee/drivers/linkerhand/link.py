@@ -140,6 +140,7 @@ class ModbusLink(LinkerLink):
             values = [v for table in sorted(tables) for v in tables[table]]
             await self._write(Table.POSITION, values)
             return
+        # Positions last, so that no motion begins with old limits.
         for table in sorted(tables, reverse=True):
             await self._write(table, tables[table])
 
@@ -192,12 +193,14 @@ class CanLink(LinkerLink):
 
     async def write(self, tables: Mapping[Table, Sequence[int]]) -> None:
         """Set values of all motors, torques and speeds before positions; raises `BusError`."""
+        # Positions last, so that no motion begins with old limits.
         for table in sorted(tables, reverse=True):
             parts, at = [], 0
             for code, count in self.model.properties[table]:
                 values = tables[table][at : at + count]
                 parts.append(codec.property_frame(self.unit, code, values))
                 at += count
+            # In the order of the maker's SDK.
             for frame in reversed(parts):
                 await self._pause()
                 await self._bus.send(frame)

@@ -24,21 +24,21 @@ of that growth. With MuJoCo's 0.9 to 0.95, 240 N press the pads of a 2F-85 2.6 m
 with these 0.8 mm; stiffer ones chatter."""
 
 SKIN: Final = 0.0008
-"""Distance at which an object begins to feel what comes near [m]. A fast fingertip moves 1 mm in a
-time step; without the skin it would be inside before there is any force."""
+"""Distance at which contact forces of an object begin [m]. A fast fingertip moves 1 mm in a time
+step; without the skin it would be inside the object before there is any force."""
 
 IMPRATIO: Final = 100.0
-"""Stiffness of friction against that of the normal force: the creep of what is held is inversely
-proportional to it, and it costs nothing."""
+"""Ratio of the stiffness of friction to that of the normal force: a held object creeps in inverse
+proportion to it, and a high ratio costs no time."""
 
 DIMENSIONS: Final = 4
 """A contact transmits normal force, friction in two directions, and torsion about the normal."""
 
 PAD_FRICTION: Final = 1.0
-"""Friction of a fingertip with an object unless one is asked: rubber on plastic or metal."""
+"""Default friction of a fingertip with an object: rubber on plastic or metal."""
 
 LINK_FRICTION: Final = 0.8
-"""Friction of all other links with an object unless one is asked."""
+"""Default friction of all other links with an object."""
 
 TABLE_FRICTION: Final = 0.8
 """Friction of a table with an object on it."""
@@ -62,13 +62,13 @@ def time_step(hand: Hand) -> float:
 
 
 def configure(option: mujoco.MjOption) -> None:
-    """Set how the solver treats contacts: exact cones of friction that hardly creep."""
+    """Set how the solver treats contacts: exact friction cones with hardly any creep."""
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = IMPRATIO
 
 
 def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
-    """Give a shape the contact of all shapes, with a coefficient of sliding friction."""
+    """Give a shape the parameters of all contacts, with a coefficient of sliding friction."""
     geom.solref = [TIME_CONSTANT, 1.0]
     geom.solimp = IMPEDANCE
     geom.condim = DIMENSIONS
@@ -76,9 +76,9 @@ def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
 
 
 def make_object(geom: mujoco.MjsGeom) -> None:
-    """Give a shape of an object its contact: hard, with a skin, without friction of its own.
+    """Give a shape of an object its contact: hard, with a skin, and frictionless.
 
-    MuJoCo takes the larger friction of two shapes, so the coefficient of a pair is that of what
+    MuJoCo takes the larger friction of two shapes, so a pair has the coefficient of the shape that
     touches the object.
     """
     make_hard(geom, friction=0.0)
@@ -87,7 +87,7 @@ def make_object(geom: mujoco.MjsGeom) -> None:
 
 
 def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
-    """Give the contact of two shapes that is named the contact of all shapes."""
+    """Give the contact of an explicit pair of shapes the parameters of all contacts."""
     pair.solref = [TIME_CONSTANT, 1.0]
     pair.solimp = IMPEDANCE
     pair.condim = DIMENSIONS
@@ -96,7 +96,7 @@ def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:
 
 
 def hand_friction(asked: float | None, *, tip: bool) -> float:
-    """Return the friction of a link of the hand: what was asked, else what is usual."""
+    """Return the friction of a link of the hand: the given one, or the usual one."""
     if asked is not None:
         return asked
     return PAD_FRICTION if tip else LINK_FRICTION

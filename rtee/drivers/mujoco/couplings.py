@@ -1,11 +1,12 @@
 """The transmission as MuJoCo knows it: joints that follow their actuator rigidly, or by springs.
 
-A rigid joint is an equality. A joint on a spring is a tendon with stiffness and damping that pulls
-it to where it would follow. With a tendon of the transmission, one more equality keeps the actuator
-at the weighted mean of its joints, so that they share its effort: a joint that is stopped lets the
-others go on, ahead of the actuator, against the springs, which keep the shape of the fingers. With
-linkages, there is such an equality for each finger: joints of one finger give way to one another,
-but no finger gives way to another.
+A rigid coupling is an equality constraint. A joint on a spring is coupled by a tendon with
+stiffness and damping, which pulls it to the position that its coupling prescribes. With a tendon of
+the transmission, a further equality keeps the actuator at the weighted mean of its joints, so that
+they share its effort: when one joint is stopped, the others move on, ahead of the actuator and
+against the springs, which preserve the shape of the fingers. With linkages, there is such an
+equality for each finger: joints of one finger give way to one another, but no finger gives way to
+another.
 """
 
 from __future__ import annotations
@@ -87,6 +88,8 @@ def fit(coupling: Coupling, lower: float, upper: float) -> tuple[tuple[float, ..
     nodes = middle + half * np.cos(np.pi * (np.arange(SAMPLES) + 0.5) / SAMPLES)
     degree = 1 if coupling.linear else DEGREE
     values = np.array([coupling.value(float(u)) for u in nodes])
+    # Fitted in a variable scaled to the range, which conditions it well; only the result is
+    # converted to powers of u.
     polynomial = np.polynomial.Polynomial.fit(nodes, values, degree, domain=[lower, upper])
     grid = np.linspace(lower, upper, SAMPLES)
     truth = np.array([coupling.value(float(u)) for u in grid])
@@ -128,7 +131,7 @@ class Follower:
         joint: Its name.
         coupling: How it follows.
         master: A joint on a spring that it follows instead, rigidly and linearly; or ``None``.
-        elastic: It follows by a spring.
+        elastic: Whether it follows by a spring.
     """
 
     joint: str
@@ -139,7 +142,10 @@ class Follower:
 
 
 def followers(hand: Hand) -> list[Follower]:
-    """Return all joints that follow an actuator by more than being its own, in the hand's order."""
+    """Return all joints that are coupled to an actuator, in the hand's order.
+
+    An actuator's own joint is among them only if it is on a spring.
+    """
     joints = []
     for joint, coupling in zip(hand.joints, hand.transmission.couplings, strict=True):
         if joint.role is JointRole.IGNORED or coupling.actuator is None:
@@ -162,7 +168,7 @@ def on_spring(hand: Hand, joint: str) -> bool:
 
 
 def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
-    """Return the limits of a joint [rad | m], widened to all positions to which it is led."""
+    """Return the limits of a joint [rad | m], widened to all positions that its coupling gives."""
     coupling = hand.transmission.couplings[hand.joint_index(joint.name)]
     if coupling.actuator is None:
         return joint.lower, joint.upper
@@ -173,7 +179,7 @@ def reach(hand: Hand, joint: UrdfJoint) -> tuple[float, float]:
 def add_couplings(
     spec: mujoco.MjSpec, hand: Hand, servos: Mapping[str, Servo], options: SimOptions
 ) -> list[str]:
-    """Couple the joints of a model as the transmission says; returns what was assumed."""
+    """Couple the joints of a model like the transmission; returns the assumptions made."""
     notes: list[str] = []
     every = followers(hand)
     for follower in every:
@@ -232,9 +238,9 @@ def add_locks(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | None:
-    """Return the relation of the torques at joints that hand.yaml gives ``(k,)``, if it does.
+    """Return the ratios of the joints' torques in hand.yaml ``(k,)``; ``None`` if it has none.
 
-    The joints are given by their numbers among those that ``known`` lists; all unless given.
+    ``of`` has the indices of the joints among those that ``known`` lists; by default all.
     """
     if known.shares is None:
         return None
@@ -245,9 +251,9 @@ def shares_of(known: ActuatorDynamics, of: Sequence[int] = ()) -> FloatArray | N
 def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | None:
     """Return the torque at each joint ``(k,)`` for a unit of the actuator's; no work is lost.
 
-    Unless hand.yaml gives their relation as weights ``(k,)``, a joint gets the more torque the
-    further it turns (its slope), as with pulleys whose radii go with the turns. It is ``None``
-    where the joints do not move with the actuator.
+    Unless hand.yaml gives their ratios as weights ``(k,)``, the torques are proportional to the
+    joints' slopes, as with pulleys whose radii are proportional to the turns. The result is
+    ``None`` if the joints do not move with the actuator.
     """
     # Not numpy.linalg.norm, which takes longer than all the rest for so few numbers.
     if weights is None:
@@ -264,7 +270,7 @@ def distributed(slopes: FloatArray, weights: FloatArray | None) -> FloatArray | 
 def tendons_of(
     hand: Hand, actuator: str, joints: Sequence[str], known: ActuatorDynamics
 ) -> list[tuple[str, list[int]]]:
-    """Return the tendons of an actuator, each with its joints by their numbers in ``joints``."""
+    """Return the tendons of an actuator, each with the indices of its joints in ``joints``."""
     if known.coupling is Following.TENDON:
         return [(tendon_name(actuator), list(range(len(joints))))]
     if known.coupling is not Following.LINKAGE:
@@ -272,7 +278,7 @@ def tendons_of(
     found: dict[str, list[int]] = {}
     for number, joint in enumerate(joints):
         child = hand.urdf.joints[joint].child
-        # A joint of no finger has a linkage of its own.
+        # A joint that belongs to no finger has a linkage of its own.
         finger = next((f.name for f in hand.fingers if child in f.links), joint)
         found.setdefault(finger, []).append(number)
     return [(tendon_name(actuator, finger), numbers) for finger, numbers in found.items()]

@@ -49,14 +49,15 @@ _AFFORDABLE = 0.2
 to another one would cost more."""
 
 _MOST_BEHIND = 3
-"""Periods that a late exchange makes up for at most: a freeze of the computer is no motion."""
+"""Largest number of periods that a late exchange makes up for: a freeze of the computer is no
+motion."""
 
 _ROUNDED = 1e-3
-"""What a whole period may lack by rounding."""
+"""Share of a period that a whole one may lack by rounding."""
 
 _SPARE = 0.7
-"""A step must take less than this share of a period for missed ones to be made up for: a simulation
-that is too slow would only come to be later still."""
+"""Missed periods are made up for only if a step takes less than this share of one: a simulation
+that is too slow would only fall further behind."""
 
 
 class MujocoDriver(Driver):
@@ -133,9 +134,9 @@ class MujocoDriver(Driver):
             ) from error
 
     def _exchange(self, simulation: Simulation, count: int) -> ActuatorState:
-        """Advance by so many periods, then measure; in any thread."""
+        """Advance by ``count`` periods, then measure; in any thread."""
         # An exchange that was given up may still run in its thread, and measuring reads contacts
-        # that a step makes anew.
+        # that a step replaces.
         with self._advancing:
             began = time.perf_counter()
             for _ in range(count):
@@ -167,7 +168,7 @@ class MujocoDriver(Driver):
         period = self._period
         late = max(now - self._before, 0.0) - period if self._before < math.inf else 0.0
         self._before = now
-        # An exchange that comes early makes up for a late one before, no more.
+        # An early exchange makes up for a late one before it, and for nothing more.
         self._behind = min(max(self._behind + late, -period), _MOST_BEHIND * period)
         missed = 0
         if self._cost < _SPARE * period:
@@ -182,7 +183,7 @@ class MujocoDriver(Driver):
         )
 
     async def recover(self) -> None:
-        """Begin the simulation anew: the hand at rest, the object where it was placed."""
+        """Restart the simulation: the hand at rest, the object where it was placed."""
         with self._advancing:
             self.simulation.reset()
 

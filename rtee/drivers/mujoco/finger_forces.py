@@ -15,8 +15,8 @@ from rtee.sample import FloatArray
 class FingerForces:
     """Reads the force on each finger.
 
-    Contacts with things that are not the hand count at all links that belong to one finger, and
-    those of two fingertips with one another. A finger that presses on the palm holds nothing.
+    Counted are contacts of links that belong to one finger with anything outside the hand, and
+    contacts between two fingertips. A finger that presses on the palm holds nothing.
     """
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
@@ -77,6 +77,7 @@ class FingerForces:
         starts = contact.efc_address.tolist()
         for number, (one, other) in enumerate(contact.geom.tolist()):
             start, first, second = starts[number], rows[one], rows[other]
+            # A contact that is only within the margin has no rows in the solver, and no force.
             if start < 0 or (first < 0 and second < 0):
                 continue
             # Within the hand, only two fingertips feel each other.

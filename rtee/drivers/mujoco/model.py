@@ -59,7 +59,7 @@ Triangles = Callable[[str], tuple[FloatArray, "np.ndarray[tuple[int, int], np.dt
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """A MuJoCo model under construction, and what was assumed about the hand.
+    """A MuJoCo model under construction, and the assumptions about the hand.
 
     Attributes:
         spec: The model; objects may still be added before it is compiled.
@@ -210,12 +210,13 @@ def _add_motor_bodies(mount: mujoco.MjsBody, hand: Hand, servos: Mapping[str, Se
 
 
 def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeom]) -> bool:
-    """Give a body the mass of its link, distributed as in the URDF; return whether that can be.
+    """Give a body its link's mass, distributed as in the URDF; return whether that is possible.
 
-    Where that is missing, or no rigid body can have it, it follows from the shapes.
+    If the URDF has no inertia, or one that no rigid body can have, it follows from the shapes.
     """
     given = link.inertia
     if given is not None:
+        # MuJoCo refuses moments that are too small, or that break the rule of `_TRIANGLE`.
         xx, xy, xz, yy, yz, zz = given.moments
         least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if least >= _LEAST_INERTIA and most <= (least + middle) * (1.0 + _TRIANGLE):
@@ -237,8 +238,8 @@ def _set_inertia(body: mujoco.MjsBody, link: UrdfLink, geoms: list[mujoco.MjsGeo
 
 
 def set_tiny(body: mujoco.MjsBody) -> None:
-    """Give a body that has none a mass that changes nothing."""
-    # With its centre of mass: MuJoCo writes no inertia of a body without it.
+    """Give a body without mass one that is too small to have an effect."""
+    # The centre of mass, too: without it, MuJoCo does not write the inertia of a body.
     body.mass, body.ipos, body.inertia = _TINY_MASS, [0.0, 0.0, 0.0], [_TINY_INERTIA] * 3
     body.explicitinertial = True
 
@@ -251,7 +252,7 @@ def _add_links(
     servos: Mapping[str, Servo],
     options: SimOptions,
 ) -> list[str]:
-    """Add every link below ``mount``; returns what was assumed."""
+    """Add every link below ``mount``; returns the assumptions made."""
     urdf = hand.urdf
     tips = {finger.tip for finger in hand.fingers}
     bodies: dict[str, mujoco.MjsBody] = {}
@@ -331,13 +332,13 @@ def compiled(
     """Compile the model of a hand, and of an object with a mesh of a name in the model from a file.
 
     Raises:
-        ModelError: if MuJoCo refuses it, with what it says: of a mesh without volume, for example.
-        ConfigError: if that is the object's mesh.
+        ModelError: if MuJoCo refuses it, with MuJoCo's reason, such as a mesh without volume.
+        ConfigError: if the reason is the object's mesh.
     """
     try:
         return spec.compile()
     except ValueError as error:
-        # MuJoCo says on a second line which element it means.
+        # MuJoCo names the element on a second line.
         said, _, element = str(error).removeprefix("Error: ").partition("\nElement name ")
         name = element.partition(",")[0].strip("'")
         if object_file is not None and name == object_file[0]:

@@ -38,7 +38,7 @@ def add_object(
 ) -> mujoco.MjsBody:
     """Add a free object to a model and return its body.
 
-    The friction of a pair is that of what touches the object.
+    A pair has the friction of the shape that touches the object.
 
     Args:
         spec: The model.
@@ -50,7 +50,7 @@ def add_object(
     mujoco.mju_mat2Quat(quat, np.ascontiguousarray(pose[:3, :3]).ravel())
     body = spec.worldbody.add_body(name=OBJECT, pos=pose[:3, 3], quat=quat)
     body.add_freejoint(name=OBJECT)
-    body.gravcomp = 1.0  # MuJoCo can change this while it runs only if it is not 0 at first
+    body.gravcomp = 1.0  # what is 0 at compilation cannot be changed later
     if shape.kind == "drill":
         _add_drill(body, mass, shape.scale)
         return body

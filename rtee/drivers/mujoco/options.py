@@ -14,7 +14,7 @@ class SimOptions(BaseModel):
         timestep: Step of the simulation [s]; several steps make one exchange. Unless given 2 ms,
             and 1 ms for hands whose fingertips are fast.
         gravity: Gravity along the world's z axis [m/s²].
-        friction: Friction of every contact of the hand, mainly with objects; unless given 1.0 at
+        friction: Friction of every contact of the hand, mainly with objects; by default 1.0 at
             fingertips and 0.8 elsewhere.
         density: Density for links without mass [kg/m³].
         stiffness: Position error at which an actuator of unknown gain exerts its full effort [rad],

@@ -28,17 +28,18 @@ def leave_pairs_out(
     Args:
         spec: The hand's model.
         hand: The hand.
-        resting: It at rest, with the contacts of all pairs of links.
-        touch: Says whether two links touch at rest on their exact geometry.
+        resting: The hand at rest, with the contacts of all pairs of links.
+        touch: Returns whether the exact geometries of two links touch at rest.
 
     Returns:
-        What was left out for contact at rest, one sentence each.
+        The pairs left out because they touch at rest, one sentence each.
 
     Raises:
         ModelError: if links of two fingers are deep inside each other at rest.
     """
     never = [(first, second) for first, second, _ in hand.disabled_collisions]
     left_out = {frozenset(pair) for pair in [*never, *_adjacent(hand)]}
+    # Each once, since SRDFs usually disable joined links, too.
     for first, second in dict.fromkeys([*never, *_adjacent(hand)]):
         spec.add_exclude(bodyname1=LINK + first, bodyname2=LINK + second)
     return _exclude_touching_at_rest(spec, hand, resting, touch, left_out)
@@ -83,8 +84,8 @@ def _adjacent(hand: Hand) -> list[tuple[str, str]]:
 def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str) -> None:
     """Let the outer shapes of two joined fingertips meet, though the links are excluded.
 
-    Near their joint the links touch at every position, which means nothing. What counts are the
-    shapes whose middles are beyond most of the shorter link's reach from the joint's axis, and
+    Near their joint the links always touch, which is no contact of the jaws. Outer shapes are those
+    whose middles are further from the joint's axis than `_OUTER` of the shorter link's reach, and
     that are apart at rest.
     """
     model = data.model
@@ -171,7 +172,7 @@ def rest_position(
 ) -> FloatArray:
     """Return generalised positions ``(nq,)`` with all but the hand as modelled.
 
-    The hand is at actuator positions ``(n,)`` [rad | m], at rest unless given.
+    The hand is at actuator positions ``(n,)`` [rad | m], by default at rest.
     """
     u = hand.rest if posture is None else posture
     position = model.qpos0.copy()

@@ -103,7 +103,7 @@ def downward(hand: Hand) -> FloatArray:
 
 
 def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> None:
-    """Turn the carrier and let it move as the options say; a fixed one stays as it is."""
+    """Turn the carrier and give it the motions of the options; a fixed one stays as it is."""
     if options.carrier == "fixed":
         return
     mount = spec.body(CARRIER)
@@ -113,7 +113,7 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
     # The carrier is moved by its servos alone; its weight would only make them sag.
     mount.gravcomp = 1.0
     if _is_nothing(mount):
-        # A base that is but a frame: MuJoCo moves nothing without mass.
+        # The base is a mere frame, and MuJoCo cannot move a body without mass.
         set_tiny(mount)
     for index, axis in enumerate(AXES):
         if options.carrier == "lift" and axis != "z":
@@ -132,7 +132,7 @@ def add_carrier(spec: mujoco.MjSpec, turn: FloatArray, options: SimOptions) -> N
 
 
 def _is_nothing(body: mujoco.MjsBody) -> bool:
-    """Return whether a body has neither mass nor shape, nor what is fixed to it."""
+    """Return whether neither a body nor anything fixed to it has mass or shape."""
     if body.geoms or (body.explicitinertial and body.mass > 0.0):
         return False
     return all(_is_nothing(each) for each in body.bodies if not each.joints)
@@ -208,6 +208,7 @@ def _clear_of_palm(
             data.qpos[:] = posture
             data.qpos[start : start + 3] = origin + out * (mount[:3, :3] @ way)
             met = _links_inside(model, data)
+            # One posture in which other links are in the way is enough.
             if met:
                 break
         # Found in all postures: only fingertips, or nothing, are in the object.
@@ -236,9 +237,9 @@ def _notes_on(model: mujoco.MjModel, shape: ObjectShape | None) -> list[str]:
 
 
 def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
-    """Return the bodies of links that the object is inside of, where all is placed."""
+    """Return the bodies of links that the object overlaps at the present positions."""
     mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)  # what MuJoCo finds near pairs by
+    mujoco.mj_comPos(model, data)  # MuJoCo's search for near pairs needs it
     mujoco.mj_collision(model, data)
     links = set()
     for contact in data.contact:
@@ -270,17 +271,17 @@ def make_simulation(
         options: What is simulated.
         actuators: The actuators that are read and commanded, in order.
         period: Time between exchanges [s].
-        place: Pose ``(4, 4)`` of the object in the hand's base frame; its middle is where the
-            fingertips meet unless given.
-        mount: How a carried hand is turned ``(3, 3)`` in the world; it reaches down unless given.
-        container: Where on the table a container has its middle, x and y in the world [m]; there is
-            none unless given.
+        place: Pose ``(4, 4)`` of the object in the hand's base frame; by default its middle is
+            where the fingertips meet.
+        mount: Rotation ``(3, 3)`` of a carried hand in the world; by default it reaches down.
+        container: Middle of a container on the table, x and y in the world [m]; ``None``: there is
+            no container.
         built: The hand's model, as `build_hand` makes it of options that differ from these in
-            object and friction at most; it is built anew unless given.
+            object and friction at most; by default it is built here.
 
     Raises:
         ModelError: if the hand cannot be simulated.
-        ConfigError: if the object is none, or its mesh cannot be used.
+        ConfigError: if there is no such object, or its mesh cannot be used.
     """
     shape: ObjectShape | None = None
     built = copied(built, hand, options.friction) if built else build_hand(hand, options)

@@ -70,7 +70,7 @@ class SeenChannels:
             found[OBJECT_POSE] = self._around.pose
         if self._carried:
             found[BASE_POSE] = pose_vector(self._around.base_pose)
-        # A reset sets the time back to 0; then they are renewed too.
+        # After a reset, which sets the time back to 0, they are computed again, too.
         if not 0.0 <= self._data.time - self._renewed < 1.0 / CONTACT_RATE - 1e-9:
             self._renewed = self._data.time
             self._contacts = self._forces()
@@ -81,6 +81,7 @@ class SeenChannels:
         contact = self._data.contact
         first = contact.efc_address
         links = self._link[contact.geom].reshape(-1, 2)
+        # A contact that is only within the margin has no rows in the solver, and no force.
         seen = np.flatnonzero((first >= 0) & (links >= 0).any(axis=1))
         if not len(seen):
             return np.zeros(0)

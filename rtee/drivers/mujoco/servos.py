@@ -1,7 +1,8 @@
 """The motors: position servos with effort limits, friction and the inertia of motor and gear.
 
-What hand.yaml gives under ``dynamics`` counts. The rest is derived from the effort limit, which
-every data sheet has: a servo that exerts it at a small error, and follows with a usual bandwidth.
+Values under ``dynamics`` in hand.yaml take precedence. The others are derived from the effort
+limit, which every data sheet has, for a servo that reaches it at a small position error and follows
+with a usual bandwidth.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class Servo:
 
 
 def servo_of(hand: Hand, actuator: ActuatorSpec, options: SimOptions) -> Servo:
-    """Return the servo of an actuator: what is known of it, and what follows from that."""
+    """Return the servo of an actuator, with known values and those derived from them."""
     known = hand.dynamics.get(actuator.name, ActuatorDynamics())
     slide = actuator.kind is JointKind.PRISMATIC
     unit = PRISMATIC if slide else 1.0

@@ -52,7 +52,7 @@ class Simulation:
         servos: Mapping[str, Servo],
         notes: Sequence[str] = (),
     ) -> None:
-        # Else MuJoCo writes what it notices to a file in the present folder.
+        # Otherwise MuJoCo writes its warnings to a file in the current folder.
         mujoco.set_mju_user_warning(log.warning)
         self.model = model
         self.notes = tuple(notes)
@@ -77,6 +77,7 @@ class Simulation:
         self._target: FloatArray = np.zeros(len(specs))
         self._speed = self._fastest.copy()
         self.effort_limit: FloatArray = np.array([servos[name].limit for name in actuators])
+        # Copies, since switching the power off overwrites the model's own gains.
         self._gain = model.actuator_gainprm[self._motor, 0].copy()
         self._bias = model.actuator_biasprm[self._motor].copy()
         self._integral: FloatArray = np.array([servos[name].ki for name in actuators])
@@ -97,8 +98,9 @@ class Simulation:
         Only gains that were set stay as they are.
         """
         mujoco.mj_resetData(self.model, self.data)
-        # What is kept in the model is no part of the data: integrals and effort limits.
+        # Integrals and effort limits are kept in the model, which a reset of the data leaves alone.
         self.power(True)
+        # No reference has these limits, so the first one is written.
         self._limited = b"", b""
         self.model.actuator_forcerange[self._motor, 0] = -self.effort_limit
         self.model.actuator_forcerange[self._motor, 1] = self.effort_limit
@@ -109,6 +111,7 @@ class Simulation:
         self._speed = self._fastest.copy()
         self.surroundings.reset()
         self._couplings.renew(self.data.qpos)
+        # Poses and forces can then be read before the first step.
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self) -> None:
@@ -133,18 +136,18 @@ class Simulation:
                 strict=True,
             )
         ):
-            # A reference that has gone on into an object turns back with the actuator, not after
-            # having come back to it: that is how fast a real servo follows.
+            # A reference that has run ahead into an object turns back from the actuator's position.
+            # It does not travel back to it first, so the actuator reverses as fast as a real servo.
             start = position if (reference - position) * (target - position) < 0.0 else reference
             way = target - start
-            # Written so that a way that is no number stays none.
+            # Written so that NaN stays NaN.
             references[index] = start + (step if way > step else -step if way < -step else way)
         control[self._motor] = references
         if self._integrates:
             self._integrate()
         before = self.data.time
         mujoco.mj_step(self.model, self.data, nstep=self._substeps)
-        # A reset begins time anew; nothing else tells at once.
+        # After a reset, time starts at 0 again; there is no other immediate sign of it.
         if self.data.time < before + 0.5 * self._period:
             raise SimulationUnstable
         self.surroundings.watch(self.time)
@@ -224,7 +227,7 @@ class Simulation:
             position: References ``(n,)`` [rad | m].
             max_effort: Effort limits ``(n,)`` [N·m | N]; ``inf``: the actuator's own.
             mask: Which actuators are meant ``(n,)``.
-            max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; the actuators' own unless given.
+            max_velocity: Velocity limits ``(n,)`` [rad/s | m/s]; by default the actuators' own.
         """
         self._target[mask] = position[mask]
         if max_velocity is not None:
@@ -239,15 +242,15 @@ class Simulation:
             self.model.actuator_forcerange[motors, 1] = limit
 
     def hold(self) -> None:
-        """Take the present positions for references."""
+        """Make the present positions the references."""
         self._target = self.position
-        # The slewed reference too, or the actuators would first finish their old motion.
+        # The rate-limited reference, too; otherwise the actuators would finish their old motion.
         self.data.ctrl[self._motor] = self._target
 
     def power(self, on: bool) -> None:
         """Switch the position gains on or off; off leaves the joints limp."""
         self._powered = on
-        self._bias[:, 0] = 0.0  # the integrals begin again
+        self._bias[:, 0] = 0.0  # the integrals start from 0
         self._write_gains()
 
     def _write_gains(self) -> None:

@@ -41,8 +41,8 @@ class Surroundings:
     it; it is let go when two links have touched it for a while, or by `remove_support`.
 
     Attributes:
-        has_object: There is an object.
-        unsupported: The object bears its own weight.
+        has_object: Whether there is an object.
+        unsupported: Whether the object bears its own weight.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, options: SimOptions) -> None:
@@ -73,7 +73,7 @@ class Surroundings:
             ]
             self._is_part = np.isin(model.geom_bodyid, self._parts).tolist()
             names = [model.body(int(body)).name for body in model.geom_bodyid]
-            # The link that each geom belongs to; empty if it is none of the hand's.
+            # The link of each geom; empty if it does not belong to the hand.
             self._link = [
                 name.removeprefix(LINK) if name.startswith(LINK) else "" for name in names
             ]
@@ -102,7 +102,7 @@ class Surroundings:
         self.unsupported = not on
         drag = [_DRAG] * 3 + [_TURN_DRAG] * 3 if on else 0.0
         self._model.dof_damping[self._dof : self._dof + 6] = drag
-        # MuJoCo's own compensation acts on every part, the trigger too.
+        # MuJoCo compensates the weight of each body separately, so of the trigger, too.
         self._model.body_gravcomp[self._parts] = 1.0 if on else 0.0
 
     def watch(self, time: float) -> None:
@@ -163,6 +163,7 @@ class Surroundings:
         running one stays as it is.
         """
         data.qpos[self._qpos : self._qpos + 7] = pose_vector(pose)
+        # Only what contacts need: a full `mj_forward` takes longer.
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_collision(self._model, data)
@@ -184,7 +185,7 @@ class Surroundings:
 
     @property
     def lowest(self) -> float:
-        """A height below which nothing of hand and object reaches [m], in the world."""
+        """A lower bound of the heights that hand and object reach in the world [m]."""
         return float((self._data.geom_xpos[:, 2] - self._model.geom_rbound).min())
 
     @property

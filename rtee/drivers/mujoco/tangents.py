@@ -26,8 +26,8 @@ from rtee.hand.transmission import Coupling
 from rtee.sample import FloatArray
 
 Cell = list[tuple[float, float, float, float, float]]
-"""Of each joint, in a cell of the grid: the value where the cell begins and how far it grows, the
-slope there and how far that grows, and the slope where the cell ends."""
+"""For each joint, in a cell of the grid: the value at the cell's beginning and its growth over the
+cell, the slope at the beginning and its growth, and the slope at the end."""
 
 _KEPT = 64  # actuators whose tables are kept: those of a few large hands
 
@@ -36,7 +36,7 @@ _KEPT = 64  # actuators whose tables are kept: those of a few large hands
 def _table(couplings: tuple[Coupling, ...], lower: float, upper: float) -> list[Cell]:
     """Return the cells of a grid over the range of the actuator that some joints follow.
 
-    Kept, since each variation of a trial has a simulation of its own, of the same hand.
+    Cached, since each variation of a trial has its own simulation of the same hand.
     """
     grid = np.linspace(lower, upper, SAMPLES).tolist()
     points = [[coupling.dual(u) for coupling in couplings] for u in grid]
@@ -53,7 +53,7 @@ class _Curves:
         """Tabulate joints that all follow the same actuator."""
         lower, upper = span(group[0].actuator)
         self._lower = lower
-        # One that cannot move has but one point.
+        # The range of an actuator that cannot move is a single point.
         self._step = (upper - lower) / (SAMPLES - 1) or 1.0
         self._cells = _table(tuple(follower.coupling for follower in group), lower, upper)
 
@@ -62,14 +62,14 @@ class _Curves:
         # Plain numbers: for so few, numpy takes several times as long.
         step = self._step
         at = (u - self._lower) / step
-        # Beyond its range a coupling goes on with the tangent at the end.
+        # Beyond its range, a coupling continues along its tangent at the end.
         if at >= SAMPLES - 1:
             cell, t = SAMPLES - 2, 1.0
         elif at >= 0.0:
             cell = int(at)
             t = at - cell
         else:
-            # What is no number stays none, and MuJoCo notices it in the next step.
+            # NaN stays NaN, and MuJoCo notices it in the next step.
             cell, t = 0, 0.0 if at < 0.0 else at
         nearest = self._lower + (cell + t) * step
         # A Hermite cubic: values and slopes match at the points, so tangents do not jump there.
@@ -143,7 +143,7 @@ class Couplings:
             self._eq_data[self._equalities, 0] = offsets
             self._eq_data[self._equalities, 1] = slopes
             self._eq_data[self._equalities, 2:5] = 0.0
-        # Straight couplings have one tangent; setting it once is enough.
+        # Linear couplings have one tangent; setting it once is enough.
         if self._on_springs is None or (self._steady and self._renewed):
             return
         self._renewed = True
@@ -152,7 +152,7 @@ class Couplings:
         self._lengthspring[self._springs] = offsets[:, None]
         for equality, wraps, length, own, weights in self._tendons:
             shares = distributed(slopes[own], weights)
-            if shares is None:  # no joint follows here: the last shares hold on
+            if shares is None:  # no joint moves here: the last shares remain
                 continue
             self._wrap_prm[wraps] = shares
             self._eq_data[equality, 0] = shares @ offsets[own] - length

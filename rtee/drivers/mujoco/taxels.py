@@ -22,11 +22,11 @@ _COVERED: Final = 0.7
 """Share of the pad's length and width that a grid spans: real pads end before the tip's edges."""
 
 _FACING: Final = 0.5
-"""Least cosine between the pad's direction and the normals of the surface that is its part."""
+"""Least cosine between the pad's direction and the normals of the surface that belongs to it."""
 
 _SPREAD: Final = 0.6
-"""A contact is felt by the taxels around it like a bell curve with this standard deviation, as a
-share of the distance between taxels: skin spreads a load over about one taxel to each side."""
+"""The taxels around a contact feel it in proportion to a bell curve with this standard deviation
+[distance between taxels]: skin spreads a load over about one taxel to each side."""
 
 _BEYOND: Final = 3.0
 """Standard deviations beyond which a taxel feels nothing of a contact."""
@@ -35,7 +35,7 @@ _LEAST_SPREAD: Final = 0.002
 """Least standard deviation [m]: contacts of hulls lie up to this far off the mesh's surface."""
 
 _SHRUNK: Final = 0.85
-"""Where a ray passes beside the tip, the taxel is sought nearer to the pad's middle by this."""
+"""Factor by which a taxel moves towards the pad's middle when its ray misses the tip."""
 
 _TRIES: Final = 12
 """Steps of that search: after them it is at 14 % of its distance from the middle."""
@@ -66,6 +66,7 @@ class Taxels:
             contact = data.contact
             first = contact.efc_address
             bodies = self._of_geom[contact.geom]
+            # A contact that is only within the margin has no rows in the solver, and no force.
             seen = np.flatnonzero((first >= 0) & np.isin(bodies, self._bodies).any(axis=1))
             for index in seen.tolist():
                 # The first row of an elliptic contact is its normal force.
@@ -105,9 +106,9 @@ class Taxels:
 
 
 def _spread(points: FloatArray) -> float:
-    """Return over which distance taxels at some points feel a contact [m]."""
+    """Return the standard deviation with which taxels at some points feel a contact [m]."""
     if len(points) < 2:
-        return math.inf  # the only taxel of a tip feels all that presses on its side
+        return math.inf  # the only taxel of a tip feels everything that presses on its side
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     return max(_LEAST_SPREAD, _SPREAD * float(np.median(apart.min(axis=1))))
@@ -146,8 +147,8 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
 def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
     """Return the direction in which a fingertip moves when its finger bends, in the tip's frame.
 
-    That is what its pad faces, half-way to where its actuators are farthest from rest: a unit
-    vector ``(3,)``, given the middle of the tip in its frame ``(3,)`` [m].
+    The pad faces this way. It is a unit vector ``(3,)``, computed half-way between rest and the
+    actuators' farthest positions, given the middle of the tip in its frame ``(3,)`` [m].
     """
     assert finger.tip is not None  # noqa: S101 - narrows the type
     sideways = abduction(hand, finger)
@@ -161,7 +162,7 @@ def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
     speed = jacobian @ way
     motion = pose[:3, :3].T @ (speed[:3] + np.cross(speed[3:], pose[:3, :3] @ middle))
     length = float(np.linalg.norm(motion))
-    # A tip that nothing moves has no pad; any direction is as good.
+    # A tip that nothing moves has no pad, so any direction will do.
     return motion / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
 
 
@@ -177,6 +178,7 @@ def _on_pad(
     facing = pad_direction(hand, finger, 0.5 * (low + high))
     crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     areas = np.linalg.norm(crossed, axis=1)
+    # Degenerate triangles have no normal; they are left out below.
     normals = crossed / np.maximum(areas, 1e-18)[:, None]
     pad = corners[(normals @ facing > _FACING) & (areas > 0.0)]
     pad = (pad if len(pad) else corners).reshape(-1, 3)
@@ -186,6 +188,7 @@ def _on_pad(
     middle = 0.5 * (start + end)
     pitch = _COVERED * (end - start) / np.array(grid)
     offsets = grid_points(grid, pitch.tolist())[:, :2]
+    # Rays have to begin outside the tip.
     height = float((pad @ facing).max()) + float(np.linalg.norm(high - low))
     positions, outward = np.empty((len(offsets), 3)), np.empty((len(offsets), 3))
     for number, offset in enumerate(offsets):
@@ -196,11 +199,11 @@ def _on_pad(
             if hit is not None:
                 break
         else:
-            # A tip with a hole in its middle: the nearest corner of the pad stands for it.
+            # The tip has a hole in its middle: the nearest corner of the pad is used instead.
             hit = pad[np.argmin(np.linalg.norm(pad - begin, axis=1))], -1
         positions[number], triangle = hit
         normal = facing if triangle < 0 else normals[triangle]
-        # Meshes are not always wound the right way round.
+        # The triangles of some meshes have the wrong orientation.
         outward[number] = normal if normal @ facing >= 0.0 else -normal
     return positions, outward
 

@@ -141,6 +141,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         self._fingers = Fingers(metres(length), hole, abs(offset_metres(offset)))
         if self.options.target == "tips":
             self._tips = round(self._kind.sign * 2.0 * offset_metres(offset) / metres(1))
+        # Made again, since the gripper's own largest diameter is known only now.
         self.scale = self._scaled(self.options.largest or metres(largest))
         if self.scale.largest <= self.scale.smallest:
             raise ConfigError(

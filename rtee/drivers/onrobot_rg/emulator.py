@@ -156,7 +156,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         super().on_faults()
         for i, pushed in enumerate(self._pushed):
             if not pushed:
-                # Clearing the fault stands for releasing the switch and restarting the tool.
+                # Clearing the fault means that the switch is released and the tool restarted.
                 self._triggered[i] = False
             elif self._busy:
                 self._trip(i)

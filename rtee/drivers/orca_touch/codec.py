@@ -285,7 +285,7 @@ def tip_counts(data: bytes) -> dict[str, int]:
 
 
 def counts_bytes(counts: Mapping[str, int]) -> bytes:
-    """Return `Register.COUNTS` of a board with fingertips of so many taxels."""
+    """Return `Register.COUNTS` of a board, for the number of taxels of each fingertip."""
     table = [0] * (COUNTS_SIZE // 2)
     for name, count in counts.items():
         table[_PER_SLOT * FINGERS.index(name) + _TIP] = count
@@ -293,7 +293,7 @@ def counts_bytes(counts: Mapping[str, int]) -> bytes:
 
 
 def data_size(content: Content, counts: Sequence[int]) -> int:
-    """Return the bytes of data of a frame with a content, of fingers with so many taxels."""
+    """Return the bytes of data of a frame with a content, for the taxels of each finger."""
     resultants = _RESULTANT * len(counts) if content & Content.RESULTANTS else 0
     return resultants + (_TAXEL * sum(counts) if content & Content.TAXELS else 0)
 
@@ -313,7 +313,7 @@ class Forces:
 
     @classmethod
     def from_bytes(cls, data: bytes, content: Content, counts: Sequence[int]) -> Self:
-        """Read the data of a frame with a content, of fingers with so many taxels.
+        """Read the data of a frame with a content, for the number of taxels of each finger.
 
         Raises `OrcaFrameError` if it has another length.
         """
@@ -352,6 +352,7 @@ def forces_bytes(resultants: FloatArray, taxels: Sequence[FloatArray], content: 
                 data += bytes((low & 0xFF, 0xFF if low < 0 else 0))
         if content & Content.TAXELS:
             counts = np.rint(of_finger / NEWTONS)
+            # Saturated, so that a large force does not wrap to the other sign.
             counts[:, :2] = counts[:, :2].clip(-128, 127)
             counts[:, 2] = counts[:, 2].clip(0, 255)
             data += (counts.astype(np.int64) & 0xFF).astype(np.uint8).tobytes()

@@ -226,6 +226,8 @@ class OrcaTouchDriver(Driver):
         bus.check()
         now = time.monotonic()
         if now - self._heard > _SILENT:
+            # The start takes several exchanges, which would delay every cycle of a board that is
+            # gone.
             if now - self._armed < _AGAIN:
                 raise BusTimeout(bus.name, f"the board sent no frame for {now - self._heard:.1f} s")
             await patiently(lambda: self._arm(bus))
@@ -243,6 +245,7 @@ class OrcaTouchDriver(Driver):
         # A tenth less than the period, since frames do not arrive at multiples of it.
         if stamp - self._taken < 0.9 / self.options.touch_rate:
             return
+        # Taken once: the same frame must not become a second reading.
         self._newest, self._taken, self._error = None, stamp, frame.error
         if frame.error:
             return  # its forces cannot be trusted; the last reading becomes stale
@@ -261,7 +264,8 @@ class OrcaTouchDriver(Driver):
         """See `Driver.move`: the board moves nothing."""
 
     async def close(self) -> None:
-        """Detach from the line; the board goes on sending."""
+        """Detach from the line; the board continues to send."""
         if self.connection.is_open:
+            # The board continues to send, and this driver must not receive it any more.
             self.connection.link.listen(None)
         await super().close()

@@ -283,6 +283,7 @@ class QbSoftHandDriver(Driver):
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
+            # Stored, too, as a later reference for one motor repeats it for the other.
             self._closure = await patiently(self._measured)
             await self._send(self._closure)
 
@@ -296,6 +297,7 @@ class QbSoftHandDriver(Driver):
         self.connection.link.patient = True
         await self.connection.link.send(Command.ACTIVATE, _BOTH)
         await self._confirm()
+        # After `ACTIVATE` the motors hold their positions, which need not be their references.
         self._attached.begin(range(self.options.motors))
         self._active = True
         self._closure = await self._measured()

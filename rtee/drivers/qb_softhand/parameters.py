@@ -117,6 +117,7 @@ class ListParser:
                         return []
                     buffer.clear()
                     return [found]
+                # A false header inside other data: the search continues one byte later.
                 except QbFrameError:
                     pass
             self.errors += 1

@@ -167,6 +167,7 @@ class ReplayDriver(Driver):
             if not await self._has_read(self._beginning):
                 return
             beginning, self._beginning = self._beginning, None
+            # Raises the error of the reading thread, if there was one.
             beginning.result()
             # Time starts when the first block has been read, so that no state of it is skipped.
             self._begin, played = self.now(), 0.0
@@ -185,6 +186,7 @@ class ReplayDriver(Driver):
                 if wanted < self._next.stamp[0]:
                     return
                 self._block, self._next = self._next, None
+                # Rows count from 0 again, and the first one must count as new.
                 self._shown = -1
                 self._fetch()
             elif self._options.repeat:

@@ -187,6 +187,7 @@ class RecordedStates:
         for schema, _, message in self._stored([self._touch_topics[1]]):
             with contextlib.suppress(MessageError):
                 kind = _recorded(TYPES[TOUCH_SENSORS], schema)
+                # The first description of a device takes precedence.
                 found = {**sensors_of(kind.decode(message.data)), **found}
         return found
 

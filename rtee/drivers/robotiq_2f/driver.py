@@ -234,6 +234,7 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
         Arguments and errors as for `Calibrates.calibrate`; the rest posture is not needed.
         """
         await ready("Take everything out of the gripper's reach: it will close and open fully.")
+        # The motions below are not part of a cycle.
         self.connection.link.deadline = PATIENT
         self._home_asked = True
         await self.activate()

@@ -245,10 +245,12 @@ class SchunkEguDriver(BlocksDriver):
         await self._write(Output(Control.RUN | Control.ACKNOWLEDGE))
         try:
             await self._until(self._ready, _READY)
+        # The gripper's error says more than that it took too long.
         except DeviceFault:
             self._refuse(self._input)
             raise
         finally:
+            # The next acknowledgement needs a rising edge, too.
             with contextlib.suppress(BusError):
                 await self._write(Output(Control.RUN))
 
@@ -450,6 +452,7 @@ class SchunkEguDriver(BlocksDriver):
             # A stop is not needed, and might end the grip.
             self._forget()
             return
+        # Without the bit first: the command is its rising edge, and it may be set already.
         await self._insist(Output(Control.RUN).to_registers())
         if await self._insist(Output(Control.RUN | Control.STOP).to_registers()):
             self._forget()

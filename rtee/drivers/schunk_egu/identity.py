@@ -65,6 +65,7 @@ async def identify(bus: ModbusBus, unit: int, device: str) -> Identity:
         )
     least, most = await number(Parameter.LEAST_POSITION), await number(Parameter.MOST_POSITION)
     force, speed = await number(Parameter.MOST_FORCE), await number(Parameter.MOST_SPEED)
+    # Another device may return zeros for registers that it does not have.
     if not (least < most and force > 0.0 and speed > 0.0):
         raise HandshakeError(
             device, _WHAT, f"positions {least} to {most} mm, {force} N, {speed} mm/s"

@@ -113,7 +113,7 @@ HOMING_RATE = 0.2
 def channels_for(firmware: tuple[int, int]) -> tuple[Channel, ...]:
     """Return the channels with the offsets for a firmware version."""
     table = list(CHANNELS)
-    # Version 0.0, which is none, is treated like 1.2.
+    # Version 0.0, which is no real version, is treated like 1.2.
     if firmware in {(0, 0), (1, 2)}:
         table[1] = replace(table[1], min_offset=-105_000)
         table[8] = replace(table[8], min_offset=-57_000)

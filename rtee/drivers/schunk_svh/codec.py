@@ -91,6 +91,7 @@ class Packet:
         data = raw[6:-2]
         if bytes(checksums(data)) != raw[-2:]:
             raise SvhFrameError("the checksums do not match")
+        # Three of the sixteen values are no command.
         command = address & 0xF
         if command > Command.GET_FIRMWARE_INFO:
             raise SvhFrameError(f"there is no command {command:#x}")

@@ -109,6 +109,7 @@ class SchunkSvhDriver(Driver):
         state = await link.state()
         enabled = {c for c in range(codec.CHANNELS) if state.enabled >> c & 1}
         self._health.found(state)
+        # Stops that this driver has found are newer than those in the file.
         if not self.stops:
             self._adopt_stops(homing.read_stops(options.stops_file))
         # A stored zero may be from before a power cycle; a finger beyond its range proves that.
@@ -265,6 +266,7 @@ class SchunkSvhDriver(Driver):
         ):
             if commanded and known and index not in waiting:
                 self._targets[index] = target
+        # One packet sets all channels; those without a reference get their last targets again.
         feedback = await self.connection.link.set_targets(self._targets)
         self._answer = feedback, time.monotonic()
 
@@ -305,5 +307,6 @@ class SchunkSvhDriver(Driver):
 
     async def close(self) -> None:
         """Detach from the line; enabled channels stay enabled."""
+        # After a reconnection, an old reply must not pass for a measurement.
         self._answer = None
         await super().close()

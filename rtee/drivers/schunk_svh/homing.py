@@ -51,6 +51,7 @@ async def home(
     ``timeout`` [s] without reaching its stop, or does not come back from it; and `BusError`.
     """
     slow = replace(position, max_rate=position.max_rate * HOMING_RATE)
+    # Slowly before it is enabled, so that it never meets the stop at full speed.
     await link.set_position_settings(channel.index, slow)
     here = (await link.feedback(channel.index)).position
     # Before it is enabled, since it would move to an old target at once.

@@ -182,6 +182,7 @@ class Frame:
         preamble, command, length = _HEAD.unpack_from(raw)
         if preamble != PREAMBLE or len(raw) != _OVERHEAD + length:
             raise WsgFrameError("wrong beginning or length")
+        # Over the whole frame: with its own checksum appended, the result is 0.
         if crc(raw) != 0:
             raise WsgFrameError("wrong checksum")
         return cls(command, raw[_HEAD.size : -_CRC.size])

@@ -344,9 +344,10 @@ class Wsg50Driver(GripperDriver):
         return self._fault(_NOT_REFERENCED, "not homed", _HOME)
 
     async def close(self) -> None:
-        """Announce the end of the connection, else the gripper may fast-stop, and detach."""
+        """Announce the end of the connection, so that no fast stop follows, and detach."""
         self._active = False  # even if the announcement is cancelled
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
+                # Sent once: a gripper that is gone must not delay closing.
                 await self.connection.link.ask(Frame(Command.DISCONNECT), retries=0)
         await super().close()

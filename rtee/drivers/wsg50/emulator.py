@@ -214,6 +214,7 @@ class Wsg50Emulator(Emulator, Grasps):
                 return self._measured(command, frame.payload, now)
             return self._done(command, frame)
         except WsgFrameError:
+            # Shorter than any number: too few parameters; any other wrong length is a wrong format.
             few = len(frame.payload) < _NUMBER
             status = Status.TOO_FEW_PARAMETERS if few else Status.FORMAT
             return answer(command, status)

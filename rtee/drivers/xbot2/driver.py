@@ -109,6 +109,7 @@ class XBot2Driver(Driver):
             ),
             lambda bus: bus,
         )
+        # Before the request, since states arrive all the time and the wait below needs one.
         self._undo = bus.subscribe(self._take)
         try:
             raw = await bus.request(codec.request("joint_names"), options.deadline)
@@ -179,6 +180,7 @@ class XBot2Driver(Driver):
         """Return the newest state that XBot2 has published; waits briefly for a new one."""
         bus = self.connection.link
         bus.check()
+        # Only if there is no new state: one that has arrived already must not cost a wait.
         if self._stamp == self._seen:
             self._arrived.clear()
             with contextlib.suppress(TimeoutError):
