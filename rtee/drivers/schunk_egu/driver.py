@@ -343,7 +343,7 @@ class SchunkEguDriver(BlocksDriver):
             await self._go(here, target, force, float(reference.max_velocity[0]), held)
 
     async def _go(self, here: float, target: float, force: int, speed: float, held: bool) -> None:
-        if self._closes(here, target) or (held and here == target):
+        if self._way(here, target) > _REACHED or (held and here == target):
             await self._command(Control.GRIP, force=force)
             self._follower.sent()
             await self._watch(target)
@@ -409,10 +409,6 @@ class SchunkEguDriver(BlocksDriver):
     def _way(self, here: float, target: float) -> float:
         """Return how much further closed a target is than a position [µm]."""
         return target - here if self.options.opens == "down" else here - target
-
-    def _closes(self, here: float, target: float) -> bool:
-        """Return whether a target [µm] is further closed than the present position."""
-        return self._way(here, target) > _REACHED
 
     async def _command(
         self, control: Control, *, position: int = 0, speed: int = 0, force: int = 0
