@@ -257,7 +257,8 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     starts only when its actions are read. It need not judge the text: what it makes of any text is
     right if `emit` writes the same text for it.
     """
-    # `emit` escapes all others, so such a text is not its own.
+    # `emit` escapes what is not printable, so such a text is not its own. The few texts beyond
+    # ASCII are left to ruamel.yaml.
     if not text.isascii() or not text.replace("\n", "").isprintable():
         return None
     lines = text.split("\n")
