@@ -146,6 +146,7 @@ class TrajectoryAction:
 
     async def _accept(self, message: Any) -> Job:
         job = self._checked(message)
+        # From now on and not only from `run`, since the hand may end before that.
         self._following.add(job)
         return job
 
@@ -174,6 +175,7 @@ class TrajectoryAction:
                     " default, or -1 for any time",
                 )
             goal_time = math.inf
+        # Without points and names, all actuators stop where they are.
         if not message.trajectory.points:
             names = names or list(self.face.actuators)
         self._check_joints(names)
@@ -301,6 +303,7 @@ class _Following:
         if first:
             result = self._action.type.result(error_code=code, error_string=text)
             reason = f"{code.name}: {text}" if state is GoalState.ABORTED else ""
+            # The first outcome stays, whatever else ends the goal meanwhile.
             self._outcome = Outcome(state, result, reason)
             self._changed.set()
         return first
