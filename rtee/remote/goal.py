@@ -237,6 +237,7 @@ class GoalClient:
         """Return the result; cancelling this, or an error of ``on_feedback``, cancels the goal."""
         try:
             return await running.result(on_feedback)
+        # The hand has gone, and with it the goal.
         except RemoteError:
             raise
         except BaseException:
