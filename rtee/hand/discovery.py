@@ -191,8 +191,6 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
         The name of each finger, and the reason for it.
     """
     called = [_called(end, ends, urdf) for end in ends]
-    # All fingers or none: a hand with usual names for some and parts of links for others would
-    # confuse.
     names = [name for name, _ in filter(None, called)]
     if len(names) == len(set(names)) == len(ends):
         return [found for found in called if found]

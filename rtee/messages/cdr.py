@@ -137,7 +137,7 @@ class Reader:
             raise MessageError(f"{len(data)} bytes are longer than any message")
         # `bytes`, the type of messages from the network, are decoded fastest.
         self._data = data if isinstance(data, bytes) else bytes(data)
-        # The first two bytes name the encoding; the other two are options, unused in CDR.
+        # The first two bytes name the encoding; the other two are options, unused in this version.
         if self._data[:2] != HEADER[:2] or len(data) < len(HEADER):
             raise MessageError("no little-endian CDR header at the start")
         self._end = len(self._data)

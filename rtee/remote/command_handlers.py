@@ -28,7 +28,7 @@ from rtee.types import Goal
 Fields = Mapping[str, Any]
 
 _STOPPED_FOR = 0.1
-"""Time for which a confirmed stop answers the next one, too [s]: nobody presses faster twice."""
+"""Time for which a confirmed stop answers the next one, too [s]: people press no faster."""
 
 _WITHOUT_LEASE = ("release",)
 """Requests that are accepted while another client holds the lease."""

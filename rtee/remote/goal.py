@@ -76,7 +76,7 @@ class RunningGoal:
         self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        # Without this, asyncio would log an error that nobody retrieves, when the hand has gone.
+        # Without this, asyncio would log an unretrieved error when the hand has gone.
         self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
 
     @property

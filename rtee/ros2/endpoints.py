@@ -62,7 +62,7 @@ class Publisher:
             # Queried after declaring the listener, so that no subscriber in between is missed.
             if getattr(self._publisher.matching_status, "matching", True):
                 self._heard = True
-        # Last, so that whoever sees the publisher in the graph receives its messages.
+        # Last, so that a node that sees the publisher in the graph receives its messages.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _matched(self, status: Any) -> None:
@@ -121,7 +121,7 @@ class Publisher:
         """Leave the graph; drop messages that are published later."""
         with self._lock:
             self._closed = True
-        # The token first: nobody should find a publisher in the graph that is gone.
+        # The token first: the graph must not contain a publisher that does not exist any more.
         self._token.undeclare()  # type: ignore[no-untyped-call]
         if self._listener is not None:
             self._listener.undeclare()  # type: ignore[no-untyped-call]

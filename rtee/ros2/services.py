@@ -94,7 +94,7 @@ class Service:
         self._queryable = participant.session.declare_queryable(
             key, direct(self._on_query), complete=True
         )
-        # Last, so that whoever sees the service in the graph can call it.
+        # Last, so that a client that sees the service in the graph can call it.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _drop(self, why: str) -> None:
