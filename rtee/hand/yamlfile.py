@@ -267,6 +267,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     at: dict[int, Any] = {0: root}  # the mappings that are open, by the column of their keys
     opened: dict[int, str] = {}  # the key of each of them that has no value yet
     try:
+        # Without the last one, which is empty: the text ends with a line break.
         for line in lines[body:-1]:
             blanks, dash, word, value = _LINE.fullmatch(line).groups()  # type: ignore[union-attr]
             column = len(blanks) + len(dash or "")
@@ -281,6 +282,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
             key = json.loads(word) if word[0] == '"' else word
             if value is None:
                 opened[column] = key
+                # The mapping at that column, if any, belongs to an earlier key.
                 at.pop(column + 2, None)
             else:
                 at[column][key] = json.loads(
