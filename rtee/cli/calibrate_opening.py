@@ -199,6 +199,7 @@ async def typed_line(text: str) -> str:
     command.
     """
     print(text, end="", flush=True)
+    # Not through `sys.stdin`: the event loop would not notice lines in its buffer.
     stdin = sys.stdin.fileno()
     while b"\n" not in _typed:
         await _readable(stdin)

@@ -141,6 +141,7 @@ def store(library: ActionLibrary, action: CustomAction, replace: bool) -> None:
     from rtee.actions.build import warnings_of
 
     if replace and not action.description:
+        # Before adding, which replaces the file with the earlier description.
         action = dataclasses.replace(action, description=_description(library, action.name))
     # Adding may copy a shipped hand; the library then points to the copy.
     before = library.folder

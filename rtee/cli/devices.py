@@ -262,6 +262,7 @@ def calibrate(
     async def execute() -> None:
         async with BusPool() as pool:
             for spec in specs:
+                # Before the measurement, which would be lost if the folder cannot be written.
                 path = file_of(spec)
                 # The driver would apply the stored values to the measurement; they may be wrong.
                 uncalibrated = _with_options(spec, calibration=None)

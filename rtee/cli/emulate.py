@@ -82,6 +82,7 @@ def emulate(
     )
     if object_ is not None:
         grasping(player.emulator).place_object(ObjectInHand.parse(object_))
+    # Before the port opens, so that no program sees the device without its faults.
     for name in fault or []:
         player.emulator.inject(name)
     with player:

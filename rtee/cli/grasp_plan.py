@@ -80,6 +80,7 @@ def grasp_plan(
         ranking = _checked(hand, library, target, ranking)
     if json_:
         document = to_document(ranking)
+        # All plans were ranked: `--top` only shortens what is printed.
         print(json.dumps({**document, "plans": document["plans"][:top]}, indent=2))
     else:
         _show(ranking, top)

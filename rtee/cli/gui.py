@@ -79,6 +79,7 @@ def _lower_priority() -> None:
     another program when it wakes.
     """
     with contextlib.suppress(OSError):  # some containers permit neither
+        # `os.nice` adds to the present value; a higher one stays.
         os.nice(max(0, _NICE - os.nice(0)))
         # Any other policy was chosen by the user and stays.
         if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_OTHER:
@@ -97,4 +98,5 @@ async def _check_running(hand: str | None, endpoint: str | None) -> None:
     except NoHand as error:
         start = "" if "rtee run" in str(error) else f"; start it with 'rtee run {hand or 'HAND'}'"
         raise ConfigError(f"{error}{start}") from None
+    # It was only opened to find the hand; the page opens sessions of its own.
     await anyio.to_thread.run_sync(session.close)

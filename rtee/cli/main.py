@@ -81,6 +81,7 @@ class LazyGroup(TyperGroup):
         command: Any = typer.main.get_command(
             app_of(getattr(importlib.import_module(module), name))
         )
+        # The function may have another name, such as `open_`, but messages show this one.
         command.name = cmd_name
         command.short_help = entry[1]
         return command

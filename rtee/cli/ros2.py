@@ -73,6 +73,7 @@ def _in_graph(
         # These commands reveal nothing of a hand, so that an unsecured router will do.
         opened = Context.open(settings, environment, insecure=True, router_needed=True)
         async with opened as context:
+            # Before any look at the graph, which is empty just after the session opens.
             await context.graph.ready()
             return await work(context)
 
@@ -133,6 +134,7 @@ def _print(message: Message, as_json: bool) -> None:
     yaml.default_flow_style = None  # lists of numbers in one line
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment] # its stub says None
     yaml.dump(fields, sys.stdout)
+    # Flushed after each message, since `echo` goes on and a program may read it.
     print("---", flush=True)
 
 

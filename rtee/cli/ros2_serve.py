@@ -64,6 +64,7 @@ def serve(
         import xxhash  # noqa: F401 - report a missing extra before opening anything
     log_to_stderr(verbose)
     given = {"domain": domain, "namespace": namespace, "router": router, "distro": distro}
+    # All hands first, so that a wrong one ends the command before any node is made.
     shown = [_shown(hand, given, endpoint) for hand in hands]
     environment = environment_without(domain)
     for warning in warnings(shown):

@@ -130,6 +130,7 @@ def run(
     options = RunOptions(
         driver=driver,
         emulated=emulated,
+        # There, the object is an option of the driver, see `_scene`.
         object_in_hand=None if driver == "mujoco" else object_,
         driver_options=driver_options,
         home=home,
@@ -144,6 +145,7 @@ def run(
     )
 
     async def main() -> int:
+        # Flushed, since a program that reads the output may wait for a line.
         return await run_hands(hands, options, say=lambda line: print(line, flush=True))
 
     raise typer.Exit(anyio.run(main, backend_options=backend_options()))

@@ -89,7 +89,8 @@ def add_client(
     try:
         authority.write_private(path, text)
     except ConfigError:
-        authority.revoke(folder, person.name)  # nobody holds it, and nobody shall
+        # The client does not have it, so that it must not stay admitted.
+        authority.revoke(folder, person.name)
         raise
     print(f"{person.name}: {role}, until {_date(person.until)}, in {path}")
     print("The file is as good as a key: bring it to the client's computer in a safe way, there as")

@@ -54,6 +54,7 @@ def stop(
     anyio.run(stop_all)
     if as_json:
         print(to_json(confirmed))
+    # The first one is raised below, and printed where it is caught.
     for error in errors[1:]:
         print(f"rtee: {error}", file=sys.stderr)
     if errors:

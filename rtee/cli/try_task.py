@@ -70,6 +70,7 @@ def try_tasks(
         if as_json:
             documents.append(_document(trial, results))
         else:
+            # At once, since a task takes long and the next ones may be interrupted.
             print(_sentence(trial, results), flush=True)
     if as_json:
         print(json.dumps(documents, indent=2))

@@ -23,6 +23,7 @@ def config_dirs(extra: Sequence[Path | str] = ()) -> list[Path]:
     """
     package = Path(__file__).resolve().parents[1]
     candidates = [*(Path(folder) for folder in extra), *own_dirs(), package / "_config"]
+    # Only in a checkout: beside an installed package, `config` would be that of another program.
     if (package.parent / "pyproject.toml").is_file():
         candidates.append(package.parent / "config")
     candidates.append(Path())

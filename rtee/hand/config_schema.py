@@ -126,10 +126,10 @@ class ActuatorDynamics(Section):
     damping: NotNegative | None = None
     """Viscous friction of the joint [N·m·s/rad | N·s/m]."""
     dry_friction: NotNegative | None = None
-    """Dry friction of the joint [N·m | N]; forces at fingertips are reckoned with it, too."""
+    """Dry friction of the joint [N·m | N]; estimates of forces at fingertips use it, too."""
     efficiency: Annotated[float, Interval(gt=0, le=1)] | None = None
-    """Share of its effort that reaches the fingertips, besides dry friction; 1 unless given. Forces
-    at fingertips are reckoned with it; the simulation has none."""
+    """Share of its effort that reaches the fingertips, besides dry friction; 1 unless given.
+    Estimates of forces at fingertips use it; the simulation has none."""
     coupling: Following | None = None
     """How joints follow it: ``rigid``: as geared, unless given; ``spring``: each on a spring of its
     own; ``tendon``: on springs, and one tendon shares the effort among them, so that those that are
@@ -190,8 +190,8 @@ class GraspSettings(Section):
     """Where no device measures forces on the fingers: force at the fingertips above which an
     actuator's effort counts as a contact [N]."""
     contact_fingers: Annotated[int, Ge(1)] = 2
-    """So many fingers must touch before they squeeze; actions with an opening need one on each of
-    its sides instead."""
+    """Number of fingers that must touch before they squeeze; actions with an opening need one on
+    each of its sides instead."""
     squeeze_time: NotNegative = 0.3
     """Time in which the force is then built up [s]."""
 
@@ -275,7 +275,7 @@ class ThermalSettings(Section):
     disable: float = 80.0
     """From here on the actuator's device is disabled."""
     nominal_current: Mapping[str, Positive] = field(default_factory=dict)
-    """Current by actuator that it may be given for ever [A]; ``defaults``: of all others. Where no
+    """Largest continuous current by actuator [A]; ``defaults``: of all others. Where no
     temperature is measured, it is estimated from the measured current."""
     time_constant: Positive = 30.0
     """Time in which an estimated temperature comes within 37 % of its final value [s]."""
@@ -348,7 +348,7 @@ class RemoteSettings(Section):
 
 
 class Distro(Word):
-    """A distribution of ROS 2: it decides which interfaces and hashes are spoken."""
+    """A distribution of ROS 2: it determines the interfaces and their hashes."""
 
     JAZZY = "jazzy"
     KILTED = "kilted"
@@ -364,7 +364,7 @@ class Ros2Settings(Section):
     """Be a node of ROS 2. ROS 2 knows no identities: whoever reaches its router can move the
     hand."""
     domain: Annotated[int, Interval(ge=0, le=232)] = 0
-    """The domain, unless ``ROS_DOMAIN_ID`` says another."""
+    """The domain, unless ``ROS_DOMAIN_ID`` gives another."""
     namespace: str = ""
     """Namespace of the node, such as ``left``; empty: none."""
     distro: Distro = Distro.JAZZY
@@ -412,7 +412,7 @@ class TouchSection(Section):
     normals: Vectors = ()
     """Directions out of the surface at the ``positions``; z unless given."""
     scale: Positive | None = None
-    """Newtons that one unit of a taxel's value stands for, where the device does not measure in
+    """Newtons per unit of a taxel's value, where the device does not measure in
     newtons itself; only forces make a finger feel a contact."""
 
     def __post_init__(self) -> None:
@@ -440,6 +440,6 @@ class DeviceSection(Section):
     deadline: Positive | None = None
     """Longest time one exchange may take [s]."""
     reconnect: Literal["inactive", "active"] = "inactive"
-    """What it comes back as after it was lost: ``inactive`` waits for ``rtee recover``."""
+    """Its lifecycle when it is back after a loss: ``inactive`` waits for ``rtee recover``."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """The driver's own options."""

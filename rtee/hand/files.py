@@ -57,10 +57,12 @@ def write_together(files: Mapping[Path, str | bytes]) -> None:
         folders = {place.parent for place in staged}
         for target in list(staged):
             os.replace(staged[target], target)
+            # What is left in `staged` when an error occurs is removed below.
             del staged[target]
         # A renamed file survives a power cut only once its folder is on the disk.
         for folder in folders:
             sync_folder(folder)
+    # A ValueError comes from a path with a null character.
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot be written: {reason(error)}", path=target) from error
     finally:
@@ -118,6 +120,7 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         yield make_folder(folder)
+    # Also when the block is cancelled or the user presses Ctrl-C.
     except BaseException:
         # The innermost first; rmdir fails for folders that are not empty, which stay.
         for each in made:
@@ -142,11 +145,15 @@ def new_tree(target: Path) -> Iterator[Path]:
         try:
             # Next to the target, since a folder can be renamed only within its file system.
             with tempfile.TemporaryDirectory(prefix=f".{target.name[:40]}.", dir=place) as scratch:
+                # A folder inside, since the context removes the temporary one itself. It also gets
+                # the usual permissions: those of a temporary folder are its owner's only.
                 filled = Path(scratch) / target.name
                 filled.mkdir()
                 yield filled
                 filled.rename(target)
         except (OSError, shutil.Error) as error:
+            # `shutil.copytree` goes on after a failure and raises one error with a list of them
+            # all.
             several = error.args[0] if isinstance(error, shutil.Error) else ()
             text = "; ".join(each[2] for each in several) or reason(error)
             raise ConfigError(f"cannot be made: {text}", path=target) from error
@@ -172,6 +179,7 @@ def write_all(
         for folder in sorted({*folders, *(path.parent for path in files)}):
             made.enter_context(new_folder(folder))
         write_together(files)
+    # Only now, so that a failed write leaves the old files.
     for path in gone:
         try:
             path.unlink(missing_ok=True)

@@ -65,6 +65,7 @@ def turn(axis: FloatArray, angle: float) -> FloatArray:
 
 def pose_matrix(pose: FloatArray) -> FloatArray:
     """Return the transform ``(4, 4)`` of a position [m] and a quaternion (w, x, y, z) ``(7,)``."""
+    # The quaternion may be rounded, and the matrix of one that is not of unit length would scale.
     w, x, y, z = pose[3:] / np.linalg.norm(pose[3:])
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return homogeneous(np.eye(3) + 2.0 * (w * cross + cross @ cross), pose[:3])

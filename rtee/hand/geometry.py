@@ -252,6 +252,7 @@ class _Meshes:
 
     def load(self, source: UrdfGeometry) -> coal.BVHModelBase:
         path = check_mesh(source, self._hand.urdf, self._hand.package_dirs)
+        # With the scale, since the loader multiplies the vertices by it.
         key = (_identity(path), source.scale)
         if key not in self._known:
             self._known[key] = self._read(path, source)

@@ -100,6 +100,7 @@ def load_configured(
     name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()
 ) -> tuple[Hand, HandConfig]:
     """Load a configured hand together with its configuration; see `load_hand`."""
+    # Imported here: a hand that a recording or `load_model` describes needs no hand.yaml.
     from rtee.hand.config import read_document
 
     folder, file = hand_folder(name_or_path, config_dirs=config_dirs)
@@ -209,12 +210,14 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ModelError: The files do not describe a hand.
         ConfigError: A name or a configured value is not allowed.
     """
+    # First, since what follows looks up the names in the SRDF unchecked.
     notes = check_srdf(srdf, urdf) if srdf else []
     unknown = next((n for n in overrides.passive if n not in urdf.joints), None)
     if unknown is not None:
         raise ModelError(
             f"no joint '{unknown}', which is to be passive; {suggestion(unknown, urdf.joints)}"
         )
+    # A passive joint may be fixed (`check_srdf` notes it); such a joint has no role.
     passive = {
         n for n in (*(srdf.passive if srdf else ()), *overrides.passive) if urdf.joints[n].moving
     }

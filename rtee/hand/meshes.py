@@ -53,6 +53,7 @@ def resolve_mesh(
             raise ModelError(
                 f"mesh '{uri}' is neither a path nor package:// nor file://", path=urdf, line=line
             )
+        # Inside the block, since a name may be too long or hold a null character.
         found = next((path for path in candidates if path.is_file()), None)
     except (OSError, ValueError) as error:
         if isinstance(error, ModelError):

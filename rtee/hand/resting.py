@@ -218,6 +218,7 @@ class _Search:
         distance, point = self._geometry.closest(tips, before, convex=True)
         u[actuator] += _STEP * (bound - u[actuator])
         after = kinematics.placements(u)
+        # Where each tip carries the point that was in the middle of the gap before.
         first, second = (
             (after[tip] @ np.linalg.inv(before[tip]) @ np.append(point, 1.0))[:3] for tip in tips
         )

@@ -102,6 +102,7 @@ def make_hand(
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
     reasons = tuple(f"{finger.name}: {finger.reason}" for finger in hand.fingers)
+    # Loaded again, so that its paths are not those of the temporary folder.
     return NewHand(target, load_hand(target), reasons, pairs, tuple(notes))
 
 
@@ -159,6 +160,7 @@ def _settle(
     # These depend on the rest posture, and are computed again if it changes below.
     pairs = allowed_collisions(hand)
     fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
+    # The closed rest is judged without the linkages, whose ends always touch something.
     hand = replace(hand, fingers=fingers)
     closed = closed_rest_of(hand)
     if closed is not None:

@@ -50,6 +50,7 @@ def subdivided(corners: FloatArray, longest: float) -> FloatArray:
         long = lengths.max(axis=1, initial=0.0) > longest
         if not long.any():
             return corners
+        # Always the longest edge: halving another one would leave ever thinner triangles.
         parts, edge = corners[long], lengths[long].argmax(axis=1)
         rows = np.arange(len(parts))
         a, b, c = (parts[rows, (edge + i) % 3] for i in range(3))

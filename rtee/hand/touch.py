@@ -45,6 +45,7 @@ def taxels_of(section: TouchSection) -> tuple[FloatArray, FloatArray]:
     normals = np.tile((0.0, 0.0, 1.0), (len(points), 1))
     if section.normals:
         normals = np.array(section.normals, dtype=np.float64)
+        # In hand.yaml, only their directions count.
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return points @ frame[:3, :3].T + frame[:3, 3], normals @ frame[:3, :3].T
 

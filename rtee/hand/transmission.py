@@ -182,6 +182,7 @@ class Transmission:
 
     def jacobian(self, u: FloatArray) -> FloatArray:
         """Return the derivative ``(m, n)`` of the joints by the actuators at positions ``(n,)``."""
+        # A copy, since the matrix is shared and read-only.
         jacobian: FloatArray = self.matrix.copy()
         for row, actuator, coupling in self._curved:
             jacobian[row, actuator] = coupling.dual(float(u[actuator]))[1]

@@ -53,6 +53,7 @@ def read_urdf(path: Path | str) -> Urdf:
         name=root.attributes.get("name", "").strip() or Path(path).stem,
         path=Path(path),
         text=text,
+        # Read-only, since every part of the program uses the same description.
         links=MappingProxyType(links),
         joints=MappingProxyType(_in_tree_order(base, below)),
         root=base,

@@ -1,13 +1,13 @@
 """Check plain data, as YAML and JSON hold it, against dataclasses.
 
-A dataclass says with its types what is right: ``float``, ``int``, ``bool``, ``str``, ``Path``,
+The types of a dataclass define valid data: ``float``, ``int``, ``bool``, ``str``, ``Path``,
 literals, enumerations, tuples, lists, mappings, other dataclasses, unions of these, and bounds of
-annotated-types. Nothing is converted but what YAML and JSON cannot express: a mapping becomes a
+annotated-types. Values are converted only where YAML and JSON lack the type: a mapping becomes a
 dataclass, a list a tuple, a text a path or a member of an enumeration, an integer a ``float``.
 Unknown keys, and numbers that are NaN or infinite, are refused.
 
-The mistakes have the form of those of pydantic, which checks the options of drivers. Its import
-takes 9 MB and a tenth of a second, which is why files are not checked with it.
+The mistakes have the form of those of pydantic, which checks the options of drivers. Files are not
+checked with it, since its import takes 9 MB and a tenth of a second.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ OTHERS: Final = "others"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What else a value of the right type must fulfil, in `Annotated`.
+    """A further condition for a value of the right type, in `Annotated`.
 
     Attributes:
-        function: Takes the value and raises a ``ValueError`` that says what is wrong.
+        function: Takes the value; raises a ``ValueError`` with the reason if it is wrong.
     """
 
     function: Callable[[Any], object]
 
 
 class Mistake(TypedDict):
-    """One mistake, as ``ValidationError.errors()`` of pydantic has it.
+    """A mistake, as in ``ValidationError.errors()`` of pydantic.
 
     Attributes:
         type: Its kind, such as ``missing``.
-        loc: Where it is: keys and positions from the root.
+        loc: Its location: keys and positions from the root.
         msg: What is wrong, a sentence.
         input: The value that is wrong.
         ctx: Bounds and causes, by pydantic's names.
@@ -76,7 +76,7 @@ class Invalid(ValueError):
 
 
 def validated(kind: type[T], data: Any) -> T:
-    """Return plain data, as YAML and JSON have it, as a dataclass.
+    """Return plain data from YAML or JSON as a dataclass.
 
     Raises:
         Invalid: It does not fit; the error names all mistakes.
@@ -96,7 +96,7 @@ def known_keys(kind: Any, location: Location) -> list[str]:
 
 
 def _inside(kind: Any, part: str | int) -> Any:
-    """Return the type of what a key or position of a value of some type leads to."""
+    """Return the type of the value at a key or position of a value of some type."""
     if _is_dataclass(kind):
         others = _others(kind)
         if part in field_types(kind) and part != others:
@@ -107,12 +107,12 @@ def _inside(kind: Any, part: str | int) -> Any:
         return arguments[1]
     if origin in (list, tuple):
         return arguments[0]
-    # Annotated types and those that are optional lead where the type inside does.
+    # An annotated or optional type contains the type that leads further.
     return _inside(arguments[0], part)
 
 
 def _dataclasses(annotation: Any) -> Iterator[Any]:
-    """Yield the dataclasses that a type is made of."""
+    """Yield the dataclasses in a type."""
     if _is_dataclass(annotation):
         yield annotation
     for inner in typing.get_args(annotation):
@@ -138,9 +138,9 @@ def _others(kind: Any) -> str | None:
 
 
 _Checker = Callable[[Any, Location, list[Mistake]], Any]
-"""Takes a value, where it is and the mistakes so far; returns the value as its type has it.
+"""Takes a value, its location and the mistakes so far; returns the value converted to its type.
 
-What it returns after a mistake is of no use."""
+After a mistake, the returned value is meaningless."""
 
 
 def _mistake(
@@ -149,10 +149,10 @@ def _mistake(
     mistakes.append(Mistake(type=kind, loc=at, msg=message, input=value, ctx=context))
 
 
-# Each type is looked at once: a file of actions has thousands of values of a few types.
+# Cached, since a file of actions has thousands of values of a few types.
 @cache
 def _checker(kind: Any) -> _Checker:
-    """Return what checks values of a type.
+    """Return the function that checks values of a type.
 
     Raises:
         TypeError: No value of that type can be in a file.
@@ -191,6 +191,7 @@ def _float(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
     if type(value) is int:
         try:
             return float(value)
+        # An integer of more than 308 digits.
         except OverflowError:
             pass
     _mistake(mistakes, "float_type", at, "Input should be a valid number", value)
@@ -234,6 +235,7 @@ def _words(members: Mapping[Any, Any]) -> _Checker:
     expected = " or ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        # A text first: a list could not be looked up.
         if isinstance(value, str) and value in members:
             return members[value]
         message = f"Input should be {expected}"
@@ -248,6 +250,7 @@ def _union(checkers: list[_Checker]) -> _Checker:
     members = [check for check in checkers if check is not _none]
 
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
+        # Not as one of the members: a mistake would then also say that None is possible.
         if value is None and optional:
             return None
         found: list[Mistake] = []
@@ -295,7 +298,7 @@ def _mapping(key: _Checker, item: _Checker) -> _Checker:
         if not isinstance(value, Mapping):
             _mistake(mistakes, "dict_type", at, "Input should be a valid dictionary", value)
             return None
-        # The mark is pydantic's: without it, a wrong key could not be told from a wrong value.
+        # "[key]" as in pydantic: without it, a wrong key would look like a wrong value.
         return {
             key(name, (*at, name, "[key]"), mistakes): item(each, (*at, name), mistakes)
             for name, each in value.items()
@@ -334,11 +337,12 @@ def _dataclass(kind: Any) -> _Checker:
             for name, each in unknown.items():
                 message = "Extra inputs are not permitted"
                 _mistake(mistakes, "extra_forbidden", (*at, name), message, each)
+        # `__post_init__` relies on values of the right types.
         if len(mistakes) > before:
             return None
         try:
             return kind(**made)
-        except ValueError as error:  # what __post_init__ finds: values that don't fit one another
+        except ValueError as error:  # from __post_init__: values that do not fit each other
             _mistake(mistakes, "value_error", at, f"Value error, {error}", value, error=error)
             return None
 
@@ -350,9 +354,9 @@ class _Bound(NamedTuple):
 
     Attributes:
         kind: The kind of its mistake.
-        limit: The limit's name: in annotated-types, and in the mistake's context.
-        holds: Whether a value keeps a limit.
-        words: What a value should be, with the limit in braces.
+        limit: Name of the limit, in annotated-types and in the mistake's context.
+        holds: Function that returns whether a value is within a limit.
+        words: The condition in words, with the limit in braces.
     """
 
     kind: str
@@ -380,13 +384,14 @@ _BOUNDS: Final[Mapping[Any, _Bound]] = {
 
 
 def _bounded(inner: _Checker, metadata: tuple[Any, ...]) -> _Checker:
-    """Return what checks values as `inner` does, and then their bounds."""
+    """Return a function that checks values as `inner` does, and then their bounds."""
     bounds = [each for group in metadata for each in _single(group)]
 
     def check(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
         before = len(mistakes)
         made = inner(value, at, mistakes)
         for bound in bounds:
+            # A comparison with a value of the wrong type would raise an error.
             if made is None or len(mistakes) > before:
                 break
             _check_bound(bound, made, value, at, mistakes)
@@ -396,7 +401,7 @@ def _bounded(inner: _Checker, metadata: tuple[Any, ...]) -> _Checker:
 
 
 def _single(metadata: Any) -> Iterator[Any]:
-    """Yield the bounds that one annotation stands for, but not those for other readers."""
+    """Yield the bounds in one annotation; annotations for other readers have none."""
     if isinstance(metadata, GroupedMetadata):
         yield from metadata
     elif isinstance(metadata, BaseMetadata | Check):
@@ -406,7 +411,7 @@ def _single(metadata: Any) -> Iterator[Any]:
 def _check_bound(
     metadata: Any, value: Any, given: Any, at: Location, mistakes: list[Mistake]
 ) -> None:
-    """Check a value of the right type, which was given as `given`, against one bound."""
+    """Check a value of the right type, converted from `given`, against one bound."""
     if isinstance(metadata, Check):
         try:
             metadata.function(value)

@@ -257,7 +257,8 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     starts only when its actions are read. It need not judge the text: what it makes of any text is
     right if `emit` writes the same text for it.
     """
-    # `emit` escapes all others, so such a text is not its own.
+    # `emit` escapes what is not printable, so such a text is not its own. The few texts beyond
+    # ASCII are left to ruamel.yaml.
     if not text.isascii() or not text.replace("\n", "").isprintable():
         return None
     lines = text.split("\n")
@@ -266,6 +267,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
     at: dict[int, Any] = {0: root}  # the mappings that are open, by the column of their keys
     opened: dict[int, str] = {}  # the key of each of them that has no value yet
     try:
+        # Without the last one, which is empty: the text ends with a line break.
         for line in lines[body:-1]:
             blanks, dash, word, value = _LINE.fullmatch(line).groups()  # type: ignore[union-attr]
             column = len(blanks) + len(dash or "")
@@ -280,6 +282,7 @@ def read_emitted(text: str) -> dict[str, Any] | None:
             key = json.loads(word) if word[0] == '"' else word
             if value is None:
                 opened[column] = key
+                # The mapping at that column, if any, belongs to an earlier key.
                 at.pop(column + 2, None)
             else:
                 at[column][key] = json.loads(

@@ -25,6 +25,7 @@ def emit_scalar(value: object) -> str:
     match value:
         case None:
             return "null"
+        # Before integers: in Python, a boolean is one.
         case bool():
             return "true" if value else "false"
         case int():
@@ -69,6 +70,7 @@ def _lines(value: Mapping[str, Any], indent: str) -> Iterator[str]:
         head = f"{indent}{emit_scalar(key)}:"
         if isinstance(item, Mapping):
             if not item:
+                # A key without a value would be read back as null.
                 raise TypeError("cannot write an empty mapping")
             yield head
             yield from _lines(item, indent + "  ")
@@ -84,6 +86,7 @@ def _item_lines(items: Sequence[Mapping[str, Any]], indent: str) -> Iterator[str
         if not item:
             raise TypeError("cannot write an empty mapping")
         lines = _lines(item, indent + "  ")
+        # The dash takes the place of the first key's indentation.
         yield f"{indent}- {next(lines)[len(indent) + 2 :]}"
         yield from lines
 

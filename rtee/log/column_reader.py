@@ -118,6 +118,7 @@ def order_of(times: NDArray[np.int64]) -> slice | NDArray[np.int64]:
     """Return the index that sorts by time; a slice, which copies nothing, for sorted times."""
     if times.size < 2 or bool((times[1:] >= times[:-1]).all()):
         return slice(None)
+    # Stable, so that messages of the same time stay in the order of the file.
     return np.argsort(times, kind="stable")
 
 
@@ -197,6 +198,7 @@ class Rows:
             self._grow(end)
         self._times[begin:end] = times
         for name, column in self._columns.items():
+            # A view of another type needs bytes without gaps.
             part = np.ascontiguousarray(rows[:, self._where[name]])
             column[begin:end] = part.view(column.dtype)
         self._count = end

@@ -70,11 +70,13 @@ def _sync_folder(folder: Path) -> None:
 def being_written(path: Path) -> bool:
     """Return whether a recorder has the file open."""
     try:
+        # Without O_NONBLOCK, opening a named pipe would wait for its writer.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:
-        # The kernel drops the recorder's lock with its process, unlike a lock file.
+        # The kernel drops the recorder's lock with its process, unlike a lock file. This lock is
+        # shared, so that two programs that look at once do not take each other for a recorder.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return error.errno in (errno.EWOULDBLOCK, errno.EACCES)
@@ -181,6 +183,8 @@ class McapFile:
                 # No reader could get past half a chunk.
                 os.ftruncate(self._descriptor, self._size)
             with contextlib.suppress(OSError):
+                # Truncating leaves the position behind the end, and the next write would leave a
+                # hole.
                 os.lseek(self._descriptor, self._size, os.SEEK_SET)
             raise
         self._size += sum(len(part) for part in parts)
@@ -219,6 +223,7 @@ class McapFile:
             return
         try:
             self._append(self._ending())
+            # Without `sync`, too: a recording that was closed survives a power cut.
             os.fsync(self._descriptor)
         finally:
             descriptor, self._descriptor = self._descriptor, -1

@@ -172,7 +172,8 @@ class Recorder:
         if waiting >= self._limit:
             self._dropped += 1  # never waited for: the loop's thread calls this
         elif waiting <= self._few:
-            self._backlog = None  # the writer may have its last ticks; then nobody has
+            # The writer may take its last ticks now; then its memory must go back to the system.
+            self._backlog = None
             self._queue.put(record)
         else:
             self._queue.put(self._packed(record))

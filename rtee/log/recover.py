@@ -77,6 +77,7 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
                     "has messages outside of chunks, as rtee never writes them; they would be lost",
                     path=path,
                 )
+            # Beside the target, since a file can be renamed only within its file system.
             folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=".recover."))
             temporary = folder / target.name
             file = McapFile(temporary, _preamble(content), sync=False)

@@ -221,7 +221,7 @@ class Finder:
             return None
         if kind == Opcode.CHUNK:
             start, end, size, checksum = _CHUNK.unpack(self._read(offset, _CHUNK.size))
-            # Without a checksum nobody could tell whether what was found is a chunk.
+            # Without a checksum, a chunk could not be distinguished from other bytes.
             if not (checksum and start <= end <= LATEST and size <= LARGEST_CHUNK):
                 return None
             if not _NAMES.match(self._stream.read(_LONGEST_NAME)):

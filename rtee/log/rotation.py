@@ -148,6 +148,7 @@ class Retention:
             if self._others + size <= self._limit:
                 break
             if file.path not in self._ours:
+                # Read once, since the head of a recording never changes.
                 self._ours[file.path] = is_ours(file.path, self._hand)
             # A file of somebody else may have such a name, so that its content must agree.
             if not self._ours[file.path] or being_written(file.path):
@@ -155,6 +156,7 @@ class Retention:
             try:
                 file.path.unlink()
             except OSError:
+                # The next one may still be removable.
                 continue
             self._others -= file.size
             removed.append(file.path)

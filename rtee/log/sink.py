@@ -153,6 +153,7 @@ class DiskSink:
         full = self._file.size >= self._settings.part_size
         if full or self._monotonic() - self._opened >= self._settings.max_file_time:
             self._close()
+        # The size of a part that was just closed counts from now on.
         self._make_room(look=full)
 
     def write_flight(
@@ -170,6 +171,7 @@ class DiskSink:
         preamble = self._contents.preamble(chunks[0].start, cause=cause)
         try:
             settings.folder.mkdir(parents=True, exist_ok=True)
+            # A file that a killed process left here would make `McapFile` fail.
             partial.unlink(missing_ok=True)
             file = McapFile(partial, preamble, sync=False)
             try:

@@ -258,6 +258,7 @@ class LogWriter:
         """Begin a recording on the disk."""
         if self.sink.wanted:
             return
+        # What was collected before goes to the flight recorder only.
         self.flush()
         self._compared = False
         self._extras, self._touch = {}, {}
@@ -295,11 +296,13 @@ class LogWriter:
     def flush(self) -> None:
         """Pack the collected messages and pass the chunk on."""
         self._due = None
+        # Before packing, so that the report is in the chunk after the gap.
         dropped = self.dropped()
         if dropped != self._dropped_reported:
             text = f"{dropped - self._dropped_reported} records dropped: the writer fell behind"
             self._dropped_reported = dropped
             self._report("log_dropped", text)
+        # Packing clears this number.
         ticks = self._builder.blocks
         chunk = self._builder.pack()
         if chunk is None:
@@ -333,6 +336,7 @@ class LogWriter:
     def _write_flight(self) -> None:
         self._flight_due = None
         self._flight_done = self._monotonic()
+        # The newest messages, too, since they show the fault.
         self.flush()
         assert self.flight is not None  # noqa: S101 - a fault is only noted with one
         chunks = tuple(self.flight.chunks())

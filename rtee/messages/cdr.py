@@ -137,6 +137,7 @@ class Reader:
             raise MessageError(f"{len(data)} bytes are longer than any message")
         # `bytes`, the type of messages from the network, are decoded fastest.
         self._data = data if isinstance(data, bytes) else bytes(data)
+        # The first two bytes name the encoding; the other two are options, unused in this version.
         if self._data[:2] != HEADER[:2] or len(data) < len(HEADER):
             raise MessageError("no little-endian CDR header at the start")
         self._end = len(self._data)
@@ -190,6 +191,7 @@ class Reader:
         # The length includes the NUL, so that even an empty string has the length 1.
         if length == 0:
             raise MessageError(f"string without its closing NUL at offset {start - len(HEADER)}")
+        # `length` has checked that so many bytes are left.
         begin = self._position
         self._position = end = begin + length
         if data[end - 1] != 0:
@@ -240,5 +242,6 @@ class Reader:
 
     def finish(self) -> None:
         """Check that only padding is left."""
+        # Padding is shorter than the largest alignment, which is eight bytes.
         if self.remaining >= 8 or any(self._data[self._position :]):
             raise MessageError(f"{self.remaining} bytes too many at the end")

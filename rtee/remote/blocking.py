@@ -175,6 +175,7 @@ class BlockingHand:
         trace: TracebackType | None,
     ) -> None:
         """Leave the hand; leaving with an error counts as losing the client, as with `connect`."""
+        # Otherwise, the connection's objects would be kept until the program ends.
         atexit.unregister(self._exit)
         self._opened.__exit__(kind, error, trace)
 
@@ -295,6 +296,7 @@ def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]
     try:
         return future.result()
     except KeyboardInterrupt:
+        # Otherwise, the call would go on in the other thread.
         future.cancel()
         raise
 
@@ -359,6 +361,8 @@ def connect_blocking(
         portal = stack.enter_context(_portal())
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
         remote = stack.enter_context(portal.wrap_async_context_manager(opened))
+        # An error before this line leaves the context, which closes everything; from here on, the
+        # hand does.
         return BlockingHand(portal, remote, stack.pop_all())
 
 

@@ -28,7 +28,7 @@ from rtee.types import Goal
 Fields = Mapping[str, Any]
 
 _STOPPED_FOR = 0.1
-"""Time for which a confirmed stop answers the next one, too [s]: nobody presses faster twice."""
+"""Time for which a confirmed stop answers the next one, too [s]: people press no faster."""
 
 _WITHOUT_LEASE = ("release",)
 """Requests that are accepted while another client holds the lease."""
@@ -71,8 +71,10 @@ class CommandHandlers:
         if goal is None:
             request.check()
         elif goal.client != request.client:
+            # The name in the message is a claim; the client that signed it counts.
             goal = replace(goal, client=request.client)
         with self._lock:
+            # Under the lock, so that no other client gets the lease between check and command.
             if name not in _WITHOUT_LEASE:
                 self._lease.check(request.client)
             self._moves += 1
@@ -229,6 +231,7 @@ class CommandHandlers:
         async def run() -> None:
             try:
                 await work()
+            # Any error, since the client waits for an answer.
             except Exception as error:
                 request.refuse(error)
             else:

@@ -72,6 +72,7 @@ class FastRequests:
 
     def _on_match(self, name: str, matching: bool) -> None:
         if not matching:
+            # `_connected` stays set: it is about the first time only, and `send` looks here.
             self._unmatched.add(name)
             return
         self._unmatched.discard(name)
@@ -150,6 +151,7 @@ class FastRequests:
     def fail_all(self, gone: NoHand) -> None:
         """End all waiting requests, and refuse new ones by an error, since the hand has gone."""
         self._gone = gone
+        # A copy, since each answer leaves the mapping.
         for number in tuple(self._waiting):
             self._settle(number, False, b"")
 

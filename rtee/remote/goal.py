@@ -76,7 +76,7 @@ class RunningGoal:
         self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        # Without this, asyncio would log an error that nobody retrieves, when the hand has gone.
+        # Without this, asyncio would log an unretrieved error when the hand has gone.
         self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
 
     @property
@@ -237,6 +237,7 @@ class GoalClient:
         """Return the result; cancelling this, or an error of ``on_feedback``, cancels the goal."""
         try:
             return await running.result(on_feedback)
+        # The hand has gone, and with it the goal.
         except RemoteError:
             raise
         except BaseException:

@@ -163,6 +163,7 @@ class Identities:
     def left(self, token: str) -> str:
         """Record that a token has vanished; return the name of the client that has left, or ""."""
         with self._lock:
+            # It may have waited for a hello that never came.
             self._tokens.pop(token, None)
             client = self._by_token.pop(token, None)
             if client is None:

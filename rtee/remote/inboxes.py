@@ -139,6 +139,7 @@ class Inboxes:
             inbox.subscriber = self._session.declare_subscriber(inbox.key, direct(self._receive))
 
     def _ignore(self, inbox: _Inbox) -> None:
+        # Without the lock: only the thread of `calls` sets the subscriber.
         if inbox.subscriber is not None:
             inbox.subscriber.undeclare()  # type: ignore[no-untyped-call]
             inbox.subscriber = None

@@ -133,6 +133,7 @@ def handle_request(
             send(refusal(error), False)
         else:
             later(refusal(error))
+    # Any error, since the client waits for an answer.
     except Exception as error:
         send(refusal(error), False)
     else:

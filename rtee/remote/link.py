@@ -252,6 +252,7 @@ class Link:
 
     def _settle(self, future: asyncio.Future[bytes], ok: bool, data: bytes) -> None:
         """Complete the future of an answer; empty data of a refusal mean that none arrived."""
+        # The caller may have been cancelled, or the answer has arrived before the end of the query.
         if future.done():
             return
         if ok:
@@ -280,6 +281,7 @@ class Link:
             for subscriber in self._subscribers:
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
             self._fast.close()
+            # After the rest: when it goes, the hand drops this client's inbox and its lease.
             self._token.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]
 

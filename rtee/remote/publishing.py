@@ -248,6 +248,7 @@ class Publisher(Observer):
     def on_event(self, event: Event) -> None:
         """Publish an event."""
         if event.kind == STREAM_ENDED:
+            # Before the event is published, as for results.
             self._lease.ended(event.source)
         self._put(topics.EVENTS, encode_event, event)
 

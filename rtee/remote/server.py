@@ -137,6 +137,7 @@ class Server:
             return result  # noqa: RET504 - in the scope, mypy would miss a return behind it
 
         hand = loop.hand
+        # Everything is closed in reverse order: first the announcement goes, last the session.
         async with contextlib.AsyncExitStack() as stack:
             place = stack.enter_context(claimed(hand.name))
             protection = await in_thread(Protection, hand.name, settings)

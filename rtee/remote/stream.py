@@ -141,6 +141,7 @@ class StreamClient:
             effort = await self._goals.effort_limits(effort)
         limits = dict(effort or {})
         if not self._subscribed:
+            # Once for all streams, since a link keeps its subscribers until it is closed.
             self._subscribed = True
             link.subscribe(topics.EVENTS, self._on_event)
         number = next(self._numbers)

@@ -155,6 +155,8 @@ class ActionClient:
         finally:
             for task in (call, watch):
                 task.cancel()
+            # Awaited, so that no task is left behind and no exception of theirs is logged as
+            # unseen.
             await asyncio.gather(call, watch, return_exceptions=True)
         # Not after a timeout, since the goal then goes on and its feedback is still wanted.
         self._goals.pop(goal.id, None)
@@ -197,6 +199,7 @@ class ActionClient:
         for status in message.status_list:
             known = self._goals.get(status.goal_info.goal_id.uuid)
             if known is not None:
+                # As above: a state that is not defined.
                 with suppress(ValueError):
                     known[0].state = GoalState(status.status)
 

@@ -201,6 +201,7 @@ class ActionServer:
         if goal_id in self._goals or goal_id in self._pending or goal_id == NO_GOAL:
             self._context.complaints.tell(f"a goal of {self.name} is refused", "its id is not new")
             return False
+        # Goals that are still being checked count, too: many could arrive during one check.
         active = sum(not goal.state.ended for goal in self._goals.values())
         if active + len(self._pending) >= _MOST_ACTIVE:
             self._log_refusal("too many goals are under way")
@@ -220,6 +221,7 @@ class ActionServer:
         goal = ServerGoal(goal_id, message, job, offered, stamp)
         self._forget()
         self._goals[goal_id] = goal
+        # Before the task starts, so that clients hear of the accepted goal first.
         self._publish()
         self._context.start(self._run(goal))
         return True
@@ -268,6 +270,7 @@ class ActionServer:
             self._context.log.info("a goal of %s was aborted: %s", self.name, outcome.reason)
         goal.forget_at = time.monotonic() + self._kept_for
         self._change(goal, state)
+        # Last, so that a client that has the result finds the goal ended in the status.
         goal.ended.set_result(outcome)
 
     def _change(self, goal: ServerGoal, state: GoalState) -> None:
@@ -275,6 +278,7 @@ class ActionServer:
         self._publish()
 
     def _publish(self) -> None:
+        # A goal aborted by `close` ends later, when the publisher has left the graph.
         if not self._closed:
             self._status.publish(
                 self._status.type.message(
@@ -329,6 +333,7 @@ class ActionServer:
         """Cancel a goal; return whether the hand agreed."""
         if goal.state > GoalState.EXECUTING:
             return False  # it ended while another one was cancelled
+        # Before the hand is asked, since the goal may end as cancelled while it answers.
         self._change(goal, GoalState.CANCELING)
         try:
             await goal.job.cancel()
@@ -352,6 +357,7 @@ class ActionServer:
         self._finishing = True
         # Clients of a goal that has just ended may still wait for the result.
         under_way = [goal for goal in self._goals.values() if goal.waiting or not goal.state.ended]
+        # Shielded, since `run` calls this when it is cancelled; hence the time limit.
         with anyio.move_on_after(_LONGEST_END, shield=True):
             for goal in under_way:
                 if not goal.state.ended:

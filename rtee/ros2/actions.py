@@ -14,7 +14,7 @@ from rtee.ros2.message import Message
 from rtee.ros2.types import ActionType, interfaces
 
 NO_GOAL: Final = bytes(16)
-"""Identifier that stands for all goals in a request to cancel."""
+"""Identifier that means all goals in a request to cancel."""
 
 _NANO = 1_000_000_000
 """Nanoseconds of a second."""

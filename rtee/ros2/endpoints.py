@@ -62,7 +62,7 @@ class Publisher:
             # Queried after declaring the listener, so that no subscriber in between is missed.
             if getattr(self._publisher.matching_status, "matching", True):
                 self._heard = True
-        # Last, so that whoever sees the publisher in the graph receives its messages.
+        # Last, so that a node that sees the publisher in the graph receives its messages.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _matched(self, status: Any) -> None:
@@ -110,6 +110,7 @@ class Publisher:
             message = message.encode()
         # Subscribers detect lost messages by the numbers, which must be consecutive.
         with self._lock:
+            # Zenoh would raise an error, and a task may still publish while its node closes.
             if self._closed:
                 return
             attachment = attachments.encode(self.sent + 1, time.time_ns(), self._gid)
@@ -120,6 +121,7 @@ class Publisher:
         """Leave the graph; drop messages that are published later."""
         with self._lock:
             self._closed = True
+        # The token first: the graph must not contain a publisher that does not exist any more.
         self._token.undeclare()  # type: ignore[no-untyped-call]
         if self._listener is not None:
             self._listener.undeclare()  # type: ignore[no-untyped-call]
@@ -224,5 +226,6 @@ class Subscription:
         """Receive nothing more, and leave the graph."""
         self._inbox.close()
         self._waiting.clear()
+        # The token first, as for a publisher.
         self._token.undeclare()  # type: ignore[no-untyped-call]
         self._subscriber.undeclare()

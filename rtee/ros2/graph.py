@@ -93,6 +93,8 @@ class Graph:
         entities: list[Entity] = []
         for key, entity in tokens:
             if isinstance(entity, str):
+                # Without the lock, for which Zenoh's threads wait: parsing takes longer than a
+                # copy.
                 entity = parse_token(key)
                 if entity is None:
                     self._complaints.tell("a token of the ROS graph is not understood", key[:200])

@@ -62,7 +62,7 @@ def listed(entities: Iterable[Entity], *, parts: bool = False) -> list[Listed]:
         keys = [(sort, entity.topic, entity.type, entity.type_hash)]
         if _PARTS in entity.topic and not parts:
             keys = []
-        # One of the five parts of an action stands for it, or it would be listed five times.
+        # One of the five parts represents the action, which would be listed five times otherwise.
         if sort is Sort.SERVICE and entity.topic.endswith(_GOALS):
             name, kind = entity.topic.removesuffix(_GOALS), entity.type.removesuffix(_GOAL_TYPE)
             keys.append((Sort.ACTION, name, kind, entity.type_hash))

@@ -50,6 +50,7 @@ class Message:
         if fields:
             raise MessageError(f"{self.STRUCTURE.name} has no field '{next(iter(fields))}'")
 
+    # Called only for names that are not fields.
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"{self.STRUCTURE.name} has no field '{name}'")
 

@@ -169,6 +169,7 @@ class Node:
     def close(self) -> None:
         """Leave the graph with all endpoints of the node."""
         while self._open:
+            # Removed before it is closed, so that a failure does not close it a second time.
             self._open.pop().close()
         # Last, so that no endpoint is in the graph without its node.
         self._token.undeclare()  # type: ignore[no-untyped-call]
@@ -265,6 +266,7 @@ class Context:
 
     async def _watch(self, missing: str) -> None:
         """Log once when the router is lost, and once when it is back."""
+        # None: a router that is missing at the start is logged, one that is there is not.
         was: bool | None = None
         while True:
             disable_linger()  # dropping the link to a frozen node must not block Zenoh's thread

@@ -270,12 +270,14 @@ class Parameters:
                         await self._apply(done, old)
                 return _result(result, str(error))
             before[name] = self._values[name]
+        # One event for all, after the last one succeeded.
         self.update(wanted)
         return _result(result, "")
 
     def _taken(self, name: str, value: Value | None) -> Value | None:
         """Return a value converted to its parameter's type: an integer may stand for a double."""
         declared = self._declared.get(name)
+        # A bool is an int in Python, but must not become a double.
         if declared is None or value is None or isinstance(value, bool):
             return value
         if declared.kind == _DOUBLE and isinstance(value, int):

@@ -104,6 +104,7 @@ class Player:
                 async with self._face.hand.stream(rate=self._face.number(STREAM_RATE)) as stream:
                     await self._follow(stream)
             except NoHand:
+                # The hand has ended, and with it the node: this ends all parts.
                 raise
             except (RequestRejected, GoalRejected, LeaseHeld) as error:
                 # A pre-empted stream ends here, too; the rest of its motion is not sent.

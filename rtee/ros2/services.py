@@ -94,7 +94,7 @@ class Service:
         self._queryable = participant.session.declare_queryable(
             key, direct(self._on_query), complete=True
         )
-        # Last, so that whoever sees the service in the graph can call it.
+        # Last, so that a client that sees the service in the graph can call it.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
     def _drop(self, why: str) -> None:
@@ -132,6 +132,8 @@ class Service:
 
     def _begin(self, received: _Received) -> None:
         number = (received.attachment.gid, received.attachment.sequence)
+        # A client matches answers by this number, so the second one could not be told from the
+        # first.
         if number in self._under_way:
             self._drop("its number is that of a request which is not answered yet")
             return
@@ -146,6 +148,7 @@ class Service:
     async def _answer(self, received: _Received, number: tuple[bytes, int], request: Any) -> None:
         try:
             response = await self._handler(request)
+            # The handler may take any time, and the queryable may be gone meanwhile.
             if not self._closed:
                 self._reply(received, response)
         except RteeError as error:
@@ -237,6 +240,8 @@ class Client:
             if answer.done():
                 return
             if payload is None:
+                # Zenoh's end of the query, not the timeout below: no server, or one that gave no
+                # response.
                 answer.set_exception(TimeoutError(f"the service {self.name} does not answer"))
             else:
                 answer.set_result(payload)

@@ -120,6 +120,7 @@ async def serve(hands: Sequence[Shown], environment: Mapping[str, str] | None = 
 async def _serve_together(hands: Sequence[Shown], environment: Mapping[str, str] | None) -> None:
     first = hands[0]
     opened = Context.open(first.settings, environment, insecure=first.insecure)
+    # The task group inside, so that the nodes end before the session that they use.
     async with opened as context, anyio.create_task_group() as group:
         for hand in hands:
             group.start_soon(_keep_showing, context, hand)

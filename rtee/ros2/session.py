@@ -110,6 +110,8 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
     text = environment.get(DOMAIN, "").strip()
     if not text:
         return settings.domain
+    # Short and ASCII: `isdigit` accepts superscripts, which `int` refuses, as it does very long
+    # numbers.
     if not (text.isascii() and text.isdigit() and len(text) < 10 and int(text) <= _LARGEST_DOMAIN):
         raise ConfigError(f"{DOMAIN}={text} is not a domain: a number, 0 to {_LARGEST_DOMAIN}")
     return int(text)
@@ -153,6 +155,7 @@ def configuration(
                 " remote.security",
                 key="ros2.router",
             )
+        # With certificates, all messages must pass through the router, which checks them.
         near = is_safe(router) and not router.startswith(TLS)
         entries = _SETTINGS | (_PEER if near else _CLIENT) | {"connect/endpoints": [router]}
         if router.startswith(TLS):
@@ -242,4 +245,5 @@ async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[N
         yield
     finally:
         with anyio.CancelScope(shield=True):
+            # In a thread, since closing may block for seconds.
             await anyio.to_thread.run_sync(session.close)

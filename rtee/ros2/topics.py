@@ -114,6 +114,7 @@ class Topics(Part):
             self._force = node.publisher("~/force", number)
         self._number = face.message(number)
         self._tips: list[tuple[str, Publisher]] = []
+        # Only hands that measure these forces have the topics.
         if any(name.endswith(f"/{TIP_FORCE}") for name in face.latest.channels):
             kind = "geometry_msgs/msg/WrenchStamped"
             self._tips = [

@@ -241,6 +241,7 @@ def trajectory_of(
     first = next((k for k, time in enumerate(times) if begin + time > now), len(times) - 1)
     start = max(begin, now)
     if begin + times[first] <= start:  # a point for now, reached as fast as the limits allow
+        # 1 ms earlier, since the polynomial divides by the time between its two points.
         start = begin + times[first] - 1e-3
     moments = [start, *(begin + time for time in times[first:])]
     # A measured position may exceed the limits slightly; a set-point must not.

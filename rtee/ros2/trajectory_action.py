@@ -1,8 +1,8 @@
 """The action of trajectories: ``control_msgs/action/FollowJointTrajectory``.
 
-As the joint_trajectory_controller of ros2_control serves it, with its error codes; what is refused
-has no result there either, hence the log says why, beginning with the code's name. A trajectory may
-leave joints out, and one without points stops the hand where it is, as in ROS 1.
+It is served as by the joint_trajectory_controller of ros2_control, with its error codes. A refused
+goal has no result there either, so the log has the reason, beginning with the code's name. A
+trajectory may leave joints out, and one without points stops the hand where it is, as in ROS 1.
 """
 
 from __future__ import annotations
@@ -146,6 +146,7 @@ class TrajectoryAction:
 
     async def _accept(self, message: Any) -> Job:
         job = self._checked(message)
+        # From now on and not only from `run`, since the hand may end before that.
         self._following.add(job)
         return job
 
@@ -174,6 +175,7 @@ class TrajectoryAction:
                     " default, or -1 for any time",
                 )
             goal_time = math.inf
+        # Without points and names, all actuators stop where they are.
         if not message.trajectory.points:
             names = names or list(self.face.actuators)
         self._check_joints(names)
@@ -301,6 +303,7 @@ class _Following:
         if first:
             result = self._action.type.result(error_code=code, error_string=text)
             reason = f"{code.name}: {text}" if state is GoalState.ABORTED else ""
+            # The first outcome stays, whatever else ends the goal meanwhile.
             self._outcome = Outcome(state, result, reason)
             self._changed.set()
         return first

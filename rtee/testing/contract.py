@@ -198,6 +198,7 @@ class DriverContract:
             beyond = [a.upper + 1e-3 for a in self.case.actuators]
             try:
                 state = await session.reach(beyond)
+            # Refused, which is as good as clamped.
             except DriverError:
                 return
             for q, before, spec in zip(state.position, near, self.case.actuators, strict=True):
@@ -244,12 +245,14 @@ class DriverContract:
         async with self._session_at(near) as (session, _):
             for _ in range(5):
                 await session.cycle(Reference.at(list(far)))
+            # Only answers get lost; the commands must reach the device.
             session.wire.faults = Faults(drop=1.0, requests=False)
             # Answers return while stop still retries, as after a real disturbance.
             heal = asyncio.get_running_loop().call_later(
                 _DEAF, setattr, session.wire, "faults", Faults()
             )
             await session.driver.stop()
+            # `stop` may have ended before, and the timer must not change the wire later.
             heal.cancel()
             session.wire.faults = Faults()
             there = await session.sense()
@@ -361,6 +364,7 @@ class DriverContract:
             done = await self._cycles(session, Reference.at(list(far)))
             session.wire.faults = Faults()
             assert done >= self.case.share * self.case.cycles
+            # In so few cycles, 5 % may be none at all.
             assert self.case.cycles < 100 or faults.injected[fault] > 0
             state = await session.reach(near)
             assert session.near(state, near)
@@ -407,6 +411,7 @@ class DriverContract:
                 results = await asyncio.gather(task, return_exceptions=True)
                 assert not isinstance(results[0], Exception) or isinstance(results[0], BusTimeout)
             session.wire.faults = Faults()
+            # Longer than the delay, so that late answers of the cancelled exchanges have arrived.
             await asyncio.sleep(0.03)
             state = await session.reach(near)
             assert session.near(state, near)

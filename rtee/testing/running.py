@@ -97,11 +97,14 @@ def running_hand(
     words += [] if object is None else ["--object", object]
     command = [sys.executable, "-c", _PROGRAM, "run", *words]
     with printed.open("wb") as output:
+        # The pipe ends the hand when it is closed, which happens even if this process is killed.
+        # The file may be closed: the hand has its own descriptor.
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output)
     try:
         with _connected(config.name, process, printed, timeout) as remote:
             yield remote
     except BaseException:
+        # Whatever its exit status, the error of the test is the one to report.
         _end(process)
         raise
     # A loop that fails while it ends must fail the test, even if all goals were reached.

@@ -58,10 +58,8 @@ class Session:
         return self.pool.simulation(owner_of(self.spec))
 
     async def before(self, prepare: Callable[[Emulator], None]) -> None:
-        """Change the emulated device before the driver under test connects to it.
-
-        The driver connects once and closes, since the emulator is made when it first connects.
-        """
+        """Change the emulated device before the driver under test connects to it."""
+        # The emulator is made when a driver connects for the first time.
         await self.connect()
         await self.driver.close()
         self.wire.call(lambda: prepare(self.emulator))
@@ -111,6 +109,7 @@ class Session:
             if state is not None and self.near(state, goal):
                 return state
             if time.monotonic() > end:
+                # None: the last exchange failed.
                 return state or await self.sense()
             # Emulators in this process need the processor, too, even on a slow machine.
             await asyncio.sleep(0.002)
