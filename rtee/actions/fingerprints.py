@@ -54,7 +54,7 @@ class Fingerprints:
 
 
 def _fingerprint_of(action: Action) -> str:
-    """Return a fingerprint of what an action does, whatever the form of its file."""
+    """Return a fingerprint of what an action does, independent of the form of its file."""
     does: list[Any] = [
         # Sorted: the order in the file has no effect on the action.
         [[name, round(posture.position[name], _DECIMALS)] for name in sorted(posture.involved)]

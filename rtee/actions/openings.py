@@ -210,7 +210,7 @@ def suitability(
     # A tip that moves at more than a right angle to the line of closing does not press.
     force = opening.strongest(hand, at) * math.cos(min(angle, math.pi / 2.0))
     force = min(max(force, _WEAKEST), 1.0 / _WEAKEST)
-    # By the logarithm, a class is a ratio of forces, whatever their size.
+    # By the logarithm, so that a class is a ratio of forces, for weak and strong ones alike.
     strength = math.log(force) / math.log(_STRONGER)
     return (
         doubtful(action),

@@ -1,4 +1,4 @@
-"""Abduction in a Trig, besides the flexion of its finger."""
+"""Abduction in a Trig, in addition to the flexion of its finger."""
 
 from __future__ import annotations
 

@@ -361,7 +361,7 @@ class _Writer:
             case kinds.mjGEOM_CYLINDER:
                 return [(origin, _cylinder(size))]
             case kinds.mjGEOM_CAPSULE:
-                # A URDF has no capsules, hence a cylinder and a sphere at each end.
+                # A URDF has no capsules; a cylinder with a sphere at each end has the same shape.
                 along = _matrix(turn)[:, 2] * size[1]
                 ball = f'<sphere radius="{_number(size[0])}"/>'
                 ends = [(_origin(place + end, turn), ball) for end in (along, -along)]

@@ -16,8 +16,8 @@ TOUCH: Final = 1e-8
 
 _POLYTOPES: Final = 1e-9
 """Precision of penetration depths of boxes, hulls and spheres [m]. With Coal's default, 1e-6, the
-last digit takes one of two normals wherever their depths differ by less, and searches end where
-they do. For cylinders, which have no end of faces, the default stays: some would not converge."""
+last digit decides between two normals whose depths differ by less, and searches end at such
+places. For cylinders, which have no end of faces, the default stays: some would not converge."""
 
 _FAILED: Final = -1e6
 """Distance below which Coal has failed to find a depth [m]: no hand penetrates itself so deeply."""

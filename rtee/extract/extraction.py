@@ -47,7 +47,7 @@ def extract(
 ) -> Extraction:
     """Find all primitive grasping actions of a hand.
 
-    The same hand gives the same result, whatever the number of jobs.
+    The same hand gives the same result with any number of jobs.
 
     Args:
         hand: The hand.

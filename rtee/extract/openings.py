@@ -37,7 +37,7 @@ _FIRST: Final = 17
 """Points of the first, even table: enough to detect that tips approach and separate again."""
 
 _FINEST: Final = 1.0 / 2048
-"""Least difference of intensities of two points, whatever the error."""
+"""Least difference of intensities of two points, also where the error is larger."""
 
 _CLOSES: Final = 2e-3
 """Least approach of two opposing tips [m]."""
@@ -208,7 +208,7 @@ class _Way:
 
     def from_point(self, finger: str, centre: FloatArray) -> tuple[float, FloatArray]:
         """Return the distance of a tip from a point [m], and the tip's nearest point."""
-        # Coal measures no points, hence a sphere of a tiny radius.
+        # Coal does not measure points, so each is a sphere of a tiny radius.
         point, at = coal.Sphere(_TOUCH), coal.Transform3s(np.eye(3), centre)
         best, nearest = math.inf, centre
         for shape in self._parts[finger]:

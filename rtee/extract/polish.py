@@ -233,11 +233,9 @@ def _on_face(
 
 
 def _solved(block: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Return the solutions of a small definite system with two right sides, its last columns.
-
-    Uses Gaussian elimination in place, which for the few pieces at a kink is faster than LAPACK and
-    gives the same digits on every processor.
-    """
+    """Return the solutions of a small definite system with two right sides, its last columns."""
+    # Gaussian elimination in place: for the few pieces at a kink, it is faster than LAPACK, and
+    # gives the same digits on every processor.
     size = len(block)
     for k, pivot in enumerate(block):
         for i in range(k + 1, size):

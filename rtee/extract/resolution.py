@@ -67,13 +67,11 @@ class Resolution:
 
 @lru_cache(maxsize=64)
 def _shifts(size: int) -> FloatArray:
-    """Return the offsets of the lattice from whole multiples of the unit ``(k,)``.
-
-    If all fingers have the same posture, at a limit or half-way, surfaces are parallel, and the
-    last digit decides which of two equal normals is found. Different offsets, multiples of the
-    golden section, keep the lattice off such postures. They are rounded to 1/64, so that points
-    are exact.
-    """
+    """Return the offsets of the lattice from whole multiples of the unit ``(k,)``."""
+    # If all fingers have the same posture, at a limit or half-way, surfaces are parallel, and the
+    # last digit decides which of two equal normals is found. Different offsets, multiples of the
+    # golden section, keep the lattice off such postures. They are rounded to 1/64, so that points
+    # are exact.
     shifts: FloatArray = np.floor(np.arange(1, size + 1) * _GOLDEN % 1.0 * 64.0) / 64.0
     shifts.flags.writeable = False
     return shifts

@@ -49,7 +49,7 @@ class Scene:
     The signed distance of two links is the least over the pairs of their convex parts: the
     distance of the parts, or minus the depth, the shortest translation that separates them. Its
     derivative by the actuators is ``n · (J_p2 - J_p1) · dq/du`` with the witness points ``p1, p2``
-    and the normal ``n``, and exact wherever these are unique.
+    and the normal ``n``; it is exact where these are unique.
 
     Attributes:
         hand: The hand.
@@ -242,7 +242,7 @@ class Scene:
     def _derivative(
         self, normal: FloatArray, point: FloatArray, pair: LinkPair, space: Space
     ) -> FloatArray:
-        # n · (velocity of a point p) = n · v + (p x n) · w, hence one row times the joints'
+        # n · (velocity of a point p) = n · v + (p x n) · w, which is one row times the joints'
         # Jacobian; either witness point gives the same, since both are on a line along n.
         x, y, z = normal.tolist()
         a, b, c = point.tolist()

@@ -39,7 +39,7 @@ _SUMMARY = (
     Opcode.METADATA_INDEX,
     Opcode.SUMMARY_OFFSET,
 )
-"""Kinds of records that stand only behind the data."""
+"""Kinds of records that only follow the data."""
 
 
 @dataclass(frozen=True, slots=True)

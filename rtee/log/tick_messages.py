@@ -140,8 +140,8 @@ class LinkTransforms:
     def encode(self, position: FloatArray, wall_ns: int) -> bytes:
         """Return the CDR bytes of a ``tf2_msgs/TFMessage`` at a time since 1970 [ns].
 
-        An actuator without a position ``(n,)`` [rad | m], hence ``NaN``, keeps its last one, at
-        first the rest position.
+        An actuator without a position ``(n,)`` [rad | m], which is ``NaN``, keeps its last one,
+        at first the rest position.
         """
         q = self._transmission.joints(position)
         self._last = q = np.where(np.isfinite(q), q, self._last)

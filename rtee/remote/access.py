@@ -110,7 +110,7 @@ def _requests(hand: str, role: Role, way: str) -> Iterable[dict[str, Any]]:
     allowed = [
         request for request in REQUESTS.values() if request.group != HELLO and request.role <= role
     ]
-    # The access path is part of the key: nobody can say hello with another's certificate.
+    # The access path is part of the key: a client cannot say hello with another's certificate.
     keys = [f"{HELLO}/{way}", *(f"{request.group}/{request.name}" for request in allowed)]
     yield _rule(f"{role.name.lower()} {way}", "ingress", ["query"], hand, keys)
     put = [f"{INBOX}/{way}/{request.name}/*" for request in allowed if request.group == CONTROL]

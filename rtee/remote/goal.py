@@ -203,7 +203,7 @@ class GoalClient:
         try:
             await asyncio.shield(answer)
         except anyio.get_cancelled_exc_class():
-            # The goal was sent: nobody else would cancel what the caller has given up. The answer
+            # The goal was sent, and the caller has given it up, so it is cancelled here. The answer
             # comes first, since a goal that has not arrived cannot be cancelled.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 await answer

@@ -53,7 +53,7 @@ _ABOUT_ACTIONS = _CHANGING | {"actions", "primitives", "partners"}
 """Requests before which the files of actions are read again if they have changed."""
 
 _MOST_ACTIONS = 256
-"""With this many actions, besides the primitives, clients may add no more: each prolongs the
+"""Number of actions, not counting primitives, at which clients may add no more: each prolongs the
 reading of the files by 0.3 ms."""
 
 _MOST_KEPT = 64

@@ -79,7 +79,7 @@ class Rates:
         self._left[_BYTES] = self._bytes_left() - size, self._now()
 
     def has_bytes(self) -> bool:
-        """Return whether one more answer may be sent, whatever its length."""
+        """Return whether one more answer may be sent, of any length."""
         return self._bytes_left() > 0.0
 
     def _requests_left(self, name: str) -> float:
