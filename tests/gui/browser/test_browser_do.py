@@ -47,7 +47,8 @@ def test_a_preview_shows_a_ghost_and_goes(window: Window, other: BlockingHand) -
     window.pictured_anew(shown)
     window.button("Preview", card).click()
     window.type("Intensity [%]", "100", card)
-    assert other.state().position[0] == pytest.approx(position)
+    # The model of the servo settles for some time after a goal has ended, by millionths.
+    assert other.state().position[0] == pytest.approx(position, abs=1e-4)
 
 
 def test_a_pinch_goes_to_just_before_contact_and_on(window: Window, other: BlockingHand) -> None:
