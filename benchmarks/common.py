@@ -40,7 +40,7 @@ HELP = {
     "seconds": "length of each measurement [s]",
     "slow": "additional time of a flush to the disk in an overload [s]",
     "still": "least motion that counts [rad | m]",
-    "tries": "number of times each command is given",
+    "tries": "number of times each thing is done",
     "warm": "time before the measurement [s]",
     "witness": "cyclictest beside the loop",
 }

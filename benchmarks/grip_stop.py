@@ -3,7 +3,8 @@
 The emulated gripper closes from open to places at random, over a wire with its true time. The
 reference jumps there at once, or moves there at a speed below that of the grip. The figures are
 how far the fingers were beyond it at most, how far off they rest, and how many motions it took.
-Run: python benchmarks/grip_stop.py
+
+    python benchmarks/grip_stop.py [--tries 12]
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import random
 import time
 from dataclasses import dataclass
 
+from common import Table, command_line
+
 from rtee.buses.pool import BusPool
 from rtee.testing import DeviceCase, Session, actuator
 from rtee.types import JointKind, Reference
 
 RATE = 25.0  # exchanges per second [Hz], as the driver has it unless told otherwise
-TRIES = 12
 SEED = 1
 SLOW = 0.01  # speed of the moving reference [m/s]
 ENDED = 0.5  # time after the reference in which the fingers come to rest [s]
@@ -75,26 +77,28 @@ async def run(
     return farthest, position
 
 
-async def main() -> None:
-    print("| grip | reference | beyond, median | most | off at rest, most | motions, median |")
-    print("| ---: | --- | ---: | ---: | ---: | ---: |")
+async def measure(tries: int) -> None:
+    """Measure and print, with so many places for each speed."""
+    table = Table(
+        "grip", "reference", "beyond, median", "most", "off at rest, most", "motions, median"
+    )
     for grip_speed in GRIP_SPEEDS:
         for speed in (None, SLOW):
             chance = random.Random(SEED)
             async with Session(case(grip_speed), pool=BusPool(wire_time=True)) as session:
                 await session.start()
-                goals = [chance.uniform(NEAREST, FARTHEST) for _ in range(TRIES)]
+                goals = [chance.uniform(NEAREST, FARTHEST) for _ in range(tries)]
                 stops = [await close(session, goal, speed) for goal in goals]
             beyond = sorted(1e3 * stop.beyond for stop in stops)
-            off = max(1e3 * stop.off for stop in stops)
-            motions = sorted(stop.motions for stop in stops)[TRIES // 2]
-            what = "at once" if speed is None else f"{1e3 * speed:g} mm/s"
-            print(
-                f"| {grip_speed:g} mm/s | {what} | {beyond[TRIES // 2]:.2f} mm "
-                f"| {beyond[-1]:.2f} mm | {off:.2f} mm | {motions} |",
-                flush=True,
+            table.row(
+                f"{grip_speed:g} mm/s",
+                "at once" if speed is None else f"{1e3 * speed:g} mm/s",
+                f"{beyond[tries // 2]:.2f} mm",
+                f"{beyond[-1]:.2f} mm",
+                f"{max(1e3 * stop.off for stop in stops):.2f} mm",
+                sorted(stop.motions for stop in stops)[tries // 2],
             )
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    asyncio.run(measure(command_line(__doc__, tries=12).parse_args().tries))

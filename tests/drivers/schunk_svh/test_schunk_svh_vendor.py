@@ -6,6 +6,7 @@ Simulated time: bytes pass the modelled wire, no clock is asked.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 from rtee.buses.line_model import Wire
 from rtee.drivers.schunk_svh import codec
@@ -57,9 +58,7 @@ class Library:
         """Drive a channel against its stop and back to where it idles; return the stop [ticks]."""
         index = channel.index
         normal, limit = position_settings(index), current_settings(index).maximum
-        slow = codec.PositionSettings(
-            *(v * 0.2 if n == "max_rate" else v for n, v in _fields(normal))
-        )
+        slow = replace(normal, max_rate=0.2 * normal.max_rate)
         self.send(Command.SET_POSITION_SETTINGS, index, slow.to_bytes())
         self.feedback.pop(index, None)
         self.state(1 << index, running=True)
@@ -84,10 +83,6 @@ class Library:
         self.state(0, running=False)
         self.send(Command.SET_POSITION_SETTINGS, index, normal.to_bytes())
         return stop
-
-
-def _fields(settings: codec.PositionSettings) -> list[tuple[str, float]]:
-    return [(name, getattr(settings, name)) for name in type(settings).__dataclass_fields__]
 
 
 def test_replies_keep_up_with_a_library_that_does_not_wait() -> None:
