@@ -78,10 +78,11 @@ async def test_the_stop_of_a_grip_is_sent_before_it_is_too_far() -> None:
     """Not only in the cycle that finds it at the reference: that is a cycle's way too late."""
     emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 50.0}
     case = replace(CASE, options={"settle": 0.02, "emulator": emulator}, rate=25.0)
-    early = 0
+    early = False
     async with Session(case) as session:
         await session.start()
-        for goal in (0.006, 0.012, 0.018, 0.024, 0.030):
+        # A busy computer may miss the moment: what always comes too late never comes early.
+        for goal in (0.006, 0.012, 0.018, 0.024, 0.030) * 3:
             stops = 0
             while not stops:
                 begun = asyncio.get_running_loop().time()
@@ -89,12 +90,15 @@ async def test_the_stop_of_a_grip_is_sent_before_it_is_too_far() -> None:
                 stops = session.emulator.taken.count(Control.STOP)
                 await asyncio.sleep(max(0.0, begun + 0.04 - asyncio.get_running_loop().time()))
             assert state is not None
-            early += float(state.position[0]) < goal - 0.0002
+            early = float(state.position[0]) < goal - 0.0002
+            if early:
+                break
             session.emulator.taken.clear()
             assert session.near(await session.reach([goal]), [goal])
+            if goal == 0.030:  # back to open, so that the next goal is closed to
+                assert session.near(await session.reach([0.0]), [0.0])
             session.emulator.taken.clear()
-    # A busy computer may miss the moment now and then.
-    assert early >= 2
+    assert early
 
 
 async def test_what_is_gripped_is_released_before_it_opens() -> None:
