@@ -374,8 +374,8 @@ class SchunkEguDriver(BlocksDriver):
                 return
             now = time.monotonic()
             due = self._timer.due(left, 1 if self._word == Control.RUN else 2)
-            # What the last grip did is checked while there is time.
-            sure = self._timer.timed or due - now < 2.0 * self._timer.reading
+            # Read as long as there is time: what meets an object meanwhile must not be stopped.
+            last = due - now < self._timer.reading or now + self._timer.reading > end
             if (
                 due - now > self._timer.writing
                 and self._asked is None
@@ -384,7 +384,7 @@ class SchunkEguDriver(BlocksDriver):
                 # The bit of the grip is withdrawn in time, so that the stop is a single write.
                 await self._write(Output(Control.RUN))
                 continue
-            if due < math.inf and sure:
+            if due < math.inf and last:
                 # Between the end of this cycle and what the next one can do, whichever is nearer.
                 if due > end and due - end > later - due:
                     return

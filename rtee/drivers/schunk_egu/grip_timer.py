@@ -18,26 +18,23 @@ class GripTimer:
     Attributes:
         reading: Usual duration of a reading [s].
         writing: Usual duration of a write [s].
-        timed: Whether the speed is that of this grip; else it is that of the last one.
     """
 
     def __init__(self) -> None:
         self.reading = self.writing = 0.0
-        self.timed = False
         self._speed = 0.0  # [µm/s]
         self._from = 0.0
         self._seen: tuple[float, float] | None = None  # way closed [µm] and time [s]
 
     def begin(self, closed: float) -> None:
         """Note that a grip begins, and how far it is closed then [µm]."""
-        self._seen, self._from, self.timed = None, closed, False
+        self._seen, self._from = None, closed
 
     def see(self, closed: float, asked: float, answered: float) -> None:
         """Note how far it is closed [µm], measured between question and answer [s]."""
         at = 0.5 * (asked + answered)
         if self._seen is not None:
             self._speed = (closed - self._seen[0]) / max(at - self._seen[1], _JITTER)
-            self.timed = True
         if self._seen is not None or closed - self._from > _MOVES:
             self._seen = closed, at
 

@@ -31,15 +31,13 @@ def test_each_write_takes_its_time_before() -> None:
 def test_one_that_does_not_move_is_not_due() -> None:
     timer = moving(0.0)
     assert timer.due(1000.0, 1) == math.inf
-    assert not timer.timed
 
 
-def test_until_a_grip_is_timed_the_speed_of_the_last_one_counts() -> None:
+def test_until_a_grip_has_two_positions_the_speed_of_the_last_one_counts() -> None:
     timer = moving(50_000.0)
     timer.begin(3000.0)
     assert timer.due(1000.0, 1) == math.inf
     timer.see(3100.0, 1.0, 1.0)
-    assert not timer.timed
     assert timer.due(1000.0, 1) == pytest.approx(1.02)
 
 
