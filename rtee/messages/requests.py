@@ -142,6 +142,7 @@ _ALL = (
     _request(CONTROL, "release", "ClientRequest", "Reply", "Release the lease."),
     _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
+    _request(ASK, "goal", "GoalReference", "GoalStatus", "Whether a goal runs, and its result."),
     _request(ASK, "touch", "Empty", "TouchReply", "The touch sensors and what they measure."),
     _request(ASK, "status", "Empty", "Status", "The loop and its devices."),
     _request(ASK, "object_description", "Empty", "Object", "What a simulated hand grasps."),

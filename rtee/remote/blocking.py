@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import queue
 import threading
 import time
 from collections.abc import (
@@ -18,35 +19,29 @@ from collections.abc import (
     Iterator,
     Mapping,
 )
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from contextlib import AbstractAsyncContextManager
 from functools import partial, wraps
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 
 import anyio
 from anyio.from_thread import BlockingPortal
 
 from rtee.commands import StreamStatus
-from rtee.errors import NoHand, RemoteError
+from rtee.errors import NoHand
 from rtee.messages.requests import Role
 from rtee.remote.client import RemoteHand, connect
-from rtee.remote.goal import GoalOptions, RunningGoal
+from rtee.remote.goal import RunningGoal
 from rtee.remote.stream import Stream
 from rtee.types import Feedback, Result
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_ATTEMPTS = 100
-"""Attempts to close a generator whose last step is still ending: 1 s with `_PAUSE` between them."""
-
 _END_WITHIN = 5.0
-"""Time to wait for the end of the event loop [s]: it takes milliseconds, but must not hang a
-script."""
-
-_PAUSE = 0.01
-"""Time between two of these attempts [s]: a step that was cancelled ends within milliseconds."""
+"""Time to wait for the end of a call that is given up, and of the event loop [s]: it takes
+milliseconds, but must not hang a script."""
 
 
 class BlockingGoal:
@@ -112,6 +107,38 @@ def _waiting(
     @wraps(method)
     def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return _wait(self._portal, partial(method, self._hand, *args, **kwargs))
+
+    return call
+
+
+def _following(
+    method: Callable[Concatenate[RemoteHand, P], Coroutine[Any, Any, Result]],
+) -> Callable[Concatenate[BlockingHand, P], Result]:
+    """Return a method of `BlockingHand` that executes a goal by the given method of `RemoteHand`.
+
+    However the wait ends, by an interrupt, an exception of a signal's handler or an error of
+    ``on_feedback``, the goal is cancelled. ``on_feedback`` is called in the caller's thread.
+    """
+
+    @wraps(method)
+    def call(self: BlockingHand, /, *args: P.args, **kwargs: P.kwargs) -> Result:
+        on_feedback: Any = kwargs.get("on_feedback")
+        if on_feedback is None:
+            return _wait(self._portal, partial(method, self._hand, *args, **kwargs))
+        said: queue.SimpleQueue[Feedback | None] = queue.SimpleQueue()
+
+        async def execute() -> Result:
+            try:
+                kwargs["on_feedback"] = said.put
+                return await method(self._hand, *args, **kwargs)
+            finally:
+                said.put(None)
+
+        def follow() -> None:
+            while (feedback := said.get()) is not None:
+                on_feedback(feedback)
+
+        return _wait(self._portal, execute, follow)
 
     return call
 
@@ -188,35 +215,6 @@ class BlockingHand:
         """This client's role; see `RemoteHand.role`."""
         return self._hand.role
 
-    def do(
-        self,
-        action: str,
-        *elements: str,
-        on_feedback: Callable[[Feedback], object] | None = None,
-        **options: Unpack[GoalOptions],
-    ) -> Result:
-        """Execute an action and wait for its result; see `RemoteHand.do`.
-
-        An interrupt (Ctrl-C), or an error of ``on_feedback``, cancels the goal.
-        """
-        goal = self.start(action, *elements, **options)
-        try:
-            if on_feedback is not None:
-                for feedback in goal:
-                    on_feedback(feedback)
-            return goal.result()
-        except RemoteError:
-            raise
-        # Ending the wait does not end the goal, which runs in the hand.
-        except BaseException:
-            with contextlib.suppress(RemoteError):
-                goal.cancel()
-            raise
-
-    def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
-        """Go to the rest posture and wait for the result. See `do`."""
-        return self.do("open", on_feedback=on_feedback)
-
     @contextlib.contextmanager
     def stream(
         self,
@@ -239,9 +237,11 @@ class BlockingHand:
     start_goal = _starting(RemoteHand.start_goal)
     start_grasp = _starting(RemoteHand.start_grasp)
     start_touch = _starting(RemoteHand.start_touch)
-    move_opening = _waiting(RemoteHand.move_opening)
-    grasp = _waiting(RemoteHand.grasp)
-    touch = _waiting(RemoteHand.touch)
+    do = _following(RemoteHand.do)
+    open = _following(RemoteHand.open)
+    move_opening = _following(RemoteHand.move_opening)
+    grasp = _following(RemoteHand.grasp)
+    touch = _following(RemoteHand.touch)
     cancel = _waiting(RemoteHand.cancel)
     effort_limits = _waiting(RemoteHand.effort_limits)
     hold = _waiting(RemoteHand.hold)
@@ -284,31 +284,78 @@ class BlockingHand:
     rename_action = _waiting(RemoteHand.rename_action)
 
 
-def _wait(portal: BlockingPortal, function: Callable[[], Coroutine[Any, Any, T]]) -> T:
-    """Call an async function and wait for it; an interrupt cancels it.
+class _Call(Generic[T]):
+    """An async function that the event loop's thread runs, and that its caller can give up."""
 
-    Raises `NoHand` if the hand was left.
+    def __init__(self, function: Callable[[], Coroutine[Any, Any, T]]) -> None:
+        self._function = function
+        self._scope: anyio.CancelScope | None = None
+        self._given_up = False
+        self._ended = threading.Event()
+
+    async def run(self) -> T:
+        try:
+            with anyio.CancelScope() as self._scope:
+                if self._given_up:
+                    self._scope.cancel()
+                return await self._function()
+            raise CancelledError  # nobody waits for a result any more
+        finally:
+            self._ended.set()
+
+    def give_up(self, portal: BlockingPortal) -> None:
+        """Cancel the function and wait until it has ended, as when its goal is cancelled."""
+        self._given_up = True
+        if not self._ended.is_set():
+            with contextlib.suppress(RuntimeError):  # the portal has ended, and the function too
+                portal.start_task_soon(self._cancel)
+                self._ended.wait(_END_WITHIN)
+
+    def _cancel(self) -> None:
+        if self._scope is None:  # not started, since tasks start in order
+            self._ended.set()
+        else:
+            self._scope.cancel()
+
+
+def _wait(
+    portal: BlockingPortal,
+    function: Callable[[], Coroutine[Any, Any, T]],
+    meanwhile: Callable[[], object] = lambda: None,
+) -> T:
+    """Call an async function and wait for it; any exception of the wait cancels the function.
+
+    Such exceptions are an interrupt (Ctrl-C), those of the handlers of signals, and errors of
+    ``meanwhile``, which is called first. Raises `NoHand` if the hand was left.
     """
+    call = _Call(function)
     try:
-        future: Future[T] = portal.start_task_soon(function)
-    except RuntimeError as error:
-        raise _left(error) from None
-    try:
+        try:
+            future: Future[T] = portal.start_task_soon(call.run)
+        except RuntimeError as error:
+            raise _left(error) from None
+        meanwhile()
         return future.result()
-    except KeyboardInterrupt:
+    except BaseException:
         # Otherwise, the call would go on in the other thread.
-        future.cancel()
+        call.give_up(portal)
         raise
 
 
 @contextlib.contextmanager
 def _entered(portal: BlockingPortal, opened: AbstractAsyncContextManager[T]) -> Iterator[T]:
     """Enter an async context for as long as this one lasts; raises `NoHand` like `_wait`."""
+    manager = portal.wrap_async_context_manager(opened)
     with contextlib.ExitStack() as stack:
         try:
-            value = stack.enter_context(portal.wrap_async_context_manager(opened))
+            value = stack.enter_context(manager)
         except RuntimeError as error:
             raise _left(error) from None
+        except BaseException as error:
+            # The other thread may have entered it all the same, as after an interrupt.
+            with contextlib.suppress(Exception):
+                manager.__exit__(type(error), error, error.__traceback__)
+            raise
         yield value
 
 
@@ -328,13 +375,8 @@ def _iterate(portal: BlockingPortal, source: AsyncIterator[T]) -> Iterator[T]:
             return None
 
     async def close() -> None:
-        # After an interrupt, the cancelled step may still be ending.
-        for _ in range(_ATTEMPTS):
-            with contextlib.suppress(RuntimeError):
-                if isinstance(source, AsyncGenerator):
-                    await source.aclose()
-                return
-            await anyio.sleep(_PAUSE)
+        if isinstance(source, AsyncGenerator):
+            await source.aclose()
 
     try:
         while (item := _wait(portal, following)) is not None:
@@ -360,7 +402,7 @@ def connect_blocking(
     with contextlib.ExitStack() as stack:
         portal = stack.enter_context(_portal())
         opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
-        remote = stack.enter_context(portal.wrap_async_context_manager(opened))
+        remote = stack.enter_context(_entered(portal, opened))
         # An error before this line leaves the context, which closes everything; from here on, the
         # hand does.
         return BlockingHand(portal, remote, stack.pop_all())

@@ -12,13 +12,37 @@ from typing import Any, TypedDict, Unpack
 
 import anyio
 
-from rtee.errors import GoalRejected, RemoteError, suggestion
+from rtee.errors import (
+    GoalRejected,
+    NoHand,
+    RemoteError,
+    RequestRejected,
+    RteeError,
+    TooManyRequests,
+    suggestion,
+)
 from rtee.messages import decode_feedback, decode_result, encode_goal, topics
+from rtee.messages.convert import RESULT
 from rtee.remote.goal_values import QUANTITIES, check_types, reactions
-from rtee.remote.link import Link
+from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.remote.planner import HandInfo
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
 from rtee.units import FORCE, LENGTH, SPEED, quantity
+
+_SILENT = 0.5
+"""Time without a message about an accepted goal after which the client asks for its result [s]:
+feedback comes 50 times a second unless configured otherwise."""
+
+_ACCEPTED_WITHIN = ANSWER_WITHIN - 1.0
+"""Time to wait for the answer to a goal before asking whether it runs [s]: both together take at
+most a second longer than any other request."""
+
+_ASK_WITHIN = 2.0
+"""Time to wait for the answer to such a question [s]: a hand on a busy computer answers within
+some tenths."""
+
+_ASKED_FOR = ANSWER_WITHIN
+"""Time without an answer to such questions after which the hand counts as lost [s]."""
 
 OnContactWords = Mapping[str, OnContact | str] | OnContact | str
 """One reaction for all fingers, or reactions by finger, "" for all others."""
@@ -69,12 +93,15 @@ class RunningGoal:
 
     Attributes:
         goal: The goal.
+        heard: When the hand was last heard of it, by the event loop's clock [s]; ``inf``: before
+            it is accepted.
     """
 
     def __init__(self, goal: Goal, cancel: Callable[[], Awaitable[None]]) -> None:
         self.goal = goal
         self._cancel = cancel
         self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
+        self.heard = math.inf
         self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         # Without this, asyncio would log an unretrieved error when the hand has gone.
         self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
@@ -141,6 +168,9 @@ class GoalClient:
         self._link, self._info = link, info
         self._running: dict[str, RunningGoal] = {}
         self._efforts: dict[str, float] | None = None
+        self._loop = asyncio.get_running_loop()
+        self._watch: asyncio.Task[None] | None = None
+        self._cancelling: set[asyncio.Task[None]] = set()
         link.subscribe(topics.FEEDBACK, self._on_feedback)
         link.subscribe(topics.RESULTS, self._on_result)
         link.on_gone(self._on_gone)
@@ -150,19 +180,85 @@ class GoalClient:
             feedback = decode_feedback(data)
             running = self._running.get(feedback.goal_id)
             if running is not None:
+                running.heard = self._loop.time()
                 running.deliver(feedback)
 
     def _on_result(self, data: bytes) -> None:
         if self._running:
             result = decode_result(data)
-            running = self._running.pop(result.goal_id, None)
-            if running is not None:
-                running.deliver(result)
+            self._end(result.goal_id, result)
+
+    def _end(self, goal_id: str, how: Result | Exception) -> None:
+        running = self._running.pop(goal_id, None)
+        if running is not None:
+            running.deliver(how)
 
     def _on_gone(self) -> None:
-        running, self._running = self._running, {}
-        for goal in running.values():
-            goal.deliver(self._link.lost())
+        if self._watch is not None:
+            self._watch.cancel()
+        for goal_id in tuple(self._running):
+            self._end(goal_id, self._link.lost())
+
+    async def _watch_silent(self) -> None:
+        """Ask for the results of goals of which nothing was heard for a while; ends with them.
+
+        A result is published once, and may be lost if the connection is congested.
+        """
+        while self._running:
+            await asyncio.sleep(_SILENT / 2.0)
+            since = self._loop.time() - _SILENT
+            silent = [item for item in self._running.items() if item[1].heard < since]
+            await asyncio.gather(*(self._ask_for(*item) for item in silent))
+
+    async def _ask_for(self, goal_id: str, running: RunningGoal) -> None:
+        try:
+            status = await self._status(goal_id)
+        except NoHand as error:
+            if self._loop.time() - running.heard > _ASKED_FOR:
+                self._end(goal_id, error)
+                self._give_up(goal_id)
+            return
+        # A hand of an earlier version does not know the request, but publishes the result.
+        except RteeError:
+            status = True
+        if status is None:
+            text = f"the hand '{self._link.hand}' does not know the goal any more"
+            self._end(goal_id, RequestRejected(text))
+        elif isinstance(status, Result):
+            self._end(goal_id, status)
+        else:
+            running.heard = self._loop.time()
+
+    async def _status(self, goal_id: str) -> Result | bool | None:
+        """Return the result of a goal, ``True`` if it runs, ``None`` if the hand knows neither."""
+        fields = {"goal_id": goal_id, "client": self._link.client}
+        status = await self._link.ask("goal", fields, within=_ASK_WITHIN)
+        if status["result"]:
+            return RESULT.of(status["result"][0])
+        return True if status["running"] else None
+
+    async def _check_taken(self, goal_id: str) -> None:
+        """Raise `RemoteError` unless the hand knows a goal whose answer has not arrived."""
+        try:
+            if await self._status(goal_id) is not None:
+                return
+        except RteeError:
+            self._give_up(goal_id)
+            raise
+        raise TooManyRequests(
+            f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
+        )
+
+    def _give_up(self, goal_id: str) -> None:
+        """Cancel a goal for which nobody waits any more, if the hand still hears it."""
+
+        async def cancel() -> None:
+            with contextlib.suppress(RemoteError):
+                await self.cancel(goal_id)
+
+        task = self._loop.create_task(cancel())
+        self._cancelling.add(task)  # the event loop itself keeps only a weak reference
+        task.add_done_callback(self._cancelling.discard)
 
     async def start(
         self, action: str, *elements: str, **options: Unpack[GoalOptions]
@@ -196,17 +292,24 @@ class GoalClient:
         # not before the goal is registered.
         if goal.goal_id in self._running:
             raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
-        answer = self._link.send("do", encode_goal(goal))
+        answer = self._link.send("do", encode_goal(goal), within=_ACCEPTED_WITHIN)
         running = self._running[goal.goal_id] = RunningGoal(
             goal, partial(self.cancel, goal.goal_id)
         )
         try:
-            await asyncio.shield(answer)
+            try:
+                await asyncio.shield(answer)
+            except NoHand:
+                # The answer may be lost, and the goal run.
+                if self._link.gone:
+                    raise
+                await self._check_taken(goal.goal_id)
         except anyio.get_cancelled_exc_class():
             # The goal was sent, and the caller has given it up, so it is cancelled here. The answer
             # comes first, since a goal that has not arrived cannot be cancelled.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                await answer
+                with contextlib.suppress(NoHand):
+                    await answer
                 await running.cancel()
             self._running.pop(goal.goal_id, None)
             raise
@@ -214,6 +317,9 @@ class GoalClient:
         except BaseException:
             self._running.pop(goal.goal_id, None)
             raise
+        running.heard = self._loop.time()
+        if self._watch is None or self._watch.done():
+            self._watch = self._loop.create_task(self._watch_silent())
         return running
 
     async def do(
@@ -237,9 +343,6 @@ class GoalClient:
         """Return the result; cancelling this, or an error of ``on_feedback``, cancels the goal."""
         try:
             return await running.result(on_feedback)
-        # The hand has gone, and with it the goal.
-        except RemoteError:
-            raise
         except BaseException:
             # Shielded, or the cancelled scope would cancel this request, too.
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):

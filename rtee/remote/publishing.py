@@ -37,6 +37,7 @@ from rtee.messages.state import StateEncoder
 from rtee.messages.topics import JOINT_STATES, REFERENCE, TOUCH
 from rtee.messages.touch import TouchEncoder, measured_at
 from rtee.remote.call_queue import CallQueue
+from rtee.remote.goal_records import GoalRecords
 from rtee.remote.lease import Lease
 from rtee.remote.outlets import Outlet, Outlets
 from rtee.remote.session import DELIVER
@@ -209,8 +210,15 @@ class Publisher(Observer):
     Its methods are called in the loop's thread. Goals and streams hold the lease until they end.
     """
 
-    def __init__(self, outlets: Outlets, streams: Streams, outbox: CallQueue, lease: Lease) -> None:
-        self._streams, self._outbox, self._lease = streams, outbox, lease
+    def __init__(
+        self,
+        outlets: Outlets,
+        streams: Streams,
+        outbox: CallQueue,
+        lease: Lease,
+        goals: GoalRecords,
+    ) -> None:
+        self._streams, self._outbox, self._lease, self._goals = streams, outbox, lease, goals
         self._topics = {topic: outlets.open(topic, **DELIVER) for topic in _TOPICS}
 
     @property
@@ -242,7 +250,7 @@ class Publisher(Observer):
     def on_result(self, result: Result) -> None:
         """Publish the result of a goal."""
         # Before the result is published: a client that reads it may begin a goal at once.
-        self._lease.ended(result.goal_id)
+        self._goals.ended(result)
         self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
 
     def on_event(self, event: Event) -> None:

@@ -26,6 +26,7 @@ from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.touch import reply_fields
 from rtee.object_description import NO_OBJECT
 from rtee.remote.actions import action_fields, build_action, group_fields
+from rtee.remote.goal_records import GoalRecords
 from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
 from rtee.remote.lease import Lease
@@ -99,6 +100,7 @@ class QueryHandlers:
         self,
         loop: HandLoop,
         lease: Lease,
+        goals: GoalRecords,
         thread: LoopThread,
         streams: Streams,
         recording: Recording | None,
@@ -113,6 +115,7 @@ class QueryHandlers:
         self._version = -1
         self._handlers: dict[str, Callable[[Fields], Fields]] = {
             "stream": lambda fields: accepted(streams.ask(fields["rate"])),
+            "goal": lambda fields: goals.status(fields["goal_id"]),
             "touch": lambda _: reply_fields(loop.snapshot()),
             "status": self._status,
             "object_description": self._object_description,

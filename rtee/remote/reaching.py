@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+import anyio
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -157,8 +158,10 @@ class ReachClient:
             try:
                 result = await self._goals.do(name)
             finally:
-                # All clients see the actions of the hand: none may be left behind.
-                await self._actions.remove_action(name)
+                # All clients see the actions of the hand: none may be left behind, even if this
+                # call is cancelled.
+                with anyio.CancelScope(shield=True):
+                    await self._actions.remove_action(name)
             # Closing from where the hand could not open for it would push the object.
             if not (result.reached or result.stalled):
                 break

@@ -37,6 +37,7 @@ from rtee.messages.requests import (
 from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.directory import claimed
+from rtee.remote.goal_records import GoalRecords
 from rtee.remote.identities import Identities
 from rtee.remote.inboxes import Inboxes
 from rtee.remote.incoming_request import (
@@ -155,12 +156,13 @@ class Server:
             stack.push_async_callback(in_thread, streams.close)
             lease, thread = Lease(), LoopThread()
             commands = CommandHandlers(loop, lease, thread)
-            queries = QueryHandlers(loop, lease, thread, streams, recording, profile)
+            goals = GoalRecords(lease)
+            queries = QueryHandlers(loop, lease, goals, thread, streams, recording, profile)
             identities = Identities(protection.admit)
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)
             stack.push_async_callback(thread.close)
-            publisher = Publisher(outlets, streams, server.outbox, lease)
+            publisher = Publisher(outlets, streams, server.outbox, lease, goals)
             loop.add_observer(publisher)
             stack.callback(loop.remove_observer, publisher)
             server.declare()

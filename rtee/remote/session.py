@@ -44,13 +44,16 @@ EXPRESS: dict[str, Any] = {
 """Options for messages that must arrive soon: they wait for slow readers, but not for a batch to
 fill."""
 
-DELIVER = {**EXPRESS, "congestion_control": zenoh.CongestionControl.DROP}
-"""Options for messages of a hand: a client that reads so slowly that all buffers are full misses
-them, instead of delaying all others. A hand buffers a megabyte for each, see `open_server`."""
+DELIVER = {**EXPRESS, "express": False}
+"""Options for messages of a hand that must arrive: results, events and answers.
+
+They wait in batches, of which a hand buffers a megabyte for each client, see `open_server`. As
+express messages, each would take a batch of its own, and a burst of seventeen would fill all. A
+client that reads nothing while a megabyte comes is disconnected, instead of missing messages."""
 
 _CLOSE_AFTER = 50_000
-"""Time for which a hand waits for a client with full buffers before it closes the connection [µs].
-It waits only with answers to queries that request blocking."""
+"""Time for which a hand waits for a client with full buffers before it closes the connection [µs],
+so that such clients delay all others by no more."""
 
 T = TypeVar("T")
 
@@ -101,7 +104,9 @@ _COMMON: dict[str, Any] = {
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": LEASE,
     "transport/link/tx/keep_alive": 4,
-    # A congested client must not delay the loop: messages that cannot be sent at once are dropped.
+    # A batch is sent as soon as the thread that sends is free, however few messages it has.
+    "transport/link/tx/queue/batching/time_limit": 0,
+    # A congested client must not delay the loop: states that cannot be sent at once are dropped.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     # Results must not be lost: a connection is closed only when its peer counts as dead [µs].
     "transport/link/tx/queue/congestion_control/block/wait_before_close": LEASE * 1000,

@@ -155,16 +155,22 @@ class StreamClient:
             "effort_name": tuple(limits),
             "effort": [float(limit) for limit in limits.values()],
         }
-        await link.ask("begin_stream", fields)
         stream = self._open[name] = Stream(link, self._monitoring, name, f"s{number}")
+        refused = False
         try:
             with link.refusals(f"s{number}", stream.refuse):
                 try:
+                    try:
+                        await link.ask("begin_stream", fields)
+                    except RequestRejected:
+                        refused = True
+                        raise
                     yield stream
                 finally:
-                    # Shielded: a cancelled client must end its stream, too, before its deadline.
+                    # Even if cancelled before the answer arrived, since an open stream holds the
+                    # lease. Shielded: a cancelled client must end its stream before its deadline.
                     with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                        if not (stream.ended or link.gone):
+                        if not (refused or stream.ended or link.gone):
                             await link.ask("end_stream", {"client": link.client, "stream": name})
             stream.check()  # a refusal of the last samples
         finally:

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from rtee.actions.build import StepPlan
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionReference
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
+from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote.blocking import BlockingHand
@@ -232,3 +235,66 @@ def test_a_script_that_is_interrupted_cancels_its_goal(served: Served, tmp_path:
     assert done.returncode != 0
     assert "KeyboardInterrupt" in done.stderr
     assert served.watcher.results[0].cancelled
+
+
+ENDINGS: dict[str, Callable[[BlockingHand, Any], object]] = {
+    "do": lambda remote, heard: remote.do("Grasp", speed=0.01, on_feedback=heard),
+    "grasp": lambda remote, heard: remote.grasp(0.02, speed=0.0005, on_feedback=heard),
+    "touch": lambda remote, heard: remote.touch(speed=0.0005, on_feedback=heard),
+    "move_opening": lambda remote, heard: remote.move_opening(
+        0.01, speed=0.0005, on_feedback=heard
+    ),
+}
+"""The calls that wait for a goal, each so slow that it is left while the goal runs."""
+
+
+class OutOfTime(BaseException):
+    """What the handler of a signal raises, as the timeout of a test does."""
+
+
+@pytest.fixture
+def gripper(repository: Path) -> Iterator[Served]:
+    """A gripper whose openings are known."""
+    folder = repository / "config/robotiq_2f_85"
+    gripper = load_hand(folder)
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(
+            serving(gripper, ActionLibrary.load(gripper, folder / "actions"))
+        ) as served,
+    ):
+        yield served
+
+
+@pytest.mark.parametrize("watched", [False, True])
+@pytest.mark.parametrize("error", [OutOfTime, SystemExit, KeyboardInterrupt])
+def test_however_a_call_is_left_its_goal_ends(
+    gripper: Served, error: type[BaseException], watched: bool
+) -> None:
+    def handler(*_: object) -> None:
+        raise error
+
+    main = threading.main_thread().ident
+    assert main is not None
+
+    def interrupt() -> None:
+        while gripper.loop.controller.running is None:
+            time.sleep(0.002)
+        signal.pthread_kill(main, signal.SIGUSR1)
+
+    before = signal.signal(signal.SIGUSR1, handler)
+    try:
+        with rtee.connect_blocking() as remote, ThreadPoolExecutor() as pool:
+            for name, call in ENDINGS.items():
+                results = len(gripper.watcher.results)
+                interrupted = pool.submit(interrupt)
+                with pytest.raises(error):
+                    call(remote, (lambda _: None) if watched else None)
+                interrupted.result()
+                # The call has returned once the hand has accepted the cancellation.
+                while len(gripper.watcher.results) == results:
+                    time.sleep(0.002)
+                assert gripper.watcher.results[-1].cancelled, name
+            assert remote.do("Grasp", intensity=0.05).reached
+    finally:
+        signal.signal(signal.SIGUSR1, before)

@@ -1,0 +1,142 @@
+"""Results arrive, whatever happens on the way; and who misses one asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.errors import RequestRejected
+from rtee.hand.model import Hand
+from rtee.messages import topics
+from rtee.messages.convert import RESULT
+from rtee.remote.goal import GoalClient
+from rtee.remote.goal_records import KEPT_FOR, GoalRecords
+from rtee.remote.lease import Lease
+from rtee.remote.link import Link
+from rtee.types import Goal, Result
+
+from .serving import serving, until
+
+BURST = 40
+"""Goals of one client at once: more than a hand has batches to send, fewer than are refused."""
+
+
+@pytest.mark.anyio
+async def test_of_a_burst_of_goals_every_result_arrives_everywhere(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    """The message of each result took a batch of its own; a burst of seventeen filled all."""
+    async with serving(hand, library) as served, rtee.connect() as remote, rtee.connect() as other:
+        seen: list[str] = []
+        own: list[str] = []
+
+        async def listen() -> None:
+            async for result in other.results():
+                seen.append(result.goal_id)
+
+        async def do(number: int) -> None:
+            goal = Goal("Trig", ("index" if number % 2 else "thumb",))
+            running = await remote.start_goal(goal)
+            await running.result()
+            own.append(goal.goal_id)
+
+        async with anyio.create_task_group() as group:
+            group.start_soon(listen)
+            await other.status()  # answered after the subscription has arrived
+            async with anyio.create_task_group() as goals:
+                for number in range(BURST):
+                    goals.start_soon(do, number)
+            ended = {result.goal_id for result in served.watcher.results}
+            assert set(own) == ended
+            assert len(own) == BURST
+            await until(lambda: set(seen) == ended)
+            group.cancel_scope.cancel()
+
+
+class Deaf:
+    """A link on which some topics never arrive, as on a congested connection."""
+
+    def __init__(self, link: Link, *lost: str) -> None:
+        self._link, self._lost = link, lost
+
+    def subscribe(self, topic: str, receive: Callable[[bytes], object]) -> None:
+        if topic not in self._lost:
+            self._link.subscribe(topic, receive)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._link, name)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("lost", [(topics.RESULTS,), (topics.RESULTS, topics.FEEDBACK)])
+async def test_who_misses_a_result_asks_for_it(
+    hand: Hand, library: ActionLibrary, lost: tuple[str, ...]
+) -> None:
+    async with serving(hand, library) as served, rtee.connect() as remote:
+        goals = GoalClient(Deaf(remote._link, *lost), remote.info)  # type: ignore[arg-type]
+        result = await goals.do("Trig", "index", intensity=0.2)
+        assert result.reached
+        assert RESULT.fields(result) == RESULT.fields(served.watcher.results[-1])
+        # A cancelled goal ends for its client, too.
+        running = await goals.start("wave")
+        await running.cancel()
+        assert (await running.result()).cancelled
+
+
+@pytest.mark.anyio
+async def test_a_goal_that_the_hand_has_forgotten_ends_with_an_error(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect() as remote:
+        goals = GoalClient(Deaf(remote._link, topics.RESULTS), remote.info)  # type: ignore[arg-type]
+        running = await goals.start("Trig", "index")
+        # As after a minute without a connection: the hand knows nothing under this name.
+        goals._running["forgotten"] = goals._running.pop(running.goal.goal_id)
+        with pytest.raises(RequestRejected, match="does not know the goal any more"):
+            await running.result()
+
+
+@pytest.mark.anyio
+async def test_a_goal_whose_answer_is_lost_runs_all_the_same(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtee.remote.goal._ACCEPTED_WITHIN", 0.3)
+    async with serving(hand, library) as served, rtee.connect() as remote:
+        # The hand answers nobody that publishes.
+        monkeypatch.setattr(served.server, "_answer_put", lambda *_: None)
+        assert (await remote.do("Trig", "index", intensity=0.2)).reached
+        # The caller gives up before the answer: the goal ends all the same.
+        with anyio.move_on_after(0.1):
+            await remote.start("wave")
+        await until(lambda: len(served.watcher.results) == 2)
+        assert served.watcher.results[-1].cancelled
+
+
+def test_results_are_kept_for_a_while() -> None:
+    now = [0.0]
+    lease = Lease(lambda: now[0])
+    records = GoalRecords(lease, lambda: now[0])
+    nothing = {"running": False, "result": []}
+    assert records.status("a") == nothing
+    lease.started("client", "a")
+    assert records.status("a") == {"running": True, "result": []}
+    records.ended(Result("a", "Trig"))
+    [fields] = records.status("a")["result"]
+    assert RESULT.of(fields).goal_id == "a"
+    assert not records.status("a")["running"]
+    assert lease.holder == ""
+    now[0] += KEPT_FOR / 2
+    records.ended(Result("b", "Trig"))
+    now[0] += KEPT_FOR / 2 + 1.0
+    records.ended(Result("c", "Trig"))
+    assert records.status("a") == nothing
+    assert all(records.status(goal)["result"] for goal in ("b", "c"))
+    for number in range(5000):
+        records.ended(Result(f"many{number}", "Trig"))
+    assert len(records._results) <= 1024
+    assert records.status("many4999")["result"]
