@@ -39,14 +39,14 @@ class Stop:
 
 
 def case(grip_speed: float) -> DeviceCase:
-    """Return a gripper with a speed of grips [mm/s]."""
+    """Return a gripper with a speed of grips, of each finger [mm/s]."""
     finger = actuator(
         "left_finger_joint", 0.0, 0.040, kind=JointKind.PRISMATIC, velocity=0.1, effort=300.0
     )
     return DeviceCase(
         driver="schunk_egu",
         actuators=(finger,),
-        options={"emulator": {"grip_speed": grip_speed}},
+        options={"emulator": {"grip_speed": 2.0 * grip_speed}},
         rate=RATE,
     )
 

@@ -69,11 +69,11 @@ def close_wsg50(emulator: Any) -> None:
 
 
 def close_schunk_egu(emulator: Any) -> None:
-    """Grip an object that a finger meets at 15 mm."""
+    """Grip an object 30 mm wide."""
     emulator._start(True)
     # Open enough that the fingers close on the object.
-    emulator.axis.position = max(emulator.axis.position, 20.0)
-    obstruct(emulator.axis, 15.0, 200.0, -1.0)
+    emulator.axis.position = max(emulator.axis.position, 40.0)
+    obstruct(emulator.axis, 30.0, 200.0, -1.0)
     emulator._obey(Output(ControlEgu.RUN | ControlEgu.GRIP, force=50))
     pass_time(emulator._advance_by)
     emulator.moves = 0

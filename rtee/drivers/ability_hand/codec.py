@@ -334,7 +334,7 @@ def effort_counts(torque: float, motor: int) -> int:
 
 
 _OFFSET = 0.878894
-"""Force at zero conductance according to the client's formula [N]."""
+"""Force at zero conductance according to the client's formula [N]; words at rest are above 0."""
 _SLOPE = 121_591.0
 """Force of a touch sensor by its conductance [N·Ω]."""
 _FULL = 4095
@@ -346,23 +346,22 @@ _DIVIDER, _SERIES = 33_000.0, 10_000.0
 a resistor in series with the sensor."""
 _SHORTED = 20_000.0
 """Resistance at the largest word [Ω]: 33,000 / 3.3 + 10,000."""
-_NEAR = 319
-"""Word at which half of the formula's force is its offset. Smaller words are scaled linearly to 0:
-the formula would give a newton for a sensor that nothing touches."""
 
 
 def touch_force(word: int) -> float:
-    """Return the force on a touch sensor [N]; a placeholder of the maker, not a calibration."""
-    if word < _NEAR:
-        return word / _NEAR * touch_force(_NEAR)
-    return _SLOPE / (_DIVIDER / (word * _VOLTS) + _SERIES) + _OFFSET
+    """Return the force on a touch sensor by the client's formula [N].
+
+    It is a placeholder of the maker, not a calibration, and begins at 0.88 N; only differences to
+    a sensor's value at rest say something about a contact.
+    """
+    volts = word * _VOLTS
+    return _SLOPE * volts / (_DIVIDER + _SERIES * volts) + _OFFSET
 
 
 def touch_word(force: float) -> int:
-    """Return the 12 bits of a touch sensor at a force [N]."""
-    near = touch_force(_NEAR)
-    if force < near:
-        return max(0, round(force / near * _NEAR))
+    """Return the 12 bits with which a touch sensor reports a force [N] of `touch_force`."""
+    if force <= _OFFSET:
+        return 0
     resistance = _SLOPE / (force - _OFFSET)
     # At its largest word, only the resistor in series and the divider remain.
     if resistance <= _SHORTED:

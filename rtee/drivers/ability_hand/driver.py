@@ -37,6 +37,7 @@ from rtee.drivers.deadlines import Unhurried, cycle_deadline
 from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
+from rtee.drivers.tare import Tare
 from rtee.errors import BusTimeout, DeviceFault, FrameError, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
@@ -57,7 +58,8 @@ _RECEIVED = {1: 74 + 2, 2: 74 + 2, 3: 41 + 1}
 _FORCES: FloatArray = np.array([codec.touch_force(word) for word in range(4096)])
 """Force by the word of a touch sensor [N]; a table, since thirty are converted in every cycle."""
 _SENSORS = tuple(
-    TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095)) for finger in TOUCHING
+    TouchSensor(finger, taxels=SITES, full=codec.touch_force(4095) - codec.touch_force(0))
+    for finger in TOUCHING
 )
 _GAINS = {"velocity": ("approach",), "current": ("stiffness", "damping")}
 
@@ -89,6 +91,7 @@ class AbilityHandDriver(Driver):
         )
         self.connection: Connection[SerialBus] = Connection(spec)
         self._attached = Attached(spec.actuators)
+        self._tare = Tare(options.touch_threshold)
         self._parser = ReplyParser()
         self._pace = Unhurried()
         self._pace.deadline = Unhurried.PATIENCE
@@ -126,6 +129,7 @@ class AbilityHandDriver(Driver):
         options = self.options
         self._in_api = self._moved = self._waiting = False
         self._reply = self._doubted = None
+        self._tare.reset()
         self._pace.deadline = Unhurried.PATIENCE
         bus = await self.connection.open(
             self.buses.serial(
@@ -252,7 +256,8 @@ class AbilityHandDriver(Driver):
             current = [abs(reply.currents[m]) / codec.AMPERE for m, _ in both]
         touch = None
         if reply.touch and self.capabilities.touch:
-            touch = TouchReading(_FORCES[list(reply.touch)], self._stamp)
+            forces = self._tare.above(_FORCES[list(reply.touch)], self._stamp)
+            touch = TouchReading(forces, self._stamp)
         limited = [MOTORS[m] for m in self._motors if reply.limited[m]]
         warnings = (f"limited by the hand (heat or contact): {', '.join(limited)}",)
         return ActuatorState.measured(

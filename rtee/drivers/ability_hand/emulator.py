@@ -22,7 +22,6 @@ from rtee.drivers.ability_hand.codec import (
     DUTY,
     SENSORS,
     SET_POINTS,
-    SITES,
     Command,
     CommandParser,
     Header,
@@ -56,6 +55,7 @@ class AbilityProperties:
     Attributes:
         start: Closure at power-up, 0 to 1.
         touch: Whether it has touch sensors.
+        touch_rest: Words of the six sensors of each finger while nothing touches them.
         fast: Fast mode: a reply has the variant that the previous request selected.
         alone: What it does by itself when it leaves API mode.
         after_contact: Share of a digit's effort limit that is left after a collision.
@@ -66,6 +66,7 @@ class AbilityProperties:
     address: Byte = codec.ADDRESS
     start: Share = 0.0
     touch: bool = True
+    touch_rest: tuple[int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0)
     fast: bool = False
     alone: Literal["hold", "open"] = "hold"
     after_contact: Share = 0.4
@@ -291,5 +292,9 @@ class AbilityHandEmulator(Emulator, Grasps):
             thing = axis.obstacle
             depth = 0.0 if thing is None else (axis.position - thing.contact) * thing.closing
             force = 0.0 if thing is None else max(0.0, depth) * thing.stiffness / _ARM
-            words += (codec.touch_word(force * part) for part in _SPREAD[:SITES])
+            rest = map(codec.touch_force, self.properties.touch_rest)
+            words += (
+                codec.touch_word(force * part + least)
+                for part, least in zip(_SPREAD, rest, strict=True)
+            )
         return tuple(words)

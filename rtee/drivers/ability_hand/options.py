@@ -40,6 +40,9 @@ class AbilityHandOptions(DeviceOptions):
     touch: bool = Field(
         True, description="whether it has touch sensors; a hand without them reports no touch"
     )
+    touch_threshold: Positive = Field(
+        0.15, description="force of a touch sensor above its value at rest that is a contact [N]"
+    )
     motors: dict[str, Motor] = Field(
         default_factory=dict,
         description="the motor that drives each actuator; by default by its name",

@@ -71,6 +71,7 @@ class Register(IntEnum):
     CURRENT_LIMIT = 1020
     INITIAL_SPEED = 1032
     INITIAL_FORCE = 1044
+    VOLTAGE = 1472
     STROKE_SET = 1474
     ANGLE_SET = 1486
     FORCE_SET = 1498
@@ -113,7 +114,10 @@ ERRORS = {
 
 
 class State(IntEnum):
-    """Values of a motor's status byte; 4 is not used."""
+    """Values of a motor's status byte; 4 is not used.
+
+    After power-up a motor has none, `UNSET`, and no angle set-point, until it is commanded.
+    """
 
     OPENING = 0
     CLOSING = 1
@@ -122,6 +126,10 @@ class State(IntEnum):
     CURRENT_PROTECTION = 5
     LOCKED = 6
     FAULT = 7
+    UNSET = 0xFF
+
+
+_STATES = frozenset(State)
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,9 +232,7 @@ class Report:
         # A checksum of one byte does not detect all damage, so impossible values are refused here.
         if not all(_BELOW <= count <= _ABOVE for count in where):
             raise Rh56FrameError(f"no angles of an RH56: {where}")
-        if any(bits > _ERRORS for bits in errors) or any(
-            state in (4, *range(8, 256)) for state in states
-        ):
+        if any(bits > _ERRORS for bits in errors) or not _STATES.issuperset(states):
             raise Rh56FrameError(f"no errors and states of an RH56: {report[24:36].hex(' ')}")
         return cls(
             where,

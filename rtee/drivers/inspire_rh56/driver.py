@@ -70,7 +70,8 @@ _PAUSE = 0.3
 """Pause between two network connections [s], as in published clients."""
 
 _HOLDS = {State.AT_FORCE: True, State.OPENING: False, State.CLOSING: False, State.AT_TARGET: False}
-"""Whether a motor in a state holds something; not known in the states of an error."""
+"""Whether a motor in a state holds something; not known in the states of an error, nor before its
+first command."""
 
 
 class InspireRh56Driver(Driver):
@@ -287,8 +288,9 @@ class InspireRh56Driver(Driver):
         angles, forces = words(data[:WORDS]), words(data[WORDS : 2 * WORDS])
         self._forces, self._speeds = list(forces), list(words(data[-WORDS:]))
         pairs = zip(self._angles, angles, strict=True)
-        # KEEP means unknown here, so that the next reference writes the set-point again.
-        self._angles = [sent if here in (sent, KEEP) else KEEP for sent, here in pairs]
+        # KEEP means unknown here, so that the next reference writes the set-point again. A hand
+        # that was started anew reports the same of each motor that has no set-point yet.
+        self._angles = [sent if here == sent else KEEP for sent, here in pairs]
 
     async def move(self, reference: Reference) -> None:
         """Write force limits and speeds that have changed, then the angles."""

@@ -26,6 +26,8 @@ from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import read_properties
 
 _ROTATOR = 5  # index of the motor that rotates the thumb, which does not close on an object
+_POLL = 0.05
+"""Time between two steps while it saves [s]."""
 _REFUSED = b"\x00"
 """Data of the reply to a refused write; sources say only that it is not 1."""
 
@@ -57,19 +59,18 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
         self.turnaround = max(self.turnaround, properties.turnaround)
         self.memory = Memory(properties)
         self._frames = RequestParser() if framing is None else None
+        self._saved: tuple[float, bytes] | None = None  # when it tells that it has saved, and how
         self._before = b"\0\0"
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> Self:
         """Make the hand that the option ``emulator`` of a device describes."""
-        given = cls._given(options, "unit", "model", "travel_time", "turnaround")
-        framing: Framing | None = None
+        given = cls._given(options, "unit", "model", "travel_time", "turnaround", "protocol")
+        made = read_properties(Rh56Properties, options, **given)
+        framing: Framing | None = "rtu" if made.protocol == "modbus" else None
         if str(options.get("port", "")).startswith("tcp://"):
             framing = "tcp"
-        elif options.get("protocol") == "modbus":
-            framing = "rtu"
-        rate = int(options.get("baudrate", codec.BAUDRATES[0]))
-        return cls(read_properties(Rh56Properties, options, **given), framing, baudrate=rate)
+        return cls(made, framing, baudrate=int(options.get("baudrate", codec.BAUDRATES[0])))
 
     @property
     def axes(self) -> Sequence[Any]:
@@ -119,7 +120,18 @@ class InspireRh56Emulator(ModbusEmulator, Grasps):
                 if answer and len(answer) <= MOST_DATA:
                     reply = Frame(frame.hand, frame.command, frame.address, answer)
                     replies.append(reply.to_bytes(ReplyParser.HEADER))
+                    if (frame.command, frame.address) == (Command.WRITE, Register.SAVE):
+                        self._saved = now + self.memory.properties.save_time, replies[-1]
+                        self.period = _POLL
         return replies
+
+    def step(self, now: float) -> list[bytes]:
+        """Let time pass; the result of saving is told by a second frame, unasked."""
+        self.advance(now)
+        if self._saved is None or now < self._saved[0]:
+            return []
+        (_, told), self._saved, self.period = self._saved, None, 0.0
+        return [told]
 
     def _answer(self, frame: Frame) -> bytes | None:
         if frame.command == Command.READ and len(frame.data) == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,12 +34,23 @@ _BLOCK_FAULTS = {
     "abnormal": Error.ABNORMAL,
     "no_motor": Error.COMMUNICATION,
 }
+_SETTABLE = (
+    Register.CURRENT_LIMIT,
+    Register.INITIAL_SPEED,
+    Register.INITIAL_FORCE,
+    Register.ANGLE_SET,
+    Register.FORCE_SET,
+    Register.SPEED_SET,
+)
+"""Tables that can be written, as a whole or from a motor on."""
 FAULTS = frozenset(_BLOCK_FAULTS)
 """Faults of the index finger that can be injected."""
 
 _INDEX = 3
 _STALL_MA = 900.0
 """Current of a motor that exerts the largest force [mA]; no source gives it."""
+_VOLTAGE = 560
+"""The register of the supply; hands were read with 557 to 562, in a unit that no source gives."""
 _RUNNING_MA = 150.0
 """Current of a motor that moves freely [mA]; no source gives it."""
 
@@ -49,23 +61,27 @@ class Rh56Properties:
 
     Attributes:
         unit: Its number.
+        protocol: What it speaks on a serial line: its own frames, or Modbus RTU.
         model: With tactile sensors (``dftp``) its force limits go up to 3000 g.
         unknown: Whether it returns registers without meaning as 0, or refuses to.
         behind: Whether answers over Modbus TCP carry the number of the previous transaction.
         travel_time: Time for the whole travel at speed 1000 [s].
         force_bias: Readings of the force sensors of an idle hand until they are calibrated [g].
         calibration_time: Duration of its force calibration [s].
+        save_time: Time from saving its parameters until it tells the result [s].
         turnaround: Time between a request and its answer [s].
         haste: Factor by which it calibrates and moves faster than a real one.
     """
 
     unit: Byte = 1
+    protocol: Literal["frames", "modbus"] = "frames"
     model: Literal["dfx", "dfq", "bfx", "dftp"] = "dfx"
     unknown: Literal["zeros", "refused"] = "zeros"
     behind: bool = False
     travel_time: Positive = 0.3
     force_bias: tuple[int, int, int, int, int, int] = (0, 0, 0, 0, 0, 0)
     calibration_time: Duration = 6.0
+    save_time: Duration = 1.0
     turnaround: Duration = TURNAROUND
     haste: Positive = 1.0
 
@@ -113,20 +129,23 @@ class Memory:
         self._bias = list(properties.force_bias)
         self._calibrating = 0.0
         self._put(Register.HAND_ID, bytes([properties.unit]))
+        self._put(Register.VOLTAGE, struct.pack("<H", _VOLTAGE))
         self._put(Register.CURRENT_LIMIT, table([1500] * COUNT))
         self._put(Register.INITIAL_SPEED, table([MOST] * COUNT))
         self._put(Register.INITIAL_FORCE, table([properties.most] * COUNT))
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Restore the initial speeds and force limits; the fingers stay where they are."""
+        """Restore the initial speeds and force limits; the fingers stay where they are.
+
+        No motor has a set-point or a state then, until it is commanded.
+        """
         self.errors = [Error(0)] * COUNT
         self._put(Register.SPEED_SET, self._get(Register.INITIAL_SPEED, WORDS))
         self._put(Register.FORCE_SET, self._get(Register.INITIAL_FORCE, WORDS))
         for axis in self.axes:
             axis.target = axis.position
-        here = table([round(axis.position) for axis in self.axes])
-        self._put(Register.ANGLE_SET, here)
+        self._put(Register.ANGLE_SET, table([KEEP] * COUNT))
         self._limit()
 
     def set_faults(self, faults: set[str]) -> None:
@@ -212,6 +231,8 @@ class Memory:
             if errors & Error.LOCKED:
                 return State.LOCKED
             return State.CURRENT_PROTECTION if errors & Error.CURRENT else State.FAULT
+        if words(self._get(Register.ANGLE_SET, WORDS))[i] == KEEP:
+            return State.UNSET
         if axis.blocked and axis.obstacle is not None and abs(axis.effort) >= axis.max_effort:
             return State.AT_FORCE
         if axis.position == axis.target:
@@ -220,16 +241,10 @@ class Memory:
 
     def write(self, address: int, data: bytes) -> bool:
         """Set registers and act on them; return whether the write was accepted."""
-        settable = {
-            Register.CURRENT_LIMIT,
-            Register.INITIAL_SPEED,
-            Register.INITIAL_FORCE,
-            Register.ANGLE_SET,
-            Register.FORCE_SET,
-            Register.SPEED_SET,
-        }
-        if address in settable:
-            return len(data) == WORDS and self._table(Register(address), words(data))
+        for register in _SETTABLE:
+            first, odd = divmod(address - register, 2)
+            if 0 <= first < COUNT and not odd:
+                return self._part(register, first, data)
         flag = data[:1] == b"\x01"
         if address == Register.CLEAR_ERROR and flag:
             self.errors = [error & Error.TOO_HOT for error in self.errors]
@@ -243,6 +258,19 @@ class Memory:
         else:
             return address in (Register.SAVE, Register.RESET)
         return True
+
+    def _part(self, register: Register, first: int, data: bytes) -> bool:
+        """Set some motors' values of a table, from a motor on."""
+        count, odd = divmod(len(data), 2)
+        if odd or not 0 < count <= COUNT - first:
+            return False
+        given = struct.unpack(f"<{count}h", data)
+        # The others keep what they have: KEEP commands nothing, and a limit is set to itself.
+        others = [KEEP] * COUNT
+        if register is not Register.ANGLE_SET:
+            others = list(words(self._get(register, WORDS)))
+        others[first : first + count] = given
+        return self._table(register, tuple(others))
 
     def _table(self, register: Register, values: tuple[int, ...]) -> bool:
         most = self.properties.most if "FORCE" in register.name else MOST

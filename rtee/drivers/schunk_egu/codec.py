@@ -28,12 +28,18 @@ class Parameter(IntEnum):
 
     INPUT = 0x0040
     OUTPUT = 0x0048
+    COMMAND = 0x0100
     ERROR = 0x0118
+    SET_POSITION = 0x0200
+    SET_SPEED = 0x0208
+    SET_FORCE = 0x0220
+    DIRECTION = 0x0228
     POSITION = 0x0230
     SPEED = 0x0238
     MODULE = 0x0500
     RELEASE_DELTA = 0x0540
     STROKE = 0x0588
+    PREPOSITION = 0x05A8
     LEAST_POSITION = 0x0600
     MOST_POSITION = 0x0608
     MOST_SPEED = 0x0630
@@ -84,6 +90,22 @@ class Control(IntFlag):
     GRIP_AT = 1 << 16
     BRAKE_TEST = 1 << 30
     MAINTAIN = 1 << 31
+
+
+COMMANDS: dict[int, Control] = {
+    0x11: Control.RELEASE,
+    0x42: Control.BRAKE_TEST,
+    0x8B: Control.ACKNOWLEDGE,
+    0x91: Control.STOP,
+    0xAF: Control.GRIP_AT,
+    0xB0: Control.MOVE,
+    0xB4: Control.GRIP,
+    0xB8: Control.MOVE_BY,
+}
+"""Commands by the code that is written to `Parameter.COMMAND`, as the maker's tools do."""
+
+FAST_STOP_CODE = 0x90
+"""The code of a fast stop."""
 
 
 class Status(IntFlag):
@@ -178,8 +200,8 @@ class Output:
 
     Attributes:
         control: Control word with at most one command bit.
-        position: Target [µm].
-        speed: Speed of a motion [µm/s]; 0 in a grip: the gripper's default.
+        position: Target, the distance between the fingers [µm].
+        speed: Speed of a motion, of that distance [µm/s]; 0 in a grip: the gripper's default.
         force: Force of a grip [%].
     """
 

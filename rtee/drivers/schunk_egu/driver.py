@@ -49,8 +49,10 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
-_UM = 1e-6  # unit of lengths in the images [m]
-_SAME, _REACHED = 500.0, 100.0
+_PER_FINGER = 2e6
+"""Micrometres of the images by a metre of a finger: the images have the distance between the
+fingers, which both of them change."""
+_SAME, _REACHED = 1000.0, 200.0
 """Difference to the measured position within which a target commands no motion just after
 connecting, and within which it counts as reached [µm]."""
 _TAKEN = 0.3
@@ -112,7 +114,7 @@ class SchunkEguDriver(BlocksDriver):
         super().__init__(spec, buses)
         options = self.options = read_options(SchunkEguOptions, spec)
         only_actuator(spec, "an EGU or EGK")
-        self._follower = StepFollower(options.settle, options.step / _UM, _SAME, _REACHED)
+        self._follower = StepFollower(options.settle, options.step * _PER_FINGER, _SAME, _REACHED)
         self._input = Input()
         self._gripping = False
         self._asked: tuple[bool, float] | None = None
@@ -121,7 +123,7 @@ class SchunkEguDriver(BlocksDriver):
         self._cycle_began = 0.0
         self._timer = GripTimer()
         self._word: Control | None = None
-        self.capabilities = self._adopt(0.0, 1e6 * self._range, 1.0, {}, options.rate)
+        self.capabilities = self._adopt(0.0, _PER_FINGER * self._range, 1.0, {}, options.rate)
 
     @property
     def _range(self) -> float:
@@ -134,8 +136,8 @@ class SchunkEguDriver(BlocksDriver):
         """Derive scales and capabilities from the gripper's limits: positions [µm], force [N]."""
         actuator = self.spec.actuators[0]
         opened, closed = (most, least) if self.options.opens == "up" else (least, most)
-        # The position of the actuator is the travel of a finger [m], open at its lower limit.
-        end = opened + math.copysign(self._range / _UM, closed - opened)
+        # The position of the actuator is the travel of one finger [m], open at its lower limit.
+        end = opened + math.copysign(self._range * _PER_FINGER, closed - opened)
         self.position = LinearScale(
             (opened, end), (actuator.lower, actuator.upper), ends=(least, most)
         )
@@ -192,7 +194,8 @@ class SchunkEguDriver(BlocksDriver):
     async def _identify(self, blocks: Blocks) -> None:
         bus = blocks.bus
         found = await identify(bus, self.options.unit, self.spec.name)
-        way = found.most - found.least
+        stroke = found.most - found.least
+        way = stroke / 2.0
         if self._range > 1e-3 * way + _MISFIT:
             raise ConfigError(
                 f"device '{self.spec.name}': each finger of this {found.name} moves {way:.1f} mm, "
@@ -213,7 +216,7 @@ class SchunkEguDriver(BlocksDriver):
                 "address": f"unit {self.options.unit}",
                 "serial": found.serial,
                 "firmware": found.firmware,
-                "way of a finger": f"{way:.1f} mm",
+                "stroke between the fingers": f"{stroke:.1f} mm",
                 "largest force": f"{found.force:g} N",
             },
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
@@ -353,7 +356,7 @@ class SchunkEguDriver(BlocksDriver):
             self._follower.forget()
         else:
             wanted = speed if math.isfinite(speed) else self.options.speed
-            limited = max(1, round(min(wanted / _UM, self._most_speed)))
+            limited = max(1, round(min(wanted * _PER_FINGER, self._most_speed)))
             await self._command(Control.MOVE, position=round(target), speed=limited)
             self._follower.sent()
 

@@ -15,7 +15,9 @@ from rtee.drivers.axis import Axis
 from rtee.drivers.objects import Closing, Grasps
 from rtee.drivers.properties import Byte, Duration, Positive, Rate, read_properties
 from rtee.drivers.schunk_egu.codec import (
+    COMMANDS,
     FAST_STOP,
+    FAST_STOP_CODE,
     IMAGE,
     SILENT,
     TEXTS,
@@ -24,6 +26,8 @@ from rtee.drivers.schunk_egu.codec import (
     Output,
     Parameter,
     Status,
+    data_of,
+    float_of,
     float_registers,
     registers,
 )
@@ -41,7 +45,7 @@ _COMMANDS = (
 )
 _MOVE_FORCE = 0.3
 """Force of a motion that is not a grip, as a share of the largest; no document states it."""
-_NEAR = 0.02
+_NEAR = 0.04
 """Distance below which a target counts as reached [mm]."""
 _ERRORS: Mapping[str, int] = {
     "motor_hot": 0x6D,
@@ -49,6 +53,16 @@ _ERRORS: Mapping[str, int] = {
     "overcurrent": 0xDE,
     "brake_test": 0x28,
 }
+_WRITTEN: Mapping[Parameter, int] = {
+    Parameter.COMMAND: 1,
+    Parameter.SET_POSITION: 2,
+    Parameter.SET_SPEED: 2,
+    Parameter.SET_FORCE: 2,
+    Parameter.DIRECTION: 1,
+    Parameter.RELEASE_DELTA: 2,
+    Parameter.PREPOSITION: 2,
+}
+"""Registers of the parameters that a host may write; lengths, speeds and forces are numbers."""
 _BLOCKED = 0xF4  # error: a motion met something
 
 
@@ -60,10 +74,10 @@ class SchunkEguProperties:
         unit: Its number on the line.
         baudrate: Bit rate of the line [bit/s].
         module: Its module type.
-        stroke: Largest position of one finger [mm]; the smallest is 0.
-        position: Position of a finger at power-up [mm].
+        stroke: Largest distance between the fingers [mm]; the smallest is 0.
+        position: Distance between the fingers at power-up [mm].
         force: Largest grip force [N].
-        speed: Largest speed [mm/s].
+        speed: Largest speed of that distance [mm/s].
         grip_speed: Speed of a grip whose command gives no speed [mm/s].
         release: Distance by which it opens on release [mm].
         force_time: Time to build up the force after the contact [s].
@@ -76,12 +90,12 @@ class SchunkEguProperties:
     unit: Byte = 12
     baudrate: Rate = 115200
     module: Byte = 18
-    stroke: Positive = 40.0
-    position: float = 40.0
+    stroke: Positive = 80.0
+    position: float = 80.0
     force: Positive = 150.0
-    speed: Positive = 100.0
-    grip_speed: Positive = 20.0
-    release: Duration = 5.0
+    speed: Positive = 200.0
+    grip_speed: Positive = 40.0
+    release: Duration = 10.0
     force_time: Duration = 0.1
     watch: Duration = 1.0
     ready: bool = False
@@ -93,7 +107,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     """An EGU or EGK; greater positions are more open.
 
     Attributes:
-        axis: One finger; position in mm, effort the force [N].
+        axis: Both fingers; position the distance between them in mm, effort the force [N].
         moves: Number of motions started.
         begun: Force of the last grip [%]; motions have none.
         tests: Number of brake tests.
@@ -122,6 +136,12 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         self.begun = 0
         self.tests = 0
         self.taken: list[Control] = []
+        # Parameters that hosts write beside the image; the gripper keeps them.
+        self._kept: dict[Parameter, bytes] = {
+            parameter: bytes(2 * count) for parameter, count in _WRITTEN.items()
+        }
+        for parameter in (Parameter.RELEASE_DELTA, Parameter.PREPOSITION):
+            self._kept[parameter] = data_of(float_registers(made.release))
         self._start(made.ready)
 
     @classmethod
@@ -156,8 +176,8 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
 
     def closure_at(self, width: float) -> float:
-        """Return how far the fingers are closed at a width [m]; each moves by half of it."""
-        return 1.0 - 1e3 * width / 2.0 / self.properties.stroke
+        """Return how far the fingers are closed at a width [m]."""
+        return 1.0 - 1e3 * width / self.properties.stroke
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck; an error stops it."""
@@ -183,13 +203,23 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         raise Refused(ILLEGAL_ADDRESS)
 
     def write(self, address: int, values: Sequence[int], now: float) -> None:
-        """Write the output image, always as a whole."""
+        """Write the output image or a parameter, always as a whole."""
         self._hear(now)
-        if address != Parameter.OUTPUT.register:
-            raise Refused(ILLEGAL_ADDRESS)
-        if len(values) != IMAGE:
-            raise Refused(ILLEGAL_VALUE)
-        self._obey(Output.from_registers(values))
+        if address == Parameter.OUTPUT.register:
+            if len(values) != IMAGE:
+                raise Refused(ILLEGAL_VALUE)
+            self._obey(Output.from_registers(values))
+            return
+        for parameter, count in _WRITTEN.items():
+            if address == parameter.register:
+                if len(values) != count:
+                    raise Refused(ILLEGAL_VALUE)
+                self._kept[parameter] = data_of(values)
+                if parameter is Parameter.COMMAND:
+                    # The low byte first, as in every number.
+                    self._obey_code(values[0] >> 8)
+                return
+        raise Refused(ILLEGAL_ADDRESS)
 
     def _hear(self, now: float) -> None:
         self.advance(now)
@@ -207,7 +237,6 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             Parameter.POSITION: float_registers(self.axis.position),
             Parameter.SPEED: float_registers(self.axis.velocity),
             Parameter.MODULE: (module << 8,),
-            Parameter.RELEASE_DELTA: float_registers(made.release),
             Parameter.STROKE: float_registers(made.stroke),
             Parameter.LEAST_POSITION: float_registers(0.0),
             Parameter.MOST_POSITION: float_registers(made.stroke),
@@ -216,6 +245,8 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             Parameter.MOST_FORCE: float_registers(made.force),
             Parameter.FIELDBUS: (7 << 8,),
         }
+        for parameter, data in self._kept.items():
+            found[parameter] = registers(data)
         for parameter, text in texts.items():
             found[parameter] = registers(text.encode("ascii").ljust(2 * TEXTS[parameter], b"\0"))
         return found
@@ -234,14 +265,20 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
     def _obey(self, output: Output) -> None:
         before, self._output = self._output, output
         if not output.control & Control.RUN:
+            if before.control & Control.RUN:
+                # A fast stop is a command: it is acknowledged by the toggle, too.
+                self._toggle = not self._toggle
             self._fail(FAST_STOP)
             return
         # A command is given by the rising edge of its bit, or by a change of the repeat bit.
         risen = output.control & ~before.control & _COMMANDS & ~Control.REPEAT
         if (output.control ^ before.control) & Control.REPEAT:
             risen = output.control & _COMMANDS & ~Control.REPEAT
-        if not risen:
-            return
+        if risen:
+            self._take(risen, output)
+
+    def _take(self, risen: Control, output: Output) -> None:
+        """Accept a command; ``risen`` may hold several, which is not feasible."""
         self._toggle = not self._toggle
         self.taken = [*self.taken[-63:], risen]
         if risen is Control.ACKNOWLEDGE:
@@ -250,6 +287,23 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             self._results = Status.NOT_FEASIBLE
         else:
             self._command(risen, output)
+
+    def _obey_code(self, code: int) -> None:
+        """Act on a command code, with the set-points that were written as parameters."""
+        if code == FAST_STOP_CODE:
+            self._toggle = not self._toggle
+            self._fail(FAST_STOP)
+            return
+        command = COMMANDS.get(code)
+        if command is None:
+            raise Refused(ILLEGAL_VALUE)
+        position, speed, force = (
+            float_of(registers(self._kept[parameter]))
+            for parameter in (Parameter.SET_POSITION, Parameter.SET_SPEED, Parameter.SET_FORCE)
+        )
+        outward = Control.OUTWARD if any(self._kept[Parameter.DIRECTION]) else Control(0)
+        values = round(1e3 * position), round(1e3 * speed), round(force)
+        self._take(command, Output(Control.RUN | command | outward, *values))
 
     def _acknowledge(self) -> None:
         left = [_ERRORS[f] for f in self.faults if f in _ERRORS and f != "brake_test"]
@@ -297,7 +351,8 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         if command is Control.MOVE_BY:
             return self.axis.position + position, speed, free
         if command is Control.RELEASE:
-            way = -made.release if outward else made.release
+            release = float_of(registers(self._kept[Parameter.RELEASE_DELTA]))
+            way = -release if outward else release
             wanted = min(max(self.axis.position + way, 0.0), made.stroke)
             return wanted, made.grip_speed, free
         return None, 0.0, 0.0

@@ -20,10 +20,10 @@ class Identity:
         name: Its model.
         serial: Its serial number.
         firmware: The version of its software.
-        least: Smallest position of a finger [mm].
-        most: Largest position of a finger [mm].
+        least: Smallest distance between the fingers [mm].
+        most: Largest distance between the fingers [mm].
         force: Largest grip force [N].
-        speed: Largest speed [mm/s].
+        speed: Largest speed of that distance [mm/s].
         grip_speed: Largest speed of a grip [mm/s]; that of motions where it says none.
     """
 

@@ -189,8 +189,8 @@ def test_touch_words_and_forces_belong_to_each_other(word: int) -> None:
     assert codec.touch_word(codec.touch_force(word)) == word
 
 
-def test_touch_forces_follow_the_line_and_begin_at_nothing() -> None:
-    assert codec.touch_force(0) == 0.0
+def test_touch_forces_follow_the_clients_line() -> None:
+    assert codec.touch_force(0) == pytest.approx(0.878894)
     # V = 1.65, R = 33000 / 1.65 + 10000, N = 121591 / R + 0.878894.
     assert codec.touch_force(2048) == pytest.approx(121591 / 30000 + 0.878894)
     assert codec.touch_word(1e9) == 4095

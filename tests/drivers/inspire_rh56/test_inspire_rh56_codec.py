@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtee.buses.modbus_frames import rtu_frame
 from rtee.drivers.inspire_rh56 import codec
 from rtee.drivers.inspire_rh56.codec import (
     KEEP,
@@ -145,7 +146,7 @@ def test_a_report_comes_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("at", "value"), [(0, b"\x00\x70"), (60, b"\x20"), (66, b"\x04"), (66, b"\x08")]
+    ("at", "value"), [(0, b"\x00\x70"), (60, b"\x20"), (66, b"\x04"), (66, b"\x08"), (66, b"\xee")]
 )
 def test_what_no_hand_reports_is_refused(at: int, value: bytes) -> None:
     data = bytearray(
@@ -211,6 +212,12 @@ def asked(hand: InspireRh56Emulator, text: str, now: float = 1.0) -> str:
     return b"".join(hand.feed(bytes.fromhex(text), now)).hex(" ").upper()
 
 
+def words_at(hand: InspireRh56Emulator, address: int) -> tuple[int, ...]:
+    data = hand.memory.read(address, 12)
+    assert data is not None
+    return codec.words(data)
+
+
 def test_the_emulated_hand_answers_with_the_bytes_of_the_sheet() -> None:
     hand = InspireRh56Emulator()
     ask = "EB 90 01 0F 12 CE 05 E8 03 E8 03 E8 03 E8 03 E8 03 00 00 8C"
@@ -223,6 +230,41 @@ def test_the_emulated_hand_answers_with_the_bytes_of_the_sheet() -> None:
     hand.clear()
     assert asked(hand, REQUESTS[12][0], 4.3) == "90 EB 01 04 12 EC 03 01 07"
     assert asked(hand, REQUESTS[3][0], 4.4) == "90 EB 01 09 11 46 06 00 00 00 00 00 00 67"
+
+
+def test_one_finger_is_commanded_by_a_part_of_a_table() -> None:
+    hand = InspireRh56Emulator()
+    # As sent by a published client to a real hand: 976 to the index finger alone.
+    assert asked(hand, "EB 90 01 05 12 D4 05 D0 03 C4") == "90 EB 01 04 12 D4 05 01 F1"
+    assert words_at(hand, Register.ANGLE_SET) == (KEEP, KEEP, KEEP, 976, KEEP, KEEP)
+    states = hand.memory.read(Register.STATUS, 6)
+    assert states == bytes([0xFF, 0xFF, 0xFF, State.CLOSING, 0xFF, 0xFF])
+    assert asked(hand, "EB 90 01 05 12 D5 05 D0 03 C5").endswith("12 D5 05 00 F1"), "not a register"
+    speeds = Frame(1, WRITE, Register.SPEED_SET + 8, (300).to_bytes(2, "little") * 2)
+    asked(hand, speeds.to_bytes(RequestParser.HEADER).hex())
+    assert words_at(hand, Register.SPEED_SET) == (1000, 1000, 1000, 1000, 300, 300)
+    modbus = InspireRh56Emulator(framing="tcp")
+    assert asked(modbus, "00 01 00 00 00 06 01 06 05 D4 03 D0").endswith("01 06 05 D4 03 D0")
+    assert words_at(modbus, Register.ANGLE_SET)[3] == 976
+
+
+def test_it_tells_the_result_of_saving_by_a_second_frame() -> None:
+    hand = InspireRh56Emulator()
+    assert asked(hand, "EB 90 01 04 12 ED 03 01 08", 1.0) == "90 EB 01 04 12 ED 03 01 08"
+    assert hand.step(1.5) == []
+    assert hand.step(2.1) == [bytes.fromhex("90 EB 01 04 12 ED 03 01 08")]
+    assert hand.step(9.0) == []
+
+
+def test_its_supply_reads_as_that_of_real_hands() -> None:
+    told = asked(InspireRh56Emulator(), "EB 90 01 04 11 C0 05 02 DD")
+    assert 557 <= int.from_bytes(bytes.fromhex(told)[7:9], "little") <= 562
+
+
+def test_it_speaks_modbus_on_a_line_where_told_to() -> None:
+    hand = InspireRh56Emulator.from_options({"emulator": {"protocol": "modbus"}})
+    request = rtu_frame(1, bytes.fromhex("03 06 0A 00 06"))
+    assert asked(hand, request.hex()).startswith("01 03 0C 03 E8")
 
 
 def test_it_is_silent_or_refuses_where_it_must() -> None:

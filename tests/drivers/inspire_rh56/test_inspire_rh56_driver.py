@@ -13,7 +13,7 @@ import anyio
 import pytest
 
 from rtee.drivers.inspire_rh56 import calibration
-from rtee.drivers.inspire_rh56.codec import Register, words
+from rtee.drivers.inspire_rh56.codec import Register, table, words
 from rtee.drivers.inspire_rh56.driver import InspireRh56Driver
 from rtee.drivers.inspire_rh56.options import InspireRh56Options, motors_of
 from rtee.errors import (
@@ -89,7 +89,8 @@ async def test_one_exchange_reads_everything_where_the_hand_gives_it(
         assert state.position.tolist() == pytest.approx([0.0] * 6)
         assert state.temperature.tolist() == [25.0] * 6
         assert state.current.tolist() == [0.0] * 6
-        assert state.grasped == (False,) * 6
+        # Nobody has commanded it since its power-up.
+        assert state.grasped == (None,) * 6
 
 
 async def test_only_what_changes_is_written_and_limits_go_first() -> None:
@@ -109,6 +110,35 @@ async def test_only_what_changes_is_written_and_limits_go_first() -> None:
         assert speed == (1000, 1000, 1000, 204, 1000, 1000)
         order = [d[5] for d in wire if d[4] == 0x12]
         assert order == [Register.FORCE_SET & 0xFF, Register.SPEED_SET & 0xFF, 0xCE]
+
+
+async def test_a_hand_is_driven_that_reports_no_state_until_it_is_commanded() -> None:
+    """As in a public report of a real hand at power-up: STATUS FF and ANGLE_SET FFFF, six times."""
+    async with Session(case()) as session:
+        await session.before(lambda emulator: None)
+        memory = session.emulator.memory
+        assert memory.read(Register.STATUS, 6) == bytes.fromhex("FF FF FF FF FF FF")
+        assert memory.read(Register.ANGLE_SET, 12) == bytes.fromhex("FF FF" * 6)
+        state = await session.start()
+        assert state.grasped == (None,) * 6
+        index = Reference.at([0.5] * 6, mask=[False, False, True, False, False, False])
+        for _ in range(60):
+            state = await session.cycle(index) or state
+        # The one that was commanded has a state now, the others have none yet.
+        assert state.grasped == (None, None, False, None, None, None)
+        assert session.near(await session.reach([0.5] * 6), [0.5] * 6)
+
+
+async def test_a_hand_that_was_started_anew_gets_its_set_points_again() -> None:
+    async with Session(case(check_every=5)) as session:
+        await session.start()
+        goal = [0.3] * 6
+        await session.reach(goal)
+        session.wire.call(lambda: session.emulator.memory.power_cycle())
+        for _ in range(10):
+            await session.cycle(Reference.at(goal))
+        sent = words(session.emulator.memory.read(Register.ANGLE_SET, 12))
+        assert -1 not in sent
 
 
 async def test_set_points_that_the_hand_has_lost_are_sent_again() -> None:
@@ -227,11 +257,11 @@ def rates(port: str, **options: Any) -> DeviceCase:
 @pytest.mark.parametrize(
     ("made", "rate"),
     [
-        # 124 bytes at 115,200 baud are 10.8 ms, and two answers of the hand 7 ms.
-        (rates("/dev/ttyUSB0"), 56.3),
-        (rates("/dev/ttyUSB0", reading="separate"), 48.4),
+        # 124 bytes at 115,200 baud are 10.8 ms, and two answers of the hand 5 ms.
+        (rates("/dev/ttyUSB0"), 63.4),
+        (rates("/dev/ttyUSB0", reading="separate"), 56.6),
         (rates("/dev/ttyUSB0", baudrate=921_600, turnaround=0.001), 298.8),
-        (rates("tcp://192.0.2.1:6000"), 142.9),
+        (rates("tcp://192.0.2.1:6000"), 200.0),
     ],
 )
 async def test_the_best_rate_is_that_of_the_wire_and_the_hand(
@@ -287,6 +317,8 @@ async def test_a_hand_that_feels_something_when_idle_is_not_calibrated(tmp_path:
     path = tmp_path / "hand.json"
     async with Session(biased()) as session:
         await session.start()
+        opened = table([1000] * 6)
+        session.wire.call(lambda: session.emulator.memory.write(Register.ANGLE_SET, opened))
         session.wire.call(lambda: setattr(session.emulator.memory, "_bias", [0, 0, 0, 150, 0, 0]))
         session.wire.call(lambda: setattr(session.emulator.memory, "write", lambda *_: True))
         driver = session.driver

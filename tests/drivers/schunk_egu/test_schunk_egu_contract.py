@@ -49,7 +49,7 @@ async def test_it_closes_by_grip_with_the_force_asked_for() -> None:
     async with Session(CASE) as session:
         await session.start()
         await session.reach([0.005])
-        session.emulator.axis.obstacle = VirtualObject(20.0, 1e3, closing=-1.0)
+        session.emulator.axis.obstacle = VirtualObject(40.0, 1e3, closing=-1.0)
         state = await cycled(session, 0.040, max_effort=[90.0])
         assert state.grasped == (True,)
         assert float(state.position[0]) == pytest.approx(0.020, abs=0.0005)
@@ -66,7 +66,7 @@ async def test_a_grip_is_stopped_where_the_reference_is() -> None:
     case = replace(CASE, options={**CASE.options, "emulator": {"haste": 1.0, "watch": 5.0}})
     async with Session(case) as session:
         await session.start()
-        # From open, 6 mm at the 20 mm/s of a grip.
+        # From open, 6 mm of a finger at the 40 mm/s of a grip.
         assert session.near(await session.reach([0.006]), [0.006])
         state = await cycled(session, 0.006, 40)
         assert Control.STOP in session.emulator.taken
@@ -76,7 +76,7 @@ async def test_a_grip_is_stopped_where_the_reference_is() -> None:
 
 async def test_the_stop_of_a_grip_is_sent_before_it_is_too_far() -> None:
     """Not only in the cycle that finds it at the reference: that is a cycle's way too late."""
-    emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 50.0}
+    emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 100.0}
     case = replace(CASE, options={"settle": 0.02, "emulator": emulator}, rate=25.0)
     early = False
     async with Session(case) as session:
@@ -106,14 +106,14 @@ async def test_the_stop_of_a_grip_is_sent_before_it_is_too_far() -> None:
 
 async def test_a_grip_that_meets_an_object_before_its_reference_is_not_stopped() -> None:
     """The stop is due 30 ms after the fingers have met it, and readings tell of it in between."""
-    emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 50.0}
+    emulator = {"haste": 1.0, "watch": 5.0, "grip_speed": 100.0}
     case = replace(CASE, options={"settle": 0.02, "emulator": emulator}, rate=25.0)
     told = []
     # A busy computer may read too late: what is always stopped never grips at once.
     for _ in range(5):
         async with Session(case, pool=BusPool(wire_time=True)) as session:
             await session.start()
-            session.emulator.axis.obstacle = VirtualObject(20.0, 1e3, closing=-1.0)
+            session.emulator.axis.obstacle = VirtualObject(40.0, 1e3, closing=-1.0)
             session.emulator.taken.clear()
             for _ in range(25):
                 state = await session.cycle(Reference.at([0.0215], max_effort=[90.0]))
@@ -145,7 +145,8 @@ async def test_a_motion_takes_the_speed_of_the_reference() -> None:
         await session.start()
         await session.reach([0.030])
         await cycled(session, 0.010, 20, max_velocity=[0.015])
-        assert session.emulator.axis.max_velocity == pytest.approx(15.0)
+        # Of the distance between the fingers, which changes twice as fast as a finger moves.
+        assert session.emulator.axis.max_velocity == pytest.approx(30.0)
 
 
 async def test_after_power_up_it_is_made_ready_without_moving() -> None:
@@ -204,7 +205,7 @@ async def test_a_motion_that_meets_something_is_an_error() -> None:
     async with Session(CASE) as session:
         await session.start()
         await session.reach([0.030])
-        session.emulator.axis.obstacle = VirtualObject(20.0, 1e4, closing=1.0)
+        session.emulator.axis.obstacle = VirtualObject(40.0, 1e4, closing=1.0)
         with pytest.raises(DeviceFault, match="motion blocked") as told:
             await cycled(session, 0.005)
         assert told.value.code == 0xF4
@@ -236,6 +237,20 @@ async def test_another_device_and_a_wrong_stroke_are_named() -> None:
             await session.driver.configure()
 
 
+async def test_positions_are_the_distance_between_the_fingers() -> None:
+    """The maker's demo moves to "30 mm, distance between fingers"; an EGU 60 reports 120 mm."""
+    emulator = {"stroke": 120.0, "position": 120.0, "haste": 8.0, "watch": 5.0}
+    finger = replace(FINGER, upper=0.060)
+    case = replace(CASE, actuators=(finger,), options={**CASE.options, "emulator": emulator})
+    async with Session(case) as session:
+        await session.start()
+        assert float((await session.sense()).position[0]) == pytest.approx(0.0, abs=1e-4)
+        await cycled(session, 0.045)
+        # Each finger has come 45 mm from its side: 120 - 2 * 45 mm are left between them.
+        assert session.emulator.axis.position == pytest.approx(30.0, abs=0.5)
+        assert session.driver.capabilities.identity["stroke between the fingers"] == "120.0 mm"
+
+
 async def test_it_tells_what_it_is() -> None:
     async with Session(CASE) as session:
         await session.connect()
@@ -250,9 +265,9 @@ async def test_a_gripper_whose_positions_fall_while_it_opens() -> None:
     async with Session(replace(CASE, options={**CASE.options, "opens": "down"})) as session:
         await session.start()
         state = await session.sense()
-        # At 40 mm it is closed then.
+        # At 80 mm it is closed then.
         assert float(state.position[0]) == pytest.approx(0.040)
-        assert session.driver.position.to_count(0.040) == 40_000
+        assert session.driver.position.to_count(0.040) == 80_000
 
 
 def test_options_are_checked() -> None:

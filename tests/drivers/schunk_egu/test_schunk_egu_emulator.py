@@ -16,6 +16,7 @@ from rtee.drivers.schunk_egu.codec import (
     Status,
     data_of,
     float_of,
+    float_registers,
 )
 from rtee.drivers.schunk_egu.emulator import SchunkEguEmulator, SchunkEguProperties
 
@@ -90,7 +91,7 @@ def test_a_move_is_done_when_its_result_is_there() -> None:
 
 
 def test_the_same_command_again_needs_a_rise_or_the_repeat_bit() -> None:
-    host = Host(position=40.0)
+    host = Host(position=80.0)
     host.ready()
     word = RUN | Control.MOVE
     host.write(word, 10_000, 50_000)
@@ -115,7 +116,7 @@ def test_a_grip_holds_with_its_share_of_the_force(percent: int) -> None:
     host.command(Control.RELEASE)
     now = host.wait(1.0)
     assert now.status & Status.REACHED
-    assert now.position == pytest.approx(25_000, abs=50)
+    assert now.position == pytest.approx(30_000, abs=50)
 
 
 def test_a_grip_that_meets_nothing_says_so() -> None:
@@ -131,8 +132,8 @@ def test_a_grip_that_meets_nothing_says_so() -> None:
     ("control", "values"),
     [
         (Control.MOVE, (10_000, 0)),
-        (Control.MOVE, (50_000, 20_000)),
-        (Control.MOVE, (10_000, 200_000)),
+        (Control.MOVE, (90_000, 20_000)),
+        (Control.MOVE, (10_000, 300_000)),
         (Control.GRIP, (0, 0, 0)),
         (Control.GRIP, (0, 0, 101)),
         (Control.MOVE | Control.GRIP, (10_000, 20_000, 50)),
@@ -156,6 +157,54 @@ def test_a_clear_first_bit_is_a_fast_stop() -> None:
     assert host.ready().error == 0
 
 
+def test_a_fast_stop_is_acknowledged_by_the_toggle() -> None:
+    host = Host()
+    before = host.ready().status & Status.RECEIVED
+    host.write(Control(0))
+    assert host.read().status & Status.RECEIVED != before
+    # Only its falling edge is a command.
+    after = host.read().status & Status.RECEIVED
+    host.write(Control(0))
+    assert host.read().status & Status.RECEIVED == after
+
+
+def test_the_parameters_of_the_makers_tools_move_it() -> None:
+    """The maker's demo writes target, speed, force and direction, then a command code."""
+    host = Host(position=80.0)
+
+    def write(parameter: Parameter, values: tuple[int, ...]) -> str:
+        head = struct.pack(">BHHB", 16, parameter.register, len(values), 2 * len(values))
+        pdu = head + struct.pack(f">{len(values)}H", *values)
+        return host.frame(rtu_frame(12, pdu).hex())
+
+    def number(parameter: Parameter, value: float) -> None:
+        assert write(parameter, float_registers(value)).startswith("0C 10")
+
+    host.write(RUN)
+    write(Parameter.COMMAND, (0x8B00,))
+    assert host.read().status & Status.READY
+    number(Parameter.SET_POSITION, 30.0)
+    number(Parameter.SET_SPEED, 50.0)
+    write(Parameter.COMMAND, (0xB000,))
+    done = host.wait(1.5)
+    assert (done.position, bool(done.status & Status.REACHED)) == (
+        pytest.approx(30_000, abs=40), True,
+    )  # fmt: skip
+    host.gripper.axis.obstacle = VirtualObject(20.0, 1e4, closing=-1.0)
+    number(Parameter.SET_FORCE, 50.0)
+    number(Parameter.SET_SPEED, 0.0)
+    write(Parameter.DIRECTION, (0,))
+    write(Parameter.COMMAND, (0xB400,))
+    assert host.wait(1.0).status & Status.GRIPPED
+    assert abs(host.gripper.axis.effort) == pytest.approx(75.0)
+    number(Parameter.RELEASE_DELTA, 5.0)
+    write(Parameter.COMMAND, (0x1100,))
+    assert host.wait(1.0).position == pytest.approx(25_000, abs=60)
+    assert write(Parameter.COMMAND, (0x0100,)).startswith("0C 90 03")
+    write(Parameter.COMMAND, (0x9000,))
+    assert host.read().error == 0xD9
+
+
 def test_silence_is_a_lost_communication() -> None:
     host = Host(watch=0.5)
     host.ready()
@@ -172,7 +221,7 @@ def test_parameters_are_read_by_number_less_one() -> None:
         answer = bytes.fromhex(host.frame(rtu_frame(12, pdu).hex()))
         return list(struct.unpack(f">{count}H", answer[3:-2]))
 
-    assert float_of(words(Parameter.MOST_POSITION, 2)) == 40.0
+    assert float_of(words(Parameter.MOST_POSITION, 2)) == 80.0
     assert float_of(words(Parameter.MOST_FORCE, 2)) == 150.0
     assert float_of(words(Parameter.POSITION, 2)) == pytest.approx(0.251)
     assert words(Parameter.MODULE, 1) == [18 << 8]

@@ -1,0 +1,59 @@
+"""Take off what contact sensors read while nothing touches them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rtee.sample import FloatArray
+
+_DRIFT = 30.0
+"""Time constant with which rest values follow what is below the threshold [s]: the drift of a
+sensor takes minutes, and a contact that grows this slowly is none that a hand makes."""
+_RELEASE = 0.2
+"""Time constant with which they follow a reading that is too low [s]: a rest value that was taken
+while something touched is wrong as soon as that is gone; one noisy reading must not change it."""
+
+
+class Tare:
+    """The rest values of contact sensors, and what is above them.
+
+    The first readings are taken for those of sensors that nothing touches, so what a hand holds
+    when it is connected is felt only once it has been let go. Rest values then follow slow drift.
+
+    Args:
+        threshold: Difference above which a reading is a contact [the readings' unit]: above the
+            sensors' noise.
+    """
+
+    def __init__(self, threshold: float) -> None:
+        self._threshold = threshold
+        self._rest: FloatArray | None = None
+        self._count = 0
+        self._stamp = 0.0
+
+    def reset(self) -> None:
+        """Take the next reading as that of sensors that nothing touches."""
+        self._rest = None
+
+    def above(self, values: FloatArray, stamp: float) -> FloatArray:
+        """Return by how much readings are above rest, 0 for those within the threshold.
+
+        Args:
+            values: The readings ``(n,)``; ``NaN``: not measured.
+            stamp: Time of the readings [s].
+        """
+        if self._rest is None:
+            self._rest, self._count = np.array(values), 0
+        dt = max(0.0, stamp - self._stamp) if self._count else 0.0
+        self._stamp = stamp
+        self._count += 1
+        # A sensor that measured nothing so far begins with its first reading.
+        rest = np.where(np.isnan(self._rest), values, self._rest)
+        change = values - rest
+        # At first the mean of all readings, so that the first one's noise does not stay.
+        slow = max(1.0 / self._count, -np.expm1(-dt / _DRIFT))
+        share = np.where(change < -self._threshold, -np.expm1(-dt / _RELEASE), slow)
+        quiet = change <= self._threshold  # not where a reading is NaN
+        self._rest = np.where(quiet, rest + share * change, rest)
+        above: FloatArray = np.where(quiet, 0.0, change)
+        return above
