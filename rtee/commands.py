@@ -134,7 +134,7 @@ class StreamSample:
 
     Attributes:
         stream: The stream.
-        stamp: Time of the sample, by the client's clock [s].
+        stamp: Time of the sample in the stream's time base [s]: the client's clock until it jumps.
         arrival: Time of its arrival, CLOCK_MONOTONIC of the hand's computer [s].
         targets: Targets as sent, by actuator or joint [rad | m] or by action with its elements
             [intensity].

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -33,6 +33,7 @@ from rtee.loop.controller import Controller
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.targets import Targets
+from rtee.loop.streams.time_base import TimeBase
 from rtee.types import Event, Goal, Result
 
 from .hands import running
@@ -366,6 +367,106 @@ def test_the_lag_is_bounded_whatever_the_clocks_do(
     status = player.status()
     assert 0.0 < status.lag < 1.2 * max(1.0 / status.rate, 0.02) + 0.005 + 0.03
     bench.check_limits(hand)
+
+
+def late(k: int, t: float, by: float) -> float:
+    """The first sample comes late by so much: its stamp is that much older."""
+    return t - by if k == 0 else t
+
+
+def jumps(k: int, t: float, by: float) -> float:
+    """The clock jumps in the middle of the stream."""
+    return t + by if k >= 60 else t
+
+
+def restarts(k: int, t: float, by: float) -> float:
+    """The counter begins again at zero."""
+    return t - 60 / 50.0 if k >= 60 else t + by
+
+
+def wraps(k: int, t: float, by: float) -> float:
+    """The counter wraps, again and again."""
+    return math.fmod(t, by)
+
+
+def glitch(k: int, t: float, by: float) -> float:
+    """A single stamp is wrong."""
+    return t + by if k == 60 else t
+
+
+TROUBLES: list[tuple[Callable[[int, float, float], float], float]] = [
+    *((late, by) for by in (0.3, 0.6, 3.0, 1e6)),
+    *((jumps, by) for by in (0.3, 0.6, 5.0, 1e9, -0.05, -0.3, -0.9, -1.1, -5.0, -1e9)),
+    *((restarts, by) for by in (0.5, 4.3e6)),
+    *((wraps, by) for by in (1.0, 2.5)),
+    *((glitch, by) for by in (0.7, 1e6, -0.1, -1e6)),
+]
+
+
+@pytest.mark.parametrize(("trouble", "by"), TROUBLES)
+def test_a_stream_goes_on_whatever_its_clock_does(
+    hand: Hand, trouble: Callable[[int, float, float], float], by: float
+) -> None:
+    """From 0.6 s on, a first sample that was late made all others count as in the future."""
+    count, rate = 130, 50.0
+    for seed in range(2):
+        random = np.random.default_rng(seed)
+        bench = Bench(hand)
+        bench.begin(rate)
+        base = TimeBase(rate, bench.now)
+        samples, refused = [], 0
+        arrival = start = bench.now
+        for k in range(count):
+            t = k / rate
+            # In order, as over TCP, with a delay of some milliseconds.
+            arrival = max(arrival, start + t + 0.002 + abs(random.normal(0.0, 0.004)))
+            try:
+                stamp = base.place(trouble(k, t, by), arrival)
+            except GoalRejected:
+                refused += 1
+                continue
+            to = {"index_base": wave(t)}
+            samples.append(StreamSample("s", stamp, arrival, to, {}, to, {"index_base": math.nan}))
+        bench.run(count / rate, samples)
+        player = bench.controller.stream
+        assert player is not None
+        status = player.status()
+        dropped = refused + status.out_of_order + status.duplicates
+        events = 2 if trouble is wraps and by == 1.0 else 1
+        assert dropped <= 6 * events, seed
+        assert status.samples + dropped + status.outliers == count
+        # The last samples are played: the lag is that of before.
+        assert status.lag < 0.08
+        # A small jump back is only forgotten after seconds; until then the way is extrapolated.
+        close = 0.06 if trouble is jumps and -0.1 < by < 0.0 else 0.02
+        assert bench.positions[-1][0] == pytest.approx(wave(count / rate - status.lag), abs=close)
+        bench.check_limits(hand)
+
+
+def test_stamps_that_do_not_agree_stay_refused() -> None:
+    """Milliseconds taken for seconds, and stamps by chance, move nothing."""
+    for wrong in (
+        lambda k, _: 1000.0 * (100.0 + k / 50.0),
+        lambda _, random: random.uniform(-1e6, 0.0),
+        lambda *_: -77.0,
+    ):
+        random = np.random.default_rng(1)
+        base = TimeBase(50.0, 0.0)
+        for k in range(50):
+            assert base.place(100.0 + k / 50.0, k / 50.0) == 100.0 + k / 50.0
+        for k in range(50, 300):
+            with pytest.raises(GoalRejected, match="stamps come from one clock"):
+                base.place(wrong(k, random), k / 50.0)
+
+
+def test_what_a_network_held_back_does_not_change_the_time() -> None:
+    """Ten samples of the past that arrive at once, after newer ones, are only out of order."""
+    base = TimeBase(50.0, 0.0)
+    for k in range(50):
+        base.place(k / 50.0, k / 50.0)
+    for k in range(35, 45):
+        assert base.place(k / 50.0, 1.0 + (k - 35) * 1e-4) == k / 50.0
+    assert base.place(51 / 50.0, 51 / 50.0) == 51 / 50.0
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamS
 from rtee.errors import GoalRejected
 from rtee.loop.plan import effort_limits
 from rtee.loop.streams.targets import Targets
+from rtee.loop.streams.time_base import TimeBase
 
 if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
@@ -32,17 +33,6 @@ _BURST = 20.0
 
 _FASTER = 1.5
 """Factor by which samples may be faster than the stream's rate, since clocks and timers differ."""
-
-_AHEAD = 0.5
-"""A stamp may lead the hand's clock by this much more than earlier stamps [s]: clocks do not jump,
-and a network does not get that much faster."""
-
-_BEHIND = 1.0
-"""A stamp this much older than the newest one is not a sample out of order but a mistake [s]:
-networks reorder within milliseconds."""
-
-_LEAK = 1e-3
-"""Rise of the least offset between the clocks [s/s]: far more than clocks drift."""
 
 _QUIET = 0.1
 """After a refusal, further ones are only counted for this long [s]: a wrong stream is wrong in
@@ -80,8 +70,7 @@ class StreamIntake:
         self._rate = 0.0
         self._known: dict[tuple[str, ...], Targets] = {}
         self._tokens = self._filled = 0.0
-        self._newest = -math.inf
-        self._offset, self._offset_at = math.inf, 0.0
+        self._time = TimeBase(1.0, 0.0)
         self._quiet_until = -math.inf
         self._thinned = self._refused = 0
 
@@ -130,7 +119,7 @@ class StreamIntake:
         effort_limits(wanted, self._hand, self._devices.refuse_effort())
         now = self._now()
         self._rate, self._tokens, self._filled = rate, _BURST, now
-        self._newest, self._offset, self._offset_at = -math.inf, math.inf, now
+        self._time = TimeBase(rate, now)
         self._quiet_until = -math.inf
         self._thinned = self._refused = 0
         self._known.clear()  # the library may have changed
@@ -172,17 +161,18 @@ class StreamIntake:
             self._refuse(now, f"there is no stream '{sample.stream[:50]}'; it may have ended")
             return
         try:
-            positions, rates = self._checked(sample, now)
+            positions, rates = self._checked(sample)
+            # Last: a sample that is refused for its targets must not change the time base.
+            stamp = self._time.place(sample.stamp, now)
         except GoalRejected as error:
             self._refused += 1
             self._refuse(now, str(error))
             return
-        self._newest = max(self._newest, sample.stamp)
         names = self._hand.actuator_names
         self._append(
             StreamSample(
                 sample.stream,
-                sample.stamp,
+                stamp,
                 now,
                 sample.targets,
                 sample.velocity,
@@ -211,9 +201,7 @@ class StreamIntake:
             self._quiet_until = now + _QUIET
             raise GoalRejected(text)
 
-    def _checked(
-        self, sample: StreamTargets, now: float
-    ) -> tuple[Mapping[int, float], Mapping[int, float]]:
+    def _checked(self, sample: StreamTargets) -> tuple[Mapping[int, float], Mapping[int, float]]:
         """Return positions and velocities of a sample, by actuator index."""
         if not sample.targets:
             raise GoalRejected("a sample needs at least one target")
@@ -225,24 +213,4 @@ class StreamIntake:
             if len(self._known) >= _MOST_KEPT:
                 self._known.clear()
             self._known[names] = targets
-        resolved = targets.resolve(sample.targets, sample.velocity)
-        # Last: a sample that is refused for its targets must not update the clocks' offset.
-        self._check_stamp(sample.stamp, now)
-        return resolved
-
-    def _check_stamp(self, stamp: float, now: float) -> None:
-        if not math.isfinite(stamp):
-            raise GoalRejected(f"the stamp must be a time in seconds, not {stamp:g}")
-        if stamp < self._newest - _BEHIND:
-            raise GoalRejected(
-                f"the stamp is {self._newest - stamp:.3g} s before the newest one: stamps come "
-                "from one clock that never jumps, in seconds"
-            )
-        offset = now - stamp
-        least = self._offset + _LEAK * (now - self._offset_at)
-        if offset < least - _AHEAD and math.isfinite(least):
-            raise GoalRejected(
-                f"the stamp is {least - offset:.3g} s in the future beside those before: stamps "
-                "come from one clock that never jumps, in seconds"
-            )
-        self._offset, self._offset_at = min(offset, least), now
+        return targets.resolve(sample.targets, sample.velocity)
