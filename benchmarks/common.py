@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import atexit
 import math
+import os
+import shutil
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -47,14 +51,32 @@ HELP = {
 """The help texts of the benchmarks' options."""
 
 
+_OWN = "RTEE_BENCHMARK"
+"""Variable of the environment that says that a benchmark has its own runtime folder."""
+
+
+def own_runtime() -> None:
+    """Give this process and its children a runtime folder of their own.
+
+    A benchmark must neither find nor move the hands that already run on this computer.
+    """
+    if _OWN in os.environ:  # a child of the benchmark that made the folder
+        return
+    for name in ("RTEE_CONNECT", "RTEE_HAND"):
+        os.environ.pop(name, None)
+    os.environ[_OWN] = os.environ["RTEE_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="rtee-")
+    atexit.register(shutil.rmtree, os.environ[_OWN], ignore_errors=True)
+
+
 def command_line(doc: str | None, **options: object) -> argparse.ArgumentParser:
-    """Return the parser of a benchmark's command line.
+    """Return the parser of a benchmark's command line; calls `own_runtime`.
 
     Args:
         doc: The benchmark's docstring, printed by ``--help``.
         **options: Options (see `HELP`) and their defaults, whose types they take; ``False`` makes a
             flag, a type an option that is ``None`` unless it is given.
     """
+    own_runtime()
     parser = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )

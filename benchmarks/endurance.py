@@ -13,7 +13,6 @@ notes each.
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 import time
@@ -75,8 +74,6 @@ def main() -> None:
     given = command_line(__doc__, minutes=120.0, warm=300.0, hand="schunk_svh").parse_args()
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         folder = Path(place)
-        (folder / "run").mkdir(mode=0o700)
-        os.environ["XDG_RUNTIME_DIR"] = str(folder / "run")
         configured(folder, given.hand)
         run = [*COMMAND, "run", given.hand, "--driver", "kinematic", "--rate", "1000"]
         with (

@@ -21,6 +21,7 @@ import argparse
 import os
 import statistics
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,7 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import chromium, gui_of, mover, program, remote_window, runtime_folder, shown, used
+from gui_common import chromium, gui_of, mover, program, remote_window, shown, used
 from gui_onlooker import kinds
 from gui_relay import Relay
 
@@ -165,8 +166,8 @@ def main() -> None:
     given = command_line(
         __doc__, rounds=3, seconds=6.0, hand="schunk_svh", nice=19, realtime=False
     ).parse_args()
-    with runtime_folder() as place:
-        measured(place, given)
+    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
+        measured(Path(place), given)
 
 
 if __name__ == "__main__":

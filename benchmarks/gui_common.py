@@ -8,7 +8,6 @@ import re
 import stat
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -127,11 +126,3 @@ def shown(page: Page, address: str) -> Iterator[None]:
         yield
     finally:
         page.goto("about:blank")
-
-
-@contextlib.contextmanager
-def runtime_folder() -> Iterator[Path]:
-    """Yield a temporary runtime folder, in which hands that already run are not found."""
-    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
-        os.environ["XDG_RUNTIME_DIR"] = place
-        yield Path(place)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +30,6 @@ from gui_common import (
     program,
     remote_window,
     resident,
-    runtime_folder,
     shown,
 )
 from gui_onlooker import controls, use, window
@@ -116,8 +116,8 @@ def main() -> None:
     given = command_line(
         __doc__, seconds=270.0, warm=60.0, hand="schunk_svh", chromium=False
     ).parse_args()
-    with runtime_folder() as place:
-        measured(place, given)
+    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
+        measured(Path(place), given)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ import argparse
 import itertools
 import statistics
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import COMMAND, chromium, program, runtime_folder, shown
+from gui_common import COMMAND, chromium, program, shown
 from gui_onlooker import controls, use, window
 
 import rtee
@@ -219,8 +220,8 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
 def main() -> None:
     """Run and print."""
     given = command_line(__doc__, tries=20, hand="schunk_svh", nice=19, still=1e-3).parse_args()
-    with runtime_folder() as place:
-        measured(place, given)
+    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
+        measured(Path(place), given)
 
 
 if __name__ == "__main__":

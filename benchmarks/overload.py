@@ -12,7 +12,6 @@ of files: the mean of the last five seconds of each time.
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import time
@@ -61,8 +60,6 @@ def main() -> None:
     table = Table("", "loop: own [MB]", "GUI: own [MB]", widths=(24,))
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         folder = Path(place)
-        (folder / "run").mkdir(mode=0o700)
-        os.environ["XDG_RUNTIME_DIR"] = str(folder / "run")
         configured(folder, given.hand)
         busy = folder / "busy"
         run = [sys.executable, "-c", SLOW_DISK, str(busy), "run", given.hand]

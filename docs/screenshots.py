@@ -40,7 +40,7 @@ PATIENCE = 600_000
 @contextlib.contextmanager
 def program(folder: Path, pattern: str, *arguments: str) -> Iterator[re.Match[str]]:
     """Run a command of rtee while the context lasts, once it has said something."""
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(folder)}
+    environment = os.environ | {"RTEE_RUNTIME_DIR": str(folder)}
     with subprocess.Popen(
         [*COMMAND, *arguments], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -60,7 +60,7 @@ def program(folder: Path, pattern: str, *arguments: str) -> Iterator[re.Match[st
 
 def opened(hand: str, folder: Path) -> None:
     """Open a hand that runs in a folder, so that the plots show how it closes."""
-    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    os.environ["RTEE_RUNTIME_DIR"] = str(folder)
     with rtee.connect_blocking(hand, client="screenshots") as client:
         client.open()
 

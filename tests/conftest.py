@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +21,12 @@ if TYPE_CHECKING:
 # No test asserts times, and a busy computer must not fail one.
 settings.register_profile("rtee", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("rtee")
+
+# The tests must not find, stop or move the hands that a developer runs at the same time.
+for _name in ("RTEE_RUNTIME_DIR", "RTEE_CONNECT", "RTEE_HAND"):
+    os.environ.pop(_name, None)
+os.environ["XDG_RUNTIME_DIR"] = tempfile.mkdtemp(prefix="rtee-tests-")
+atexit.register(shutil.rmtree, os.environ["XDG_RUNTIME_DIR"], ignore_errors=True)
 
 # Where a shell started the tests in the background, Ctrl-C is ignored here, and in every process
 # that a test starts and interrupts.

@@ -18,6 +18,7 @@ from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.hand.load import load_configured
+from rtee.remote.directory import VARIABLE, running
 
 if TYPE_CHECKING:
     from rtee.hand.config import HandConfig
@@ -73,7 +74,8 @@ def running_hand(
     """Run a hand in a separate process for as long as the context lasts.
 
     All processes of this computer with the same environment variable ``RTEE_RUNTIME_DIR`` can find
-    the hand.
+    the hand. Only the hand of the started process is connected to, whatever else runs or
+    ``RTEE_CONNECT`` says.
 
     Args:
         hand: Its name, or its folder.
@@ -87,11 +89,18 @@ def running_hand(
         The hand, ready to move.
 
     Raises:
-        UserError: for every mistake in the hand's files or the options.
+        UserError: for every mistake in the hand's files or the options, and if a hand of this name
+            runs already: it may be a real one.
         NotReady: if a device is not active in time.
         RteeError: if the hand does not start or fails; with the last line of its output.
     """
     config = load_configured(hand)[1]
+    if (other := running().get(config.name)) is not None:
+        raise ConfigError(
+            f"the hand '{config.name}' runs already, in process {other.pid}, and a test must not"
+            f" move it: end it, or give the test a {VARIABLE} of its own, as the fixture rtee_hand"
+            " does"
+        )
     printed = folder / f"{config.name}.txt"
     words = [str(hand), "--log", str(folder / "logs"), *_driven(config, driver)]
     words += [] if object is None else ["--object", object]
@@ -130,16 +139,26 @@ def _connected(
     until = time.monotonic() + timeout
     while True:
         try:
-            remote = rtee.connect_blocking(name, client="test", wait=_LOOK_EVERY)
+            remote = rtee.connect_blocking(name, endpoint=_endpoint(name, process), client="test")
             break
         except NoHand:
             if process.poll() is not None:
                 raise _failure(name, process.returncode, printed) from None
             if time.monotonic() >= until:
                 raise
+            time.sleep(_LOOK_EVERY)
     with remote:
         remote.ready(max(0.0, until - time.monotonic()))
         yield remote
+
+
+def _endpoint(name: str, process: subprocess.Popen[bytes]) -> str:
+    """Return the endpoint of the hand that a process runs; raises `NoHand` until it does."""
+    found = running().get(name)
+    # By the process: another hand of this name may have started at the same moment.
+    if found is None or found.pid != process.pid or not found.endpoints:
+        raise NoHand(f"the hand '{name}' does not run yet")
+    return found.endpoints[0]
 
 
 def _failure(name: str, status: int, printed: Path) -> RteeError:

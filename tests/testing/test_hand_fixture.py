@@ -10,6 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from rtee.errors import ConfigError
+from rtee.remote.directory import VARIABLE, running
+from rtee.testing.running import running_hand
+
 pytest_plugins = ["pytester"]
 
 APPLICATION = '''
@@ -76,6 +80,32 @@ def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: 
     (pytester.path / "config").symlink_to(repository / "config")
     done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=150)
     done.assert_outcomes(passed=6)
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("connect", [False, True])
+def test_a_test_does_not_move_a_hand_that_runs_already(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path, connect: bool
+) -> None:
+    """It connected to whatever hand of that name ran, and moved it; the error came afterwards."""
+    monkeypatch.chdir(repository)
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "real"))
+    with running_hand("robotiq_2f_85", folder=tmp_path, driver="kinematic") as real:
+        before = real.state().position
+        other = tmp_path / "other"
+        other.mkdir()
+        if not connect:
+            with (
+                pytest.raises(ConfigError, match=r"runs already, in process .* must not move it"),
+                running_hand("robotiq_2f_85", folder=other, driver="kinematic") as hand,
+            ):
+                hand.do("grasp")
+        else:  # an address in the environment leads to the real hand
+            monkeypatch.setenv("RTEE_CONNECT", running()["robotiq_2f_85"].endpoints[0])
+            monkeypatch.setenv(VARIABLE, str(other / "run"))
+            with running_hand("robotiq_2f_85", folder=other, driver="kinematic") as hand:
+                assert hand.do("grasp").reached
+        assert real.state().position.tolist() == before.tolist()
 
 
 FALLS = """
