@@ -5,17 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from rtee import monotonic
 from rtee.buses.bus import Bus, listen
 from rtee.buses.can_guard import Guarded, frame_of, message_of
 from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
 if TYPE_CHECKING:
-    from rtee.buses.simulated_can import SimulatedCan
+    from rtee.buses.simulated_can import DirectCan, SimulatedCan
 
 _BUS_OFF = 0x40
 """CAN_ERR_BUSOFF, the class of an error frame (linux/can/error.h)."""
@@ -43,6 +43,7 @@ class CanBus(Bus):
         self._simulation = simulation
         self._bus: Any = None
         self._notifier: Any = None
+        self._direct: DirectCan | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._by_id: dict[int, list[Callable[[CanFrame], None]]] = {}
         self._by_any: list[Callable[[CanFrame], None]] = []
@@ -64,11 +65,14 @@ class CanBus(Bus):
 
         self.check()
         try:
-            # Without a timeout, since this may run in the event loop.
-            self._bus.send(message_of(frame), timeout=0)
+            if self._direct is not None:
+                self._direct.send(frame)
+            else:
+                # Without a timeout, since this may run in the event loop.
+                self._bus.send(message_of(frame), timeout=0)
         except (can.CanError, OSError) as error:
             raise BusBroken(self.name, f"cannot send: {error}") from error
-        self._count("tx", frame.data, time.monotonic(), frame.id.to_bytes(4, "big"))
+        self._count("tx", frame.data, monotonic.now(), frame.id.to_bytes(4, "big"))
 
     async def request(
         self, frame: CanFrame, accept: Callable[[CanFrame], bool], deadline: float, retries: int = 0
@@ -85,12 +89,12 @@ class CanBus(Bus):
             BusTimeout: if no answer came in time; other errors as for `send`.
         """
         self.counters.transactions += 1
-        end = time.monotonic() + deadline
+        end = monotonic.now() + deadline
         for attempt in range(retries + 1):
             if attempt:
                 self.counters.retries += 1
             # The remaining time is divided among the remaining attempts.
-            share = (end - time.monotonic()) / (retries + 1 - attempt)
+            share = (end - monotonic.now()) / (retries + 1 - attempt)
             answer: asyncio.Future[CanFrame] = asyncio.get_running_loop().create_future()
             receive = self._receiver(answer, accept)
             self._by_any.append(receive)
@@ -143,7 +147,9 @@ class CanBus(Bus):
             if self.interface == "socketcan" and message.arbitration_id & _BUS_OFF:
                 self._failed("bus-off: check the wiring, the termination and the bit rate")
             return
-        frame = frame_of(message, time.monotonic())
+        self._on_frame(frame_of(message, monotonic.now()))
+
+    def _on_frame(self, frame: CanFrame) -> None:
         self._count("rx", frame.data, frame.stamp, frame.id.to_bytes(4, "big"))
         # A copy of the lists, since a callback may add or remove callbacks.
         for callback in (*self._by_id.get(frame.id, ()), *self._by_any):
@@ -173,13 +179,16 @@ class CanBus(Bus):
         if self._simulation is not None and not self._simulation.plugged:
             raise BusBroken(self.name, "there is no such adapter")
         loop = self._loop = asyncio.get_running_loop()
+        if self._simulation is not None:
+            self._simulation.on_unplug = lambda: self._failed_elsewhere("the adapter was unplugged")
+            self._direct = self._simulation.connect(self._on_frame)
+            if self._direct is not None:
+                return
         try:
             # In a thread, since some interfaces communicate with a USB device when they open.
             bus = await loop.run_in_executor(None, self._opened)
         except (can.CanError, OSError, ValueError) as error:
             raise BusBroken(self.name, _reason(error)) from error
-        if self._simulation is not None:
-            self._simulation.on_unplug = lambda: self._failed_elsewhere("the adapter was unplugged")
         self._bus = bus
         self._notifier = can.Notifier(bus, [self._on_message], timeout=0.05, loop=loop)
 
@@ -190,11 +199,13 @@ class CanBus(Bus):
         return Guarded(raw, self._failed_elsewhere)
 
     async def _close(self) -> None:
-        bus, notifier = self._bus, self._notifier
-        self._bus = self._notifier = None
+        bus, notifier, direct = self._bus, self._notifier, self._direct
+        self._bus = self._notifier = self._direct = None
         for answer in list(self._waiting):
             if not answer.done():
                 answer.set_exception(BusBroken(self.name, "the bus was closed meanwhile"))
+        if direct is not None:
+            direct.shutdown()
         if bus is None:
             return
         # With a file descriptor, the notifier is a reader of the event loop and stops at once;

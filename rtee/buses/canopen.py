@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rtee.buses.can import CanBus
 from rtee.buses.can_guard import frame_of
 from rtee.buses.emulator import CanFrame
+from rtee.buses.simulated_time import SimulatedQueue, on_simulated_time
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError
 
@@ -69,6 +70,14 @@ class CanopenBus(CanBus):
             raise BusTimeout(self.name, str(error)) from error
         except can.CanError as error:
             raise BusBroken(self.name, str(error)) from error
+
+    def join(self, node: Any) -> None:
+        """Add a node of ``canopen`` to the network."""
+        self.network.add_node(node)
+        loop = on_simulated_time()
+        if loop is not None:
+            # The package waits for answers in this queue.
+            node.sdo.responses = SimulatedQueue(loop)
 
     def _notify(self, frame: CanFrame) -> None:
         # The package's listener ignores remote frames, too.

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import termios
-import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import dynamixel_sdk
 import serial
 
+from rtee import monotonic
 from rtee.buses.bus import Bus
+from rtee.buses.direct_end import SIMULATED, DirectPort
 from rtee.buses.link import Line, explained
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError
@@ -47,9 +48,12 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
         """Open the port exclusively and with low latency."""
         if self.is_open:
             self.closePort()
-        self.ser = serial.Serial(
-            port=self.port_name, baudrate=self.baudrate, bytesize=8, timeout=0, exclusive=True
-        )
+        if self.port_name.startswith(f"{SIMULATED}://"):
+            self.ser = DirectPort(self.port_name, self.baudrate)
+        else:
+            self.ser = serial.Serial(
+                port=self.port_name, baudrate=self.baudrate, bytesize=8, timeout=0, exclusive=True
+            )
         # Only FTDI adapters have a latency timer; other adapters raise an error.
         with contextlib.suppress(Exception):
             self.ser.set_low_latency_mode(True)
@@ -85,7 +89,7 @@ class DynamixelPort(dynamixel_sdk.PortHandler):  # type: ignore[misc]
 
     def getCurrentTime(self) -> float:  # noqa: N802 - the SDK's name
         """Return CLOCK_MONOTONIC [ms]."""
-        return time.monotonic() * 1000.0
+        return monotonic.now() * 1000.0
 
 
 class DynamixelBus(Bus):
@@ -131,7 +135,7 @@ class DynamixelBus(Bus):
     def note(self, direction: str, data: bytes) -> bytes:
         """Count and trace bytes, in the worker thread; returns them."""
         if data:
-            self._count(direction, data, time.monotonic())
+            self._count(direction, data, monotonic.now())
         return data
 
     async def _open(self) -> None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rtee.buses.link import Line
     from rtee.buses.simulated import Simulation
     from rtee.buses.simulated_can import SimulatedCan
-    from rtee.buses.zmq import Endpoints
+    from rtee.buses.zmq import DirectServer, Endpoints
 
 S = TypeVar("S", bound="Simulation")
 
@@ -57,12 +57,14 @@ class PlayedEnds:
             lambda: SimulatedCan([], name=channel, channel=channel, bitrate=rate),
         )
 
-    def zmq(self, address: str, owner: str, factory: EmulatorFactory) -> Callable[[], Endpoints]:
-        """Emulate a ZeroMQ server; return a function that returns its current addresses."""
+    def zmq(
+        self, address: str, owner: str, factory: EmulatorFactory
+    ) -> Callable[[], Endpoints | DirectServer]:
+        """Emulate a ZeroMQ server; return a function that returns where it is at present."""
         from rtee.buses.simulated_zmq import SimulatedZmq
 
         simulation = self._playing(address, owner, factory, lambda: SimulatedZmq(name=address))
-        return lambda: simulation.endpoints
+        return lambda: simulation.place
 
     def ethercat(self, interface: str, owner: str, factory: EmulatorFactory) -> Callable[[], Ring]:
         """Emulate the slaves of an EtherCAT network; return a factory of the master's ring."""

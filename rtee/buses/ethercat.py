@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
+from rtee import monotonic
 from rtee.buses.bus import Bus
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError, needing_extra
@@ -211,11 +211,11 @@ class EthercatBus(Bus):
         A slave that did not take part is a `BusTimeout`, too.
         """
         inputs = await self.run(lambda ring: ring.exchange(outputs), deadline)
-        self._count("tx", b"".join(outputs), time.monotonic())
+        self._count("tx", b"".join(outputs), monotonic.now())
         if inputs is None:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, "not every slave took part in the exchange")
-        self._count("rx", b"".join(inputs), time.monotonic())
+        self._count("rx", b"".join(inputs), monotonic.now())
         return inputs
 
     async def _open(self) -> None:

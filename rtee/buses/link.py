@@ -21,6 +21,7 @@ from typing import Any
 import serial
 import serial_asyncio
 
+from rtee.buses.direct_end import SIMULATED, simulated_end
 from rtee.errors import BusBroken, BusBusy, BusError, ConfigError
 
 _PIECE = 4096
@@ -30,8 +31,8 @@ _POLL = 0.05
 """Interval at which the reading thread checks whether it has to end [s]: short enough that closing
 a port causes no noticeable delay."""
 
-_SCHEMES = ("socket", "tcp", "rfc2217", "loop", "spy", "hwgrep", "alt")
-"""Schemes of addresses: the first two are opened here, the others by pyserial."""
+_SCHEMES = ("socket", "tcp", SIMULATED, "rfc2217", "loop", "spy", "hwgrep", "alt")
+"""Schemes of addresses: the first three are opened here, the others by pyserial."""
 
 _DENIED = "no permission; add yourself to the group 'dialout' and log in again"
 _CAUSES: Mapping[int | None, str] = {
@@ -110,6 +111,8 @@ async def open_link(
             "tcp://host:port or rfc2217://host:port"
         )
     try:
+        if scheme == SIMULATED:
+            return simulated_end(url).connect(protocol(), line.baudrate)
         if url.startswith(("socket://", "tcp://")):
             host, port = split_address(url, 502 if url.startswith("tcp://") else None)
             async with asyncio.timeout(timeout):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+from rtee import monotonic
 from rtee.buses.bus import Bus
 from rtee.buses.link import Line, SerialTransport, ended, open_link
 from rtee.buses.parser import Parser
@@ -90,7 +90,7 @@ class SerialBus(Bus):
             BusBroken: if the link is broken.
             BusClosed: if the bus is closed.
         """
-        end = time.monotonic() + deadline
+        end = monotonic.now() + deadline
         # The parser outlives the transaction, so only its new errors belong to this one.
         errors = parser.errors
         received = 0
@@ -108,7 +108,7 @@ class SerialBus(Bus):
             for attempt in range(retries + 1):
                 if attempt:
                     counters.retries += 1
-                share = (end - time.monotonic()) / (retries + 1 - attempt)
+                share = (end - monotonic.now()) / (retries + 1 - attempt)
                 if share <= 0.0:
                     break
                 try:
@@ -165,7 +165,7 @@ class SerialBus(Bus):
     def _not_silent(self, ask: Callable[[], None]) -> bool:
         """Return whether the gap is not over yet; if so, call ``ask`` again when it should be."""
         # `ask` checks again, since a late answer may have extended the gap meanwhile.
-        if not self.gap or (due := self._last + self.gap) <= time.monotonic():
+        if not self.gap or (due := self._last + self.gap) <= monotonic.now():
             return False
         self._pause.start(due, ask)
         return True
@@ -220,13 +220,13 @@ class SerialBus(Bus):
         self.check()
         if self._transport is None:
             raise BusBroken(self.name, "no link")
-        self._count("tx", data, time.monotonic())
+        self._count("tx", data, monotonic.now())
         self._transport.write(data)
         # After writing, since the gap begins with the last byte.
-        self._last = time.monotonic()
+        self._last = monotonic.now()
 
     def _received(self, data: bytes) -> None:
-        self._last = time.monotonic()
+        self._last = monotonic.now()
         self._count("rx", data, self._last)
         if self._parser is None or self._answer is None:
             self.counters.strays += len(data)

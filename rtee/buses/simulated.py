@@ -1,27 +1,31 @@
 """Simulated ends of buses that run emulated devices: their base class, and byte lines.
 
 Each runs in its own thread, so that a blocking client in the same process can talk to it, too. The
-thread waits with microsecond resolution, to keep the modelled wire time.
+thread waits with microsecond resolution, to keep the modelled wire time. On simulated time
+(`rtee.buses.simulated_time`), it runs in the event loop instead, and nothing waits.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import queue
 import select
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from rtee import monotonic
+from rtee.buses.direct_end import DirectEnd
 from rtee.buses.emulator import Duplex, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.line_model import Wire
 from rtee.buses.link import Line
 from rtee.buses.simulated_ends import Pty, Tcp
+from rtee.buses.simulated_time import on_simulated_time
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 from rtee.errors import RteeError
 
@@ -38,9 +42,9 @@ class Simulation(ABC):
         self.name = name
         self.emulators: list[Emulator] = []
         self._thread: threading.Thread | None = None
-        self._wake_out, self._wake_in = os.pipe()
-        # A byte in the pipe ends the thread's wait (self-pipe trick).
-        os.set_blocking(self._wake_out, False)
+        self._wake_out = self._wake_in = -1
+        self._loop = on_simulated_time()
+        self._timer: asyncio.TimerHandle | None = None
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._running = False
 
@@ -67,12 +71,22 @@ class Simulation(ABC):
         """Wait for traffic, the wake-up pipe or the timeout [s], and process received messages."""
 
     @abstractmethod
+    def _step(self, now: float) -> None:
+        """Let happen what is due by now [s]."""
+
+    @abstractmethod
     def _next_due(self) -> float | None: ...
 
     def start(self) -> Self:
         """Open the port and start the thread."""
         self._plug()
         self._running = True
+        if self._loop is not None:
+            self._schedule()
+            return self
+        self._wake_out, self._wake_in = os.pipe()
+        # A byte in the pipe ends the thread's wait (self-pipe trick).
+        os.set_blocking(self._wake_out, False)
         self._thread = threading.Thread(
             target=self._run, name=f"simulated {self.name}", daemon=True
         )
@@ -89,7 +103,7 @@ class Simulation(ABC):
 
     def power_cycle(self) -> None:
         """Switch the supply of the devices off and on."""
-        self.call(lambda: [e.power_cycle(time.monotonic()) for e in self.emulators])
+        self.call(lambda: [e.power_cycle(monotonic.now()) for e in self.emulators])
 
     def add(self, emulator: Emulator) -> None:
         """Connect another device to the wire."""
@@ -101,6 +115,10 @@ class Simulation(ABC):
         Raises:
             RteeError: if an error of an emulator has ended the thread.
         """
+        if self._loop is not None:
+            result = function()
+            self._schedule()
+            return result
         # Called in the simulation's thread, it would wait for itself.
         if not self._running or threading.current_thread() is self._thread:
             return function()
@@ -128,15 +146,31 @@ class Simulation(ABC):
     def _wake(self) -> None:
         os.write(self._wake_in, b"\0")
 
+    def _schedule(self) -> None:
+        """Have the event loop take the next step when it is due; on simulated time."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        due = self._next_due()
+        if due is not None and self._loop is not None and self._running:
+            self._timer = self._loop.call_at(due, self._advance)
+
+    def _advance(self) -> None:
+        self._step(monotonic.now())
+        self._schedule()
+
     def close(self) -> None:
         """End the thread and close everything; idempotent."""
         if self._running:
             self._running = False
-            self._wake()
+            if self._loop is not None:
+                self._schedule()
+            else:
+                self._wake()
             if self._thread is not None and self._thread is not threading.current_thread():
                 self._thread.join()
-        if self._wake_in >= 0:
             self._unplug()
+        if self._wake_in >= 0:
             os.close(self._wake_in)
             os.close(self._wake_out)
             self._wake_in = self._wake_out = -1
@@ -152,7 +186,7 @@ class Simulation(ABC):
         ask_for_short_slices()
         while self._running:
             due = self._next_due()
-            self._turn(None if due is None else max(0.0, due - time.monotonic()))
+            self._turn(None if due is None else max(0.0, due - monotonic.now()))
             with contextlib.suppress(BlockingIOError):
                 os.read(self._wake_out, 4096)
             self._serve()
@@ -210,7 +244,11 @@ class SimulatedLine(Simulation):
             duplex=Duplex.FULL if network else None,
         )
         self.emulators = self.wire.emulators
-        self._end: Pty | Tcp = Tcp(host, port, scheme) if tcp else Pty(link)
+        self._end: Pty | Tcp | DirectEnd
+        if self._loop is not None:
+            self._end = DirectEnd(self._loop, self._take, network=tcp)
+        else:
+            self._end = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0
 
     @property
@@ -250,30 +288,43 @@ class SimulatedLine(Simulation):
         return self.wire.next_due()
 
     def _turn(self, timeout: float | None) -> None:
-        for file in self._wait(timeout):
+        if isinstance(self._end, DirectEnd):  # runs in the event loop
+            return
+        for file in self._wait(timeout, self._end.files()):
             if file != self._wake_out:
                 data = self._end.read(file)
                 if data is None:
                     self.wire.reset()
                 elif data:
-                    self.wire.spoken = self._end.rate() if self.strict else None
-                    self.wire.receive(data, time.monotonic())
-        data = b"".join(self.wire.step(time.monotonic()))
+                    self._hear(data)
+        self._step(monotonic.now())
+
+    def _hear(self, data: bytes) -> None:
+        self.wire.spoken = self._end.rate() if self.strict else None
+        self.wire.receive(data, monotonic.now())
+
+    def _take(self, data: bytes) -> None:
+        """Receive bytes on simulated time; nothing is answered before the next turn of the loop."""
+        self._hear(data)
+        self._schedule()
+
+    def _step(self, now: float) -> None:
+        data = b"".join(self.wire.step(now))
         if data and self._end.heard:
             self._end.write(data)
 
-    def _wait(self, timeout: float | None) -> list[int]:
+    def _wait(self, timeout: float | None, ends: list[int]) -> list[int]:
         """Return the file descriptors that can be read, at the latest after the timeout [s]."""
-        files = [self._wake_out, *self._end.files()]
+        files = [self._wake_out, *ends]
         if timeout is None or not self.wire.timed:
             return select.select(files, [], [], timeout)[0]
-        due = time.monotonic() + timeout
+        due = monotonic.now() + timeout
         # Earlier by the usual lateness; the loop below spins for the rest.
         readable = select.select(files, [], [], max(0.0, timeout - self._late))[0]
         if not readable and timeout > self._late:
-            late = time.monotonic() - (due - self._late)
+            late = monotonic.now() - (due - self._late)
             # Exponential mean over about eight sleeps, since the lateness depends on the load.
             self._late += (min(max(late, 0.0), _SPIN) - self._late) / 8
-        while not readable and time.monotonic() < due:
+        while not readable and monotonic.now() < due:
             pass
         return readable

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import select
-import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
+from rtee import monotonic
 from rtee.buses.can_guard import frame_of, message_of, wake
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
+from rtee.buses.simulated_time import SimulatedTimeLoop
 
 _POLL = 0.02
 """Longest wait for a frame [s], for calls of other threads: only virtual buses can be woken up."""
@@ -36,6 +38,8 @@ class SimulatedCan(Simulation):
         self.emulators = self.wire.emulators
         self._channel, self._interface = channel, interface
         self._bus: Any = None
+        self._there = False
+        self._hosts: list[DirectCan] = []
         self.on_unplug: Callable[[], None] | None = None
 
     @property
@@ -55,12 +59,22 @@ class SimulatedCan(Simulation):
     @property
     def plugged(self) -> bool:
         """Whether the adapter exists."""
-        return self._bus is not None
+        return self._bus is not None or self._there
+
+    def connect(self, receive: Callable[[CanFrame], None]) -> DirectCan | None:
+        """Connect a host that receives frames on simulated time; ``None``: it is not."""
+        if self._loop is None:
+            return None
+        host = DirectCan(self, self._loop, receive)
+        self._hosts.append(host)
+        return host
 
     def _plug(self) -> None:
         import can
 
-        if self._bus is None:
+        if self._loop is not None:
+            self._there = True
+        elif self._bus is None:
             self._bus = can.Bus(interface=self._interface, channel=self._channel)
             self.wire.reset()
 
@@ -68,8 +82,12 @@ class SimulatedCan(Simulation):
         if self._bus is not None:
             self._bus.shutdown()
             self._bus = None
-            if self.on_unplug is not None:
-                self.on_unplug()
+        elif not self._there:
+            return
+        self._there = False
+        self._hosts.clear()
+        if self.on_unplug is not None:
+            self.on_unplug()
 
     def _wake(self) -> None:
         super()._wake()
@@ -83,14 +101,60 @@ class SimulatedCan(Simulation):
             select.select([self._wake_out], [], [], timeout)
             return
         message = self._bus.recv(_POLL if timeout is None else min(timeout, _POLL))
-        now = time.monotonic()
+        now = monotonic.now()
         if message is not None and not message.is_error_frame:
             self.wire.receive(frame_of(message, now), now)
-        for frame in self.wire.step(time.monotonic()):
+        self._step(monotonic.now())
+
+    def hear(self, host: DirectCan, frame: CanFrame) -> None:
+        """Receive a frame of a host on simulated time; lost if that has left."""
+        if host in self._hosts:
+            self.wire.receive(frame, monotonic.now())
+            self._schedule()
+
+    def leave(self, host: DirectCan) -> None:
+        """Let a host receive no more; idempotent."""
+        if host in self._hosts:
+            self._hosts.remove(host)
+
+    def _step(self, now: float) -> None:
+        for frame in self.wire.step(now):
             self._send(frame)
 
     def _send(self, frame: CanFrame) -> None:
         import can
 
+        for host in tuple(self._hosts):
+            host.receive(replace(frame, stamp=monotonic.now()))
+        if self._bus is None:
+            return
         with contextlib.suppress(can.CanError):
             self._bus.send(message_of(frame))
+
+
+class DirectCan:
+    """A host on a simulated CAN bus on simulated time, in place of a bus of python-can.
+
+    Args:
+        simulation: The bus.
+        loop: The event loop of both.
+        receive: Called with every frame of the nodes.
+    """
+
+    def __init__(
+        self,
+        simulation: SimulatedCan,
+        loop: SimulatedTimeLoop,
+        receive: Callable[[CanFrame], None],
+    ) -> None:
+        self._simulation = simulation
+        self._loop = loop
+        self.receive = receive
+
+    def send(self, frame: CanFrame) -> None:
+        """Send a frame; may be called from any thread."""
+        self._loop.call_soon_threadsafe(self._simulation.hear, self, frame)
+
+    def shutdown(self) -> None:
+        """Leave the bus; idempotent."""
+        self._simulation.leave(self)

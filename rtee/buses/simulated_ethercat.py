@@ -7,10 +7,10 @@ replaces the library of the master instead.
 from __future__ import annotations
 
 import select
-import time
 from collections.abc import Sequence
 from typing import Protocol, cast
 
+from rtee import monotonic
 from rtee.buses.ethercat import Ring, Slave, State
 from rtee.buses.faults import Faults
 from rtee.buses.simulated import Simulation
@@ -77,6 +77,9 @@ class SimulatedEthercat(Simulation):
     def _unplug(self) -> None:
         self._there = False
 
+    def _step(self, now: float) -> None:
+        """Do nothing: the master asks in `SimulatedRing.exchange`."""
+
     def _next_due(self) -> float | None:
         return None
 
@@ -98,23 +101,23 @@ class SimulatedRing(Ring):
     def open(self) -> list[Slave]:
         """Find the slaves."""
         played = self._played()
-        played.become(State.PRE_OPERATIONAL, time.monotonic())
+        played.become(State.PRE_OPERATIONAL, monotonic.now())
         return played.slaves()
 
     def request(self, state: State, within: float) -> None:
         """Bring all slaves to a state."""
-        if not self._played().become(state, time.monotonic()):
+        if not self._played().become(state, monotonic.now()):
             raise TimeoutError(f"the slaves did not become {state.name.lower()}")
 
     def exchange(self, outputs: Sequence[bytes]) -> list[bytes] | None:
         """Send outputs and return inputs."""
         played = self._played()
-        inputs = played.cycle(outputs, time.monotonic())
+        inputs = played.cycle(outputs, monotonic.now())
         late = self._simulation.faults.copies()
         if not late:
             return None
         if late[0] > 0.0:
-            time.sleep(late[0])
+            monotonic.sleep(late[0])
         return inputs
 
     def read(self, position: int, index: int, subindex: int) -> bytes:
@@ -136,4 +139,4 @@ class SimulatedRing(Ring):
     def close(self) -> None:
         """Leave the slaves initialised."""
         if self._simulation.plugged and self._simulation.emulators:
-            self._simulation.played.become(State.INIT, time.monotonic())
+            self._simulation.played.become(State.INIT, monotonic.now())

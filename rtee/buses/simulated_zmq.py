@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import zmq
 
+from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.simulated import Simulation
-from rtee.buses.zmq import Endpoints
+from rtee.buses.zmq import DirectServer, Endpoints
 from rtee.errors import BusBroken
 
 
@@ -25,7 +26,7 @@ class Serves(Protocol):
         ...
 
 
-class SimulatedZmq(Simulation):
+class SimulatedZmq(Simulation, DirectServer):
     """A server that publishes the messages of `Emulator.step` and passes on commands and requests.
 
     Attributes:
@@ -50,6 +51,8 @@ class SimulatedZmq(Simulation):
         self.faults = Faults()
         self._context: zmq.Context[Any] | None = None
         self._sockets: list[Any] = []
+        self._there = False
+        self._clients: list[tuple[Callable[[bytes], None], Callable[[str], None]]] = []
         self._late: list[tuple[float, Callable[[], None]]] = []
         self._stepped = 0.0
 
@@ -61,10 +64,37 @@ class SimulatedZmq(Simulation):
     @property
     def plugged(self) -> bool:
         """Whether the server exists."""
-        return bool(self._sockets)
+        return self._there
+
+    @property
+    def place(self) -> Endpoints | DirectServer:
+        """Where a client finds it: at addresses, or on simulated time here."""
+        return self.endpoints if self._loop is None else self
+
+    def connect(self, receive: Callable[[bytes], None], broke: Callable[[str], None]) -> None:
+        """Connect a client, on simulated time."""
+        self._clients.append((receive, broke))
+
+    def leave(self, receive: Callable[[bytes], None]) -> None:
+        """Disconnect a client; idempotent."""
+        self._clients = [client for client in self._clients if client[0] != receive]
+
+    def command(self, message: bytes) -> None:
+        """Receive a command, on simulated time."""
+        if self._there:
+            self._hear(message, monotonic.now())
+            self._schedule()
+
+    async def request(self, message: bytes) -> bytes:
+        """Answer a request, on simulated time."""
+        answer = self._answer(message, monotonic.now()) if self._there else None
+        return await asyncio.get_running_loop().create_future() if answer is None else answer
 
     def _plug(self) -> None:
-        if self._sockets:
+        if self._there:
+            return
+        self._there = True
+        if self._loop is not None:
             return
         self._context = zmq.Context()
         bound = []
@@ -85,6 +115,10 @@ class SimulatedZmq(Simulation):
         self.endpoints = Endpoints(*bound)
 
     def _unplug(self) -> None:
+        self._there = False
+        clients, self._clients = self._clients, []
+        for _, broke in clients:
+            broke("the server closed the connection")
         sockets, self._sockets = self._sockets, []
         for made in sockets:
             made.close(linger=0)
@@ -96,7 +130,7 @@ class SimulatedZmq(Simulation):
     def _next_due(self) -> float | None:
         periods = [e.period for e in self.emulators if e.period]
         due = [when for when, _ in self._late]
-        if periods:
+        if periods and self._there:
             due.append(self._stepped + min(periods))
         return min(due) if due else None
 
@@ -107,9 +141,13 @@ class SimulatedZmq(Simulation):
             poller.register(made, zmq.POLLIN)
         # The unit of zmq's timeouts is 1 ms, as an integer.
         poller.poll(None if timeout is None else int(timeout * 1000.0))
-        now = time.monotonic()
+        now = monotonic.now()
         if self._sockets:
             self._receive(now)
+        self._step(now)
+
+    def _step(self, now: float) -> None:
+        if self.plugged:
             self._publish(now)
         for when, action in [late for late in self._late if late[0] <= now]:
             self._late.remove((when, action))
@@ -119,26 +157,31 @@ class SimulatedZmq(Simulation):
         _, commands, service = self._sockets
         with contextlib.suppress(zmq.Again):
             while True:
-                data = commands.recv(zmq.NOBLOCK)
-                for late in self.faults.copies() if self.faults.requests else [0.0]:
-                    self._after(now + late, partial(self._feed, data))
+                self._hear(commands.recv(zmq.NOBLOCK), now)
         with contextlib.suppress(zmq.Again):
             while True:
                 *envelope, request = service.recv_multipart(zmq.NOBLOCK)
-                answers = [e.serve(request, now) for e in self.emulators if isinstance(e, Serves)]
-                for answer in answers[:1]:
-                    if answer is not None:
-                        service.send_multipart([*envelope, answer])
+                answer = self._answer(request, now)
+                if answer is not None:
+                    service.send_multipart([*envelope, answer])
+
+    def _hear(self, command: bytes, now: float) -> None:
+        for late in self.faults.copies() if self.faults.requests else [0.0]:
+            self._after(now + late, partial(self._feed, command))
+
+    def _answer(self, request: bytes, now: float) -> bytes | None:
+        servers = [emulator for emulator in self.emulators if isinstance(emulator, Serves)]
+        return servers[0].serve(request, now) if servers else None
 
     def _after(self, when: float, action: Callable[[], None]) -> None:
-        if when <= time.monotonic():
+        if when <= monotonic.now():
             action()
         else:
             self._late.append((when, action))
 
     def _feed(self, data: bytes) -> None:
         for emulator in self.emulators:
-            emulator.feed(data, time.monotonic())
+            emulator.feed(data, monotonic.now())
 
     def _publish(self, now: float) -> None:
         period = min((e.period for e in self.emulators if e.period), default=0.0)
@@ -153,6 +196,8 @@ class SimulatedZmq(Simulation):
                         self._after(now + late, partial(self._send, data))
 
     def _send(self, data: bytes) -> None:
+        for receive, _ in tuple(self._clients):
+            receive(data)
         if self._sockets:
             with contextlib.suppress(zmq.Again):
                 self._sockets[0].send(data, zmq.NOBLOCK)

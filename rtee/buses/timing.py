@@ -6,10 +6,11 @@ import asyncio
 import os
 import platform
 import struct
-import time
 from collections.abc import Callable
 
+from rtee import monotonic
 from rtee.buses import timerfd
+from rtee.buses.simulated_time import on_simulated_time
 
 _PR_SET_TIMERSLACK = 29  # linux/prctl.h
 _SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}  # its system call number by machine
@@ -59,7 +60,8 @@ def ask_for_short_slices() -> bool:
 class Pause:
     """Waits in the event loop with the precision of a timerfd; asyncio itself rounds up to 1 ms.
 
-    One wait at a time. On other systems than Linux, it uses the event loop's timer.
+    One wait at a time. On simulated time, and on other systems than Linux, it uses the event loop's
+    timer.
     """
 
     def __init__(self) -> None:
@@ -69,7 +71,7 @@ class Pause:
 
     async def until(self, when: float) -> None:
         """Wait until ``when`` on CLOCK_MONOTONIC [s]; return at once if that has passed."""
-        if when <= time.monotonic():
+        if when <= monotonic.now():
             return
         waiter = asyncio.get_running_loop().create_future()
         self.start(when, lambda: None if waiter.done() else waiter.set_result(None))
@@ -82,8 +84,8 @@ class Pause:
         """Call a function from the event loop at ``when`` on CLOCK_MONOTONIC [s]."""
         loop = asyncio.get_running_loop()
         self._callback = callback
-        if not timerfd.available():
-            self._handle = loop.call_later(max(0.0, when - time.monotonic()), self._call)
+        if not timerfd.available() or on_simulated_time():
+            self._handle = loop.call_later(max(0.0, when - monotonic.now()), self._call)
             return
         if self._timer is None:
             self._timer = timerfd.Timer()

@@ -7,13 +7,18 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 
 T = TypeVar("T")
 
-_Call = tuple[Callable[[], Any], asyncio.AbstractEventLoop, "asyncio.Future[Any]"]
+
+class _Call(NamedTuple):
+    function: Callable[[], Any]
+    loop: asyncio.AbstractEventLoop
+    result: asyncio.Future[Any]
 
 
 class Worker:
@@ -28,8 +33,7 @@ class Worker:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
+        self._thread: _Thread | None = None
 
     async def run(self, function: Callable[[], T], deadline: float) -> T:
         """Call a function in the thread and return its result.
@@ -38,13 +42,9 @@ class Worker:
             TimeoutError: if it has not returned within ``deadline`` [s].
         """
         loop = asyncio.get_running_loop()
-        result: asyncio.Future[T] = loop.create_future()
-        self._calls.put((function, loop, result))
         if self._thread is None:
-            self._thread = threading.Thread(
-                target=_serve, args=(self._calls,), name=self._name, daemon=True
-            )
-            self._thread.start()
+            self._thread = _Thread(self._name)
+        result: asyncio.Future[T] = self._thread.put(function, loop)
         timer = loop.call_later(deadline, _settle, result, None, TimeoutError())
         try:
             return await result
@@ -53,32 +53,63 @@ class Worker:
 
     async def close(self) -> None:
         """Wait for the running call and end the thread; idempotent."""
+        # Another thread serves later calls, since this one may still hang in a call.
         thread, self._thread = self._thread, None
-        if thread is None:
-            return
-        # A new queue, since a thread that still hangs in a call must not serve later calls.
-        calls, self._calls = self._calls, queue.SimpleQueue()
+        if thread is not None:
+            loop = asyncio.get_running_loop()
+            await asyncio.shield(thread.end(loop))
+            await asyncio.shield(loop.run_in_executor(None, thread.join))
+
+
+class _Thread:
+    """The thread with its calls."""
+
+    def __init__(self, name: str) -> None:
+        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+        self._pending = 0
+        thread = threading.Thread(target=self._serve, name=name, daemon=True)
+        self.join = thread.join
+        thread.start()
+
+    def put(self, function: Callable[[], T], loop: asyncio.AbstractEventLoop) -> asyncio.Future[T]:
+        """Have a function called after all others; return the future of its result."""
+        result: asyncio.Future[T] = loop.create_future()
+        # On simulated time, time stands still for the thread, not for every call: the second call
+        # waits for the first, which may be waiting for the time.
+        if not self._pending and isinstance(loop, SimulatedTimeLoop):
+            loop.work_begins()
+        self._pending += 1
+        self._calls.put(_Call(function, loop, result))
+        return result
+
+    def end(self, loop: asyncio.AbstractEventLoop) -> asyncio.Future[None]:
+        """Drop the calls that have not begun, end after the running one; return when it ends."""
         with contextlib.suppress(queue.Empty):
-            while call := calls.get_nowait():
-                call[2].cancel()
-        calls.put(None)
-        ending = asyncio.get_running_loop().run_in_executor(None, thread.join)
-        await asyncio.shield(ending)
+            while call := self._calls.get_nowait():
+                call.result.cancel()
+                self._done(call, None, None)
+        ended = self.put(lambda: None, loop)
+        self._calls.put(None)
+        return ended
 
+    def _serve(self) -> None:
+        wake_exactly()
+        ask_for_short_slices()
+        while (call := self._calls.get()) is not None:
+            result, error = None, None
+            try:
+                result = call.function()
+            except BaseException as raised:  # any error goes to the caller; the thread continues
+                error = raised
+            with contextlib.suppress(RuntimeError):  # the event loop may be gone
+                call.loop.call_soon_threadsafe(self._done, call, result, error)
+            del call, result, error  # release their objects before the next wait
 
-def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
-    wake_exactly()
-    ask_for_short_slices()
-    while (call := calls.get()) is not None:
-        function, loop, future = call
-        result, error = None, None
-        try:
-            result = function()
-        except BaseException as raised:  # any error goes to the caller, and the thread continues
-            error = raised
-        with contextlib.suppress(RuntimeError):  # the event loop may be gone
-            loop.call_soon_threadsafe(_settle, future, result, error)
-        del call, function, future, result, error  # release their objects before the next wait
+    def _done(self, call: _Call, result: object, error: BaseException | None) -> None:
+        _settle(call.result, result, error)
+        self._pending -= 1
+        if not self._pending and isinstance(call.loop, SimulatedTimeLoop):
+            call.loop.work_ends()
 
 
 def _settle(future: asyncio.Future[Any], result: object, error: BaseException | None) -> None:

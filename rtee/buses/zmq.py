@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import zmq
 import zmq.asyncio
 
+from rtee import monotonic
 from rtee.buses.bus import Bus, listen
 from rtee.errors import BusBroken, BusTimeout
 
@@ -29,6 +30,26 @@ class Endpoints(NamedTuple):
     service: str
 
 
+class DirectServer(ABC):
+    """A server in this event loop, on simulated time."""
+
+    @abstractmethod
+    def connect(self, receive: Callable[[bytes], None], broke: Callable[[str], None]) -> None:
+        """Connect a client: what receives the states, and learns that the server is gone."""
+
+    @abstractmethod
+    def leave(self, receive: Callable[[bytes], None]) -> None:
+        """Disconnect a client; idempotent."""
+
+    @abstractmethod
+    def command(self, message: bytes) -> None:
+        """Receive a command; lost if the server is not there."""
+
+    @abstractmethod
+    async def request(self, message: bytes) -> bytes:
+        """Answer a request; waits forever if nothing answers."""
+
+
 class ZmqBus(Bus):
     """Three sockets to a server. Of the commands not yet sent, only the newest is kept.
 
@@ -36,7 +57,7 @@ class ZmqBus(Bus):
     is broken when the server closes the connection for states.
     """
 
-    def __init__(self, name: str, endpoints: Callable[[], Endpoints]) -> None:
+    def __init__(self, name: str, endpoints: Callable[[], Endpoints | DirectServer]) -> None:
         super().__init__(name)
         self._endpoints = endpoints
         self._context: zmq.asyncio.Context | None = None
@@ -44,6 +65,7 @@ class ZmqBus(Bus):
         self._command: Any = None
         self._service: Any = None
         self._monitor: Any = None
+        self._direct: DirectServer | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Callable[[bytes, float], None]] = []
         self._asking = asyncio.Lock()
@@ -56,7 +78,10 @@ class ZmqBus(Bus):
         """Send a command, in place of one that is not yet sent; raises `BusBroken`, `BusClosed`."""
         self.check()
         self.counters.transactions += 1
-        self._count("tx", message, time.monotonic())
+        self._count("tx", message, monotonic.now())
+        if self._direct is not None:
+            self._direct.command(message)
+            return
         with contextlib.suppress(zmq.Again):
             self._command.send(message, zmq.NOBLOCK)
 
@@ -70,20 +95,27 @@ class ZmqBus(Bus):
         self.counters.transactions += 1
         try:
             async with asyncio.timeout(deadline), self._asking:
-                self._count("tx", message, time.monotonic())
-                await self._service.send(message)
-                answer = bytes(await self._service.recv())
+                self._count("tx", message, monotonic.now())
+                if self._direct is not None:
+                    answer = await self._direct.request(message)
+                else:
+                    await self._service.send(message)
+                    answer = bytes(await self._service.recv())
         except TimeoutError:
             self.counters.timeouts += 1
             raise BusTimeout(self.name, f"no answer within {deadline:.3f} s") from None
         except zmq.ZMQError as error:
             raise BusBroken(self.name, f"the request failed: {error}") from error
-        self._count("rx", answer, time.monotonic())
+        self._count("rx", answer, monotonic.now())
         return answer
 
     async def _open(self) -> None:
         await self._close()
         places = self._endpoints()
+        if isinstance(places, DirectServer):
+            self._direct = places
+            places.connect(self._receive, self._broke)
+            return
         context = self._context = zmq.asyncio.Context()
         try:
             self._state = context.socket(zmq.SUB)
@@ -111,17 +143,22 @@ class ZmqBus(Bus):
 
     async def _read(self) -> None:
         while True:
-            message = bytes(await self._state.recv())
-            stamp = time.monotonic()
-            self._count("rx", message, stamp)
-            for listener in tuple(self._listeners):
-                listener(message, stamp)
+            self._receive(bytes(await self._state.recv()))
+
+    def _receive(self, message: bytes) -> None:
+        stamp = monotonic.now()
+        self._count("rx", message, stamp)
+        for listener in tuple(self._listeners):
+            listener(message, stamp)
 
     async def _watch(self) -> None:
         await self._monitor.recv_multipart()
         self._broke("the server closed the connection")
 
     async def _close(self) -> None:
+        direct, self._direct = self._direct, None
+        if direct is not None:
+            direct.leave(self._receive)
         tasks, self._tasks = self._tasks, []
         for task in tasks:
             task.cancel()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import sys
-import time
 from collections.abc import Callable, Coroutine
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, TypeVar
+
+from rtee import monotonic
 
 if TYPE_CHECKING:
     from rtee.actions.cli_syntax import Efforts
@@ -40,14 +41,14 @@ def with_hand(
     from rtee.remote.client import connect
 
     async def main() -> T:
-        began, within = time.monotonic(), wait or 0.0
+        began, within = monotonic.now(), wait or 0.0
         name = f"rtee-{what}"
         async with connect(
             hand, endpoint=endpoint, client=name, wait=within, on_wait=_waiting if wait else None
         ) as remote:
             if wait is not None:
                 # Connecting has used up part of the time.
-                await remote.ready(max(0.0, began + wait - time.monotonic()), _waiting)
+                await remote.ready(max(0.0, began + wait - monotonic.now()), _waiting)
             return await function(remote)
 
     return anyio.run(main)

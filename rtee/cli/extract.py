@@ -6,7 +6,6 @@ import gc
 import json
 import os
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rtee import monotonic
 from rtee.cli._common import (
     JsonOption,
     XacroArguments,
@@ -240,13 +240,13 @@ def progress_bar(what: str = "searching pinches") -> Iterator[Callable[[int, int
     if not sys.stderr.isatty():
         yield None
         return
-    begun = time.monotonic()
+    begun = monotonic.now()
     bar: Any = None
     task: Any = None
 
     def show(done: int, total: int) -> None:
         nonlocal bar, task
-        if bar is None and time.monotonic() - begun > _BAR_AFTER:
+        if bar is None and monotonic.now() - begun > _BAR_AFTER:
             from rich.console import Console
             from rich.progress import Progress
 

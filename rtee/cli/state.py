@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rtee import monotonic
 from rtee.cli._common import ConnectOption, RunningOption
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
@@ -85,9 +85,9 @@ class _TouchPoll:
 
     async def newest(self) -> Touch:
         """Return values that are at most `_TOUCH_EVERY` old."""
-        if time.monotonic() >= self._due:
+        if monotonic.now() >= self._due:
             self._known = await _touch(self._remote)
-            self._due = time.monotonic() + _TOUCH_EVERY
+            self._due = monotonic.now() + _TOUCH_EVERY
         return self._known
 
 

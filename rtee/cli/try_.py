@@ -6,13 +6,13 @@ import json
 import os
 import signal
 import sys
-import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rtee import monotonic
 from rtee.cli._common import FrictionOption, complete_hand, owned
 
 if TYPE_CHECKING:
@@ -340,16 +340,16 @@ class _Kept:
         """Add a result; write the file unless writing has taken too large a share of the time."""
         self._known[result.trial.key] = result
         self._taken += 1
-        if time.monotonic() >= self._write_at:
+        if monotonic.now() >= self._write_at:
             self.write()
 
     def write(self) -> None:
         """Write all results."""
         from rtee.trials.store import write_results
 
-        begun = time.monotonic()
+        begun = monotonic.now()
         write_results(self._path, self._made_with, self._known.values())
-        ended = time.monotonic()
+        ended = monotonic.now()
         self._write_at = ended + (ended - begun) * (1.0 / _WRITING - 1.0)
 
     @contextmanager

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rtee import monotonic
 from rtee.buses.emulator import Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
@@ -183,7 +184,7 @@ class Player:
     def _state(self) -> str:
         """Return the device's state and its faults as text."""
         # Without traffic, nothing has advanced the device since the last exchange.
-        self.emulator.step(time.monotonic())
+        self.emulator.step(monotonic.now())
         status = getattr(self.emulator, "status", None)
         state = status() if callable(status) else None
         text = ""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Generic, Literal, TypeVar
 
+from rtee import monotonic
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
 from rtee.buses.modbus_frames import READ_HOLDING
 from rtee.buses.pool import BusPool
@@ -118,13 +118,13 @@ class Blocks(Unhurried):
 
     def keep(self, block: tuple[int, ...]) -> None:
         """Keep an input block that came with an exchange, for the next `fresh`."""
-        self._cached = block, time.monotonic()
+        self._cached = block, monotonic.now()
 
     def fresh(self, age: float) -> tuple[tuple[int, ...], float] | None:
         """Return the kept block and its time, once; ``None`` when older than ``age`` [s]."""
         # Returned only once: a second `sense` in the same cycle must read the gripper.
         cached, self._cached = self._cached, None
-        if cached is None or time.monotonic() - cached[1] > age:
+        if cached is None or monotonic.now() - cached[1] > age:
             return None
         return cached
 
@@ -217,7 +217,7 @@ class ExchangingDriver(BlocksDriver, Generic[S]):
         kept = self._last_read()
         if kept is None:
             self._note(await self._read())
-        stamp = time.monotonic() if kept is None else kept[1]
+        stamp = monotonic.now() if kept is None else kept[1]
         if self._active:
             await self._supervise()
         return self._measured(self._status, stamp)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from abc import abstractmethod
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import ClassVar, Generic, TypeVar
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.deadlines import time_limit
@@ -240,9 +240,9 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
     async def _clear(self) -> None:
         """Reset the gripper, and wait a moment for its fault to go."""
         await self._write(self.RESET)
-        end = time.monotonic() + PATIENT
+        end = monotonic.now() + PATIENT
         while self._status.fault or self._status.activated:
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 raise self._gripper_fault(self._status.fault or NOT_ACTIVATED)
             await asyncio.sleep(_POLL)
             self._status = await self._read()

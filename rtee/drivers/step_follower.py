@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from enum import Enum
 from typing import Annotated
 
 from pydantic import Field
+
+from rtee import monotonic
 
 _AGAIN = 0.5
 """Time after which a command that had no effect is sent again [s]: longer than a motion takes to
@@ -76,7 +77,7 @@ class StepFollower:
 
     def sent(self) -> None:
         """Note that the gripper has accepted the command that `next` returned last."""
-        self._sent, self._sent_at = self._due, time.monotonic()
+        self._sent, self._sent_at = self._due, monotonic.now()
 
     def next(self, target: float, force: float, here: float, *, busy: bool, held: bool) -> Order:
         """Return which command to send.
@@ -88,7 +89,7 @@ class StepFollower:
             busy: Whether the gripper moves, or builds up its force.
             held: Whether it reports that it holds something.
         """
-        now = time.monotonic()
+        now = monotonic.now()
         if (target, force) != self._wanted:
             self._wanted, self._since = (target, force), now
         rested = now - self._since >= self._settle

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,6 +14,7 @@ import anyio.to_thread
 import numpy as np
 import viser
 
+from rtee import monotonic
 from rtee.actions.sideways import sideways_words
 from rtee.actions.types import Action, ActionKind, Evidence, Posture
 from rtee.errors import ConfigError, RequestRejected, RteeError
@@ -241,7 +241,7 @@ class Session:
                 if watched:
                     # In one message, which costs less and leaves no window with half a state.
                     with self._bridge.server.atomic():
-                        self._draw(time.monotonic())
+                        self._draw(monotonic.now())
 
     def _receive(self, state: State) -> None:
         names = self._hand.joint_names

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Self
 
+from rtee import monotonic
 from rtee.commands import CommandRecord
 from rtee.errors import LogError
 from rtee.hand.embedded_meshes import EmbeddedMeshes, embed_meshes
@@ -190,7 +191,7 @@ class Recorder:
 
     def _now(self) -> float:
         """Return the time of the last tick [s], or the present time before the first one."""
-        return time.monotonic() if self._stamp is None else self._stamp
+        return monotonic.now() if self._stamp is None else self._stamp
 
     def _put(self, item: Item, stamp: float) -> None:
         # Other items are rare and worth more than ticks, so that they may fill twice the limit.
@@ -315,7 +316,7 @@ class Recorder:
             time.sleep(_YIELD)
         elif self._stamp is not None and period <= _LONGEST_NAP:
             begin, end = _QUIET
-            phase = (time.monotonic() - self._stamp) / period % 1.0
+            phase = (monotonic.now() - self._stamp) / period % 1.0
             if not waiting:
                 time.sleep((math.ceil(_GATHER / period) + begin - phase) * period)
             elif not begin <= phase <= end:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from rtee.log.layout import Contents
 from rtee.log.mcapfile import McapFile, being_written
 from rtee.log.rotation import FLIGHT, Retention, flight_path, part_path, session_name
 from rtee.log.settings import RecorderSettings
+from rtee.monotonic import asked
 
 _NAME_TRIES = 50  # most names tried, as runs may have begun in the same millisecond
 _PARTIAL = ".partial"
@@ -41,7 +41,7 @@ class DiskSink:
         self,
         contents: Contents,
         settings: RecorderSettings,
-        monotonic: Callable[[], float] = time.monotonic,
+        monotonic: Callable[[], float] = asked,
     ) -> None:
         self._contents = contents
         self._settings = settings

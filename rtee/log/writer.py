@@ -24,6 +24,7 @@ from rtee.messages import convert, topics
 from rtee.messages.codec import SECOND, Codec, channel_fields, header
 from rtee.messages.schema import message_type
 from rtee.messages.touch import TOUCH_SENSORS, TouchEncoder, sensors_fields
+from rtee.monotonic import asked
 from rtee.object_description import ObjectDescription
 from rtee.sample import FloatArray, TickRecord
 from rtee.touch import TouchState
@@ -88,7 +89,7 @@ class LogWriter:
         contents: Contents,
         settings: RecorderSettings,
         notify: Callable[[Event], None] | None = None,
-        monotonic: Callable[[], float] = time.monotonic,
+        monotonic: Callable[[], float] = asked,
         wall: Callable[[], int] = time.time_ns,
         *,
         simulated: bool = False,

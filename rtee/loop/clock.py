@@ -10,7 +10,9 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from rtee import monotonic
 from rtee.buses import timerfd
+from rtee.buses.simulated_time import on_simulated_time
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import MAX_RATE, MIN_RATE
 
@@ -72,14 +74,14 @@ class _TickTimer(timerfd.Timer):
     """A timerfd that counts its expiries as ticks, from tick 0."""
 
     def __init__(self, period_ns: int) -> None:
-        self._start = time.monotonic_ns() + period_ns
+        self._start = monotonic.now_ns() + period_ns
         self._period_ns = period_ns
         self._number = -1
         super().__init__(self._start, period_ns)
 
     def tick(self, passed: int) -> Tick:
         """Return the tick for some expiries since the last tick; all but one were missed."""
-        woken, wall = time.monotonic_ns(), time.time_ns()
+        woken, wall = monotonic.now_ns(), time.time_ns()
         if self._number < 0:
             # Late for the first tick: counting starts here, so that nothing counts as missed.
             self._start += (passed - 1) * self._period_ns
@@ -107,7 +109,7 @@ class Clock:
     def __init__(self, rate: float, *, use_timerfd: bool = True) -> None:
         self.rate = float(rate)
         self.period_ns = _period_ns(rate)
-        self.uses_timerfd = use_timerfd and timerfd.available()
+        self.uses_timerfd = use_timerfd and timerfd.available() and not on_simulated_time()
 
     @property
     def period(self) -> float:
@@ -181,14 +183,14 @@ class Clock:
             timer.close()
 
     async def _with_sleep(self) -> AsyncIterator[Tick]:
-        start = time.monotonic_ns() + self.period_ns
+        start = monotonic.now_ns() + self.period_ns
         number = 0
         last = -1
         while True:
             due = start + number * self.period_ns
             # asyncio may wake up to a millisecond early; the next turn then sleeps for the rest.
-            await asyncio.sleep(max(0.0, (due - time.monotonic_ns()) * 1e-9))
-            woken, wall = time.monotonic_ns(), time.time_ns()
+            await asyncio.sleep(max(0.0, (due - monotonic.now_ns()) * 1e-9))
+            woken, wall = monotonic.now_ns(), time.time_ns()
             # Woken a period or more too late: continue with the tick that is due now.
             number = max(number, (woken - start) // self.period_ns)
             if last < 0:  # the first tick is tick 0, however late
@@ -230,7 +232,7 @@ class ManualClock:
         return self.period_ns * 1e-9
 
     def now(self) -> float:
-        """Return the clock's time [s]; replaces `time.monotonic`."""
+        """Return the clock's time [s]; replaces `rtee.monotonic.now`."""
         return (self._start_ns + max(self._number, 0) * self.period_ns) * 1e-9
 
     def next(self, missed: int = 0) -> Tick:

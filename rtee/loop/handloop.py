@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ import anyio
 import anyio.abc
 import numpy as np
 
+from rtee import monotonic
 from rtee.commands import Cancel, Command, CommandRecord, Freeze, Hold, Jog, SetGripEffort
 from rtee.drivers.base import Driver
 from rtee.errors import ConfigError, GoalRejected, RteeError, suggestion
@@ -87,7 +87,7 @@ class HandLoop:
         settings: LoopSettings,
         devices: Sequence[tuple[DeviceSettings, Driver]],
         *,
-        now: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = monotonic.asked,
     ) -> None:
         self.hand = hand
         self.library = library

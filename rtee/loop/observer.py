@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from rtee import monotonic
 from rtee.commands import CommandRecord
 from rtee.loop.plan import Plan
 from rtee.object_description import ObjectDescription
@@ -77,7 +77,7 @@ class Observer:
 class Observers:
     """The observers of one hand. An observer that fails is dropped with an event."""
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
         self._now = now
         self._all: tuple[LoopObserver, ...] = ()
         self._object: ObjectDescription | None = None

@@ -8,10 +8,10 @@ import importlib.util
 import os
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from rtee import monotonic
 from rtee.buses.timing import ask_for_short_slices
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import RealtimeSettings
@@ -227,7 +227,7 @@ class Collector:
         gc.collect()
         gc.freeze()
         gc.disable()
-        now = time.monotonic_ns()
+        now = monotonic.now_ns()
         self._due = [now + every for every in self._every]
 
     def stop(self) -> None:
@@ -238,7 +238,7 @@ class Collector:
 
     def idle(self, until_ns: int) -> None:
         """Run a due collection if there is time until the next tick [ns, CLOCK_MONOTONIC]."""
-        now = time.monotonic_ns()
+        now = monotonic.now_ns()
         if now < self._due[0]:
             return
         for generation in (2, 1, 0):
@@ -250,7 +250,7 @@ class Collector:
             if now + 2 * self._cost[generation] > until_ns and not late:
                 return
             gc.collect(generation)
-            done = time.monotonic_ns()
+            done = monotonic.now_ns()
             # The cost of a slow collection decays, since it may only have been preempted.
             self._cost[generation] = max(done - now, self._cost[generation] * 7 // 8)
             # Collecting a generation collects the younger ones, too.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 
 import anyio
 
+from rtee import monotonic
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError
@@ -63,7 +63,7 @@ class Supervisor:
         indices: tuple[int, ...],
         on_event: Callable[[Event], None],
         *,
-        now: Callable[[], float] = time.monotonic,
+        now: Callable[[], float] = monotonic.asked,
     ) -> None:
         self.spec = settings.spec
         self.driver = driver

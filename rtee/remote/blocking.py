@@ -10,7 +10,6 @@ import atexit
 import contextlib
 import queue
 import threading
-import time
 from collections.abc import (
     AsyncGenerator,
     AsyncIterator,
@@ -28,6 +27,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 import anyio
 from anyio.from_thread import BlockingPortal
 
+from rtee import monotonic
 from rtee.commands import StreamStatus
 from rtee.errors import NoHand
 from rtee.messages.requests import Role
@@ -91,7 +91,7 @@ class BlockingStream:
     ) -> None:
         """Send a sample; see `Stream.send`."""
         # In the caller's thread: the wait for the event loop would add jitter to the stream.
-        when = time.monotonic() if stamp is None else stamp
+        when = monotonic.now() if stamp is None else stamp
         _wait(self._portal, partial(self._stream.send, targets, velocity or {}, when))
 
     def status(self) -> StreamStatus:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 import queue
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
+
+from rtee import monotonic
 
 log = logging.getLogger(__name__)
 
@@ -69,11 +70,11 @@ class DelayQueue(CallQueue):
 
     def put(self, call: Callable[[], object]) -> bool:
         """Queue a call; return whether there was room. Any thread may use this."""
-        return super().put(partial(self._call_at, time.monotonic() + self._delay, call))
+        return super().put(partial(self._call_at, monotonic.now() + self._delay, call))
 
     def _call_at(self, due: float, call: Callable[[], object]) -> None:
         # All calls have the same delay, so the first in the queue is always the next one due.
-        self._closing.wait(max(0.0, due - time.monotonic()))
+        self._closing.wait(max(0.0, due - monotonic.now()))
         call()
 
     def close(self) -> None:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
+from rtee import monotonic
 from rtee.errors import GoalRejected, RequestRejected
 from rtee.hand.names import check_name
 from rtee.loop.handloop import HandLoop
@@ -120,7 +120,7 @@ class CommandHandlers:
         self._thread.start(self._stop_together)
 
     def _is_stopped(self) -> bool:
-        recently = time.monotonic() - self._stopped_at < _STOPPED_FOR
+        recently = monotonic.now() - self._stopped_at < _STOPPED_FOR
         still = self._loop.controller.running is None  # the loop may run a goal of its own
         return recently and still and self._stopped_after == self._moves
 
@@ -145,7 +145,7 @@ class CommandHandlers:
                 # A stop that a device has not confirmed must not answer the next one.
                 if all(confirmed.values()):
                     self._stopped, self._stopped_after = answer, moves
-                    self._stopped_at = time.monotonic()
+                    self._stopped_at = monotonic.now()
                 more = bool(self._stopping)
             for request in done:
                 request.answer(answer)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ import anyio
 import anyio.to_thread
 import zenoh
 
+from rtee import monotonic
 from rtee.errors import ConfigError, NoHand, suggestion
 from rtee.hand.names import check_name
 from rtee.messages import network_key
@@ -65,12 +65,12 @@ async def open_hand(
     if hand is not None:
         check_name(hand, "hand")
     endpoint = endpoint or os.environ.get(VARIABLE) or None
-    until, reported = time.monotonic() + wait, ""
+    until, reported = monotonic.now() + wait, ""
     while True:
         try:
             return await (_elsewhere(hand, endpoint) if endpoint else _here(hand))
         except NoHand as error:
-            if time.monotonic() >= until:
+            if monotonic.now() >= until:
                 raise
             if on_wait is not None and str(error) != reported:
                 reported = str(error)

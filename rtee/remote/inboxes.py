@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from functools import partial
 
 import zenoh
 
+from rtee import monotonic
 from rtee.messages.requests import inbox_key
 from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.rates import EXCESS, Rates
@@ -59,7 +59,7 @@ class _Inbox:
 
     def close(self) -> None:
         """Close the inbox for a while: twice as long as before if that was not long ago."""
-        now = time.monotonic()
+        now = monotonic.now()
         again = now - self.until < 2.0 * self.closed_for
         self.closed_for = min(2.0 * self.closed_for, _LONGEST_CLOSED) if again else _CLOSED_FOR
         self.until, self.closed = now + self.closed_for, True
@@ -127,7 +127,7 @@ class Inboxes:
             # The client has left meanwhile, or has come back with a new inbox.
             if self._inboxes.get(client) is not inbox:
                 return
-            if time.monotonic() < inbox.until:
+            if monotonic.now() < inbox.until:
                 self._closed.put(partial(self._reopen, client, inbox))
                 return
             inbox.closed = False

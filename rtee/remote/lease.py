@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
+from rtee import monotonic
 from rtee.errors import LeaseHeld
 
 JOGGING = 1.0
@@ -20,7 +20,7 @@ class Lease:
     One thread at a time may use it, except `ended` and `holder`, which may be used at any time.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
         self._now = now
         self._acquired = ""
         self._goals: dict[str, str] = {}

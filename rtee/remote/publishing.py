@@ -16,6 +16,7 @@ from zlib import crc32
 
 import zenoh
 
+from rtee import monotonic
 from rtee.commands import STREAM_ENDED
 from rtee.errors import GoalRejected
 from rtee.hand.model import Hand
@@ -251,7 +252,7 @@ class Publisher(Observer):
         """Publish the result of a goal."""
         # Before the result is published: a client that reads it may begin a goal at once.
         self._goals.ended(result)
-        self._put(topics.RESULTS, encode_result, result, time=time.monotonic())
+        self._put(topics.RESULTS, encode_result, result, time=monotonic.now())
 
     def on_event(self, event: Event) -> None:
         """Publish an event."""

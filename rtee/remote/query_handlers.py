@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+from rtee import monotonic
 from rtee.actions.fingerprints import Fingerprints
 from rtee.actions.naming import normalise
 from rtee.actions.types import Primitive
@@ -304,7 +304,7 @@ class QueryHandlers:
         return f"; {text}"
 
     def _changed(self, client: str, text: str) -> None:
-        event = Event("actions_changed", client, text, time.monotonic())
+        event = Event("actions_changed", client, text, monotonic.now())
         self._thread.call_soon(self._loop.announce, event)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NoReturn
 
+from rtee import monotonic
 from rtee.errors import RequestRejected
 
 _BURST = 0.5
@@ -60,7 +60,7 @@ class Rates:
 
     __slots__ = ("_left", "_now")
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
         self._now = now
         self._left: dict[str, tuple[float, float]] = {}
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import time
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING
 
 import anyio
 
+from rtee import monotonic
 from rtee.commands import STREAM_ENDED, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected, RemoteError, RequestRejected
 from rtee.messages import decode_event, topics
@@ -73,7 +73,7 @@ class Stream:
         self.check()
         if self.ended:
             raise RequestRejected(self.ended)
-        when = time.monotonic() if stamp is None else float(stamp)
+        when = monotonic.now() if stamp is None else float(stamp)
         for number in (when, *targets.values(), *velocity.values()):
             if not math.isfinite(number):
                 raise GoalRejected(f"a sample consists of finite numbers, not {number:g}")

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import anyio
 
+from rtee import monotonic
 from rtee.errors import MessageError, RteeError
 from rtee.ros2.actions import (
     NO_GOAL,
@@ -239,7 +240,7 @@ class ActionServer:
         return None
 
     def _log_refusal(self, reason: str) -> None:
-        now = time.monotonic()
+        now = monotonic.now()
         self._logged = {why: at for why, at in self._logged.items() if now - at < _LOGGED_AGAIN}
         if reason not in self._logged and self._limit.passes():
             self._logged[reason] = now
@@ -268,7 +269,7 @@ class ActionServer:
             state = GoalState.ABORTED  # cancelled by another client of the hand, not through ROS 2
         if outcome.reason:
             self._context.log.info("a goal of %s was aborted: %s", self.name, outcome.reason)
-        goal.forget_at = time.monotonic() + self._kept_for
+        goal.forget_at = monotonic.now() + self._kept_for
         self._change(goal, state)
         # Last, so that a client that has the result finds the goal ended in the status.
         goal.ended.set_result(outcome)
@@ -296,7 +297,7 @@ class ActionServer:
 
     def _forget(self) -> None:
         """Forget goals that ended long ago, and the oldest ended ones beyond `_MOST_KEPT`."""
-        now = time.monotonic()
+        now = monotonic.now()
         # The goals are in the order of acceptance, with the oldest first.
         ended = [goal for goal in self._goals.values() if goal.state.ended]
         for place, goal in enumerate(ended):

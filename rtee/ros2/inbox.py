@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
+
+from rtee import monotonic
 
 T = TypeVar("T")
 
@@ -61,7 +62,7 @@ class Limit:
     def passes(self) -> bool:
         """Count an event and return whether it is within the limit."""
         with self._lock:
-            now = time.monotonic()
+            now = monotonic.now()
             if now >= self._until:
                 self._left, self._until = self._rate, now + 1.0
             self._left -= 1

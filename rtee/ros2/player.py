@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import anyio
 
+from rtee import monotonic
 from rtee.errors import GoalRejected, LeaseHeld, NoHand, RequestRejected
 from rtee.remote.stream import Stream
 from rtee.ros2.face import Face
@@ -67,13 +67,13 @@ class Player:
 
     def hold(self, names: Iterable[str], source: str, failed: Callable[[str], None]) -> None:
         """Hold joints at measured positions; ``failed`` gets the reason if the hand refuses."""
-        now = time.monotonic()
+        now = monotonic.now()
         self.play(Play(self.here(names), source, now + SETTLED, failed))
 
     def here(self, names: Iterable[str]) -> Posture:
         """Return the measured positions of joints, clamped to their limits, as a set-point."""
         position = {name: self.joints[name].clamped(self.where(name)) for name in names}
-        return Posture(position, time.monotonic())
+        return Posture(position, monotonic.now())
 
     def where(self, name: str) -> float:
         """Return the measured position of a joint [rad | m]."""
@@ -125,7 +125,7 @@ class Player:
                 if waiting.cancelled_caught or stream.ended:
                     return
                 continue
-            now = time.monotonic()
+            now = monotonic.now()
             targets, velocity = play.motion.at(now)
             # Stamped with the set-point's time, so that a late sample keeps the motion's shape.
             await stream.send(targets, velocity, stamp=now)

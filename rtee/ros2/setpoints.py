@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
+from rtee import monotonic
 from rtee.errors import MessageError
 from rtee.ros2.face import Face, Part
 from rtee.ros2.parameters import Parameter
@@ -77,7 +78,7 @@ class Setpoints(Part):
 
     def _refuse(self, topic: str, reason: str) -> None:
         """Log the reason for a refused message, at most every `_LOGGED_AGAIN` for each topic."""
-        now = time.monotonic()
+        now = monotonic.now()
         logged, unlogged = self._refused.get(topic, (-math.inf, 0))
         if now < logged + _LOGGED_AGAIN:
             self._refused[topic] = logged, unlogged + 1
@@ -101,15 +102,15 @@ class Setpoints(Part):
                 name: checked_position(name, value, self._player.joints[name])
                 for name, value in pairs
             },
-            time.monotonic(),
+            monotonic.now(),
         )
 
     def _trajectory(self, message: Any) -> Motion:
-        now, ros_now = time.monotonic(), time.time()
+        now, ros_now = monotonic.now(), time.time()
         return trajectory_of(message, self._player.joints, self._player.where, now, ros_now)
 
     def _jog(self, message: Any) -> Motion:
-        now = time.monotonic()
+        now = monotonic.now()
 
         def where(name: str) -> float:
             # A jog continues from the set-point of the last one; from the measured position, the

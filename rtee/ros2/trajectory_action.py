@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 
 import anyio
 
+from rtee import monotonic
 from rtee.errors import MessageError, RteeError
 from rtee.messages.state import State
 from rtee.ros2.action_server import ActionServer, Job, Offer, ServerGoal
@@ -187,7 +188,7 @@ class TrajectoryAction:
         times = [seconds(point.time_from_start) for point in message.trajectory.points]
         if not times:
             return _Following(self, self.player.here(names), names, limits, times)
-        now, ros_now = time.monotonic(), time.time()
+        now, ros_now = monotonic.now(), time.time()
         try:
             motion = trajectory_of(
                 message.trajectory, self.player.joints, self.player.where, now, ros_now
@@ -272,7 +273,7 @@ class _Following:
         finally:
             # Or the player would repeat the last set-point for ever and keep the lease.
             if math.isinf(self._play.until):
-                self._play.until = time.monotonic()
+                self._play.until = monotonic.now()
             self._action.forget(self)
 
     async def cancel(self) -> None:
@@ -313,7 +314,7 @@ class _Following:
         try:
             for_feedback = partial(next, count())
             async for state in self._action.face.hand.states(_RATE):
-                now = time.monotonic()
+                now = monotonic.now()
                 lag = state.channels.get(_LAG)
                 # The stream plays set-points with a lag.
                 at = now - (0.0 if lag is None else float(lag[0]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import time
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +12,7 @@ from typing import Final, Protocol
 
 import anyio
 
+from rtee import monotonic
 from rtee.commands import StreamSample
 from rtee.errors import ConfigError, LogError
 from rtee.log import read
@@ -82,14 +82,14 @@ async def samples_of(
 
     Yields nothing until the person moves an axis, so that the hand stays as it is.
     """
-    due = time.monotonic()
+    due = monotonic.now()
     while True:
         moved = source.read()
         if any(axis in moved for axis in actions):
             yield {action: moved.get(axis, 0.0) for axis, action in actions.items()}
         # After a stall, skip the missed samples, which would come in a burst.
-        due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
-        await anyio.sleep(max(0.0, due - time.monotonic()))
+        due = max(due + 1.0 / rate, monotonic.now() - 1.0 / rate)
+        await anyio.sleep(max(0.0, due - monotonic.now()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,15 +175,15 @@ async def play(samples: Sequence[Played], stream: Sink, speed: float = 1.0) -> N
     """
     if not 0.0 < speed < math.inf:
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
-    begin = time.monotonic()
+    begin = monotonic.now()
     # The samples of a slow recording are far apart without being pauses.
     longest = max(_LONGEST_GAP, _PAUSE / (rate_of(samples) * speed))
     before: Played | None = None
     for sample in samples:
         stamp = begin + sample.time / speed
-        while (left := stamp - time.monotonic()) > 0.0:
+        while (left := stamp - monotonic.now()) > 0.0:
             await anyio.sleep(min(left, longest))
-            now = time.monotonic()
+            now = monotonic.now()
             # After a late wake-up, the sample itself is due and must not follow a newer stamp.
             if before is not None and left > longest and now < stamp:
                 # The recorded velocity would move the hand on during the pause.

@@ -12,6 +12,9 @@ Describe the device by a `DeviceCase` and derive from `DriverContract`::
             actuators=(actuator("finger_joint", 0.0, 0.8),),
             options={"port": "/dev/my-gripper"},
         )
+
+The suite runs on simulated time: driver, emulator and wire share the time of the event loop
+`SIMULATED_TIME`, which jumps to the next timer instead of waiting for it.
 """
 
 from __future__ import annotations
@@ -20,12 +23,20 @@ from typing import TYPE_CHECKING, Any
 
 from rtee.errors import needing_extra
 from rtee.testing.case import DeviceCase, actuator, cycles
-from rtee.testing.session import Session, open_files
+from rtee.testing.session import SIMULATED_TIME, Session, open_files
 
 if TYPE_CHECKING:
     from rtee.testing.contract import DriverContract
 
-__all__ = ["DeviceCase", "DriverContract", "Session", "actuator", "cycles", "open_files"]
+__all__ = [
+    "SIMULATED_TIME",
+    "DeviceCase",
+    "DriverContract",
+    "Session",
+    "actuator",
+    "cycles",
+    "open_files",
+]
 
 
 def __getattr__(name: str) -> Any:

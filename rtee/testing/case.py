@@ -79,6 +79,8 @@ class DeviceCase:
         homes: Whether the device must home again after a power cycle.
         wire: Whether the device is connected by a wire with its emulator at the other end; without
             one, tests that need the wire or the emulator are skipped.
+        answers: Whether it answers requests; what a device sends by itself is not missed when it is
+            lost once.
         checksums: Whether frames have checksums, so that corrupted ones are detected.
         wire_faults: Faults that its wire can have; by default all. Whole frames (CAN) or messages
             cannot be split, and no noise comes between them.
@@ -103,6 +105,7 @@ class DeviceCase:
     fault: str | None = None
     homes: bool = True
     wire: bool = True
+    answers: bool = True
     checksums: bool = True
     wire_faults: frozenset[str] | None = None
     cycles: int = field(default_factory=cycles)

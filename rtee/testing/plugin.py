@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from rtee import monotonic
+
 if TYPE_CHECKING:
     from rtee.remote.blocking import BlockingHand
     from rtee.testing.running import StartHand
@@ -32,9 +34,9 @@ def no_leaks() -> Iterator[None]:
     """Fail a test that leaves file descriptors or threads behind."""
     files, threads = _files(), threading.active_count()
     yield
-    end = time.monotonic() + 2.0
+    end = monotonic.now() + 2.0
     # Threads and transports may end a moment after the test, so they get two seconds.
-    while (_files() > files or threading.active_count() > threads) and time.monotonic() < end:
+    while (_files() > files or threading.active_count() > threads) and monotonic.now() < end:
         time.sleep(0.01)
     if _files() > files or threading.active_count() > threads:
         pytest.fail(

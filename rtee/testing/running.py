@@ -8,12 +8,12 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 import rtee
+from rtee import monotonic
 from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, NoHand, RteeError
@@ -136,7 +136,7 @@ def _driven(config: HandConfig, driver: str | None) -> list[str]:
 def _connected(
     name: str, process: subprocess.Popen[bytes], printed: Path, timeout: float
 ) -> Iterator[BlockingHand]:
-    until = time.monotonic() + timeout
+    until = monotonic.now() + timeout
     while True:
         try:
             remote = rtee.connect_blocking(name, endpoint=_endpoint(name, process), client="test")
@@ -144,11 +144,11 @@ def _connected(
         except NoHand:
             if process.poll() is not None:
                 raise _failure(name, process.returncode, printed) from None
-            if time.monotonic() >= until:
+            if monotonic.now() >= until:
                 raise
             time.sleep(_LOOK_EVERY)
     with remote:
-        remote.ready(max(0.0, until - time.monotonic()))
+        remote.ready(max(0.0, until - monotonic.now()))
         yield remote
 
 

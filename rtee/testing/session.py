@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import os
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
+from rtee import monotonic
 from rtee.buses.emulator import Emulator
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.simulated import Simulation
+from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
@@ -19,6 +20,9 @@ from rtee.errors import BusTimeout, FrameError
 from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.types import Reference
+
+SIMULATED_TIME: tuple[str, dict[str, Any]] = ("asyncio", {"loop_factory": SimulatedTimeLoop})
+"""What a fixture ``anyio_backend`` returns to have its tests run on simulated time."""
 
 
 def open_files() -> int:
@@ -103,12 +107,12 @@ class Session:
             limits: Limits for `Reference.at`, such as ``max_effort``.
         """
         reference = Reference.at(list(goal), **limits)
-        end = time.monotonic() + self.case.within
+        end = monotonic.now() + self.case.within
         while True:
             state = await self.cycle(reference)
             if state is not None and self.near(state, goal):
                 return state
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 # None: the last exchange failed.
                 return state or await self.sense()
             # Emulators in this process need the processor, too, even on a slow machine.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
@@ -12,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
@@ -197,7 +197,7 @@ class AbilityHandDriver(Driver):
             whom=f"address {self.options.address}",
         )
         # The time of arrival: it also tells how long the hand has received nothing.
-        now = time.monotonic()
+        now = monotonic.now()
         if not self._plausible(reply, now):
             self._doubted = reply
             raise FrameError(
@@ -223,7 +223,7 @@ class AbilityHandDriver(Driver):
 
         Its previous set-points would make it jump back.
         """
-        if self._in_api and time.monotonic() - self._stamp > API_TIME:
+        if self._in_api and monotonic.now() - self._stamp > API_TIME:
             before, self._waiting = self._reply, False
             reply = await self._read()
             self._in_api = False

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
@@ -147,9 +147,9 @@ class AllegroDriver(Driver):
         return info, serial
 
     async def _first_set(self) -> None:
-        end = time.monotonic() + PATIENCE * self.options.deadline
+        end = monotonic.now() + PATIENCE * self.options.deadline
         while not self.control.sets:
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 raise NotConnected(self.spec.name, "the hand does not report its positions")
             # About one period of the hand's frames.
             await asyncio.sleep(0.002)
@@ -226,7 +226,7 @@ class AllegroDriver(Driver):
         if self._count % self.options.info_every == 0:
             self._refuse(await self.connection.link.info())
         control = self.control
-        if time.monotonic() - control.stamp > _STALE:
+        if monotonic.now() - control.stamp > _STALE:
             raise BusTimeout(bus.name, f"no positions for more than {_STALE:g} s")
         fresh, self._returned = control.sets != self._returned, control.sets
         info = self._info

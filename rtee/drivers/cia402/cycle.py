@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from functools import partial
 
+from rtee import monotonic
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301, codec
@@ -77,7 +77,7 @@ class DriveCycle:
             BusTimeout: if one does not answer.
             NotConnected: if one has restarted.
         """
-        bus, now = self.bus, time.monotonic()
+        bus, now = self.bus, monotonic.now()
         self._send_heartbeat(now)
         # Before sending, since an answer counts only if it is newer than this SYNC.
         before = [drive.stamp for drive in self.drives]
@@ -99,7 +99,7 @@ class DriveCycle:
             # Cleared after the list was made, so that no report in between is missed.
             self._news.clear()
             try:
-                async with asyncio.timeout(end - time.monotonic()):
+                async with asyncio.timeout(end - monotonic.now()):
                     await self._news.wait()
             except TimeoutError:
                 bus.counters.timeouts += 1
@@ -121,12 +121,12 @@ class DriveCycle:
 
     async def settle(self) -> None:
         """Synchronise until all drives answer; raises `BusTimeout` if they do not in time."""
-        end = time.monotonic() + self._options.enable_timeout
+        end = monotonic.now() + self._options.enable_timeout
         while True:
             try:
                 await self.synchronise()
             except BusTimeout:
-                if time.monotonic() > end:
+                if monotonic.now() > end:
                     raise
             else:
                 return
@@ -171,10 +171,10 @@ class DriveCycle:
 
         Raises `DeviceFault` if one stays in fault, and `BusError`.
         """
-        end = time.monotonic() + self._options.enable_timeout
+        end = monotonic.now() + self._options.enable_timeout
         await self.settle()
         while broken := self.broken():
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 raise self._fault(broken[0])
             for drive in broken:
                 # A fault is reset by the rising edge of its bit.
@@ -197,7 +197,7 @@ class DriveCycle:
 
         Raises `DeviceFault` if one is in fault, or is not enabled in time, and `BusError`.
         """
-        end = time.monotonic() + self._options.enable_timeout
+        end = monotonic.now() + self._options.enable_timeout
         while True:
             self.check_faults()
             disabled = [d for d in self.drives if d.state is not State.ENABLED]
@@ -209,7 +209,7 @@ class DriveCycle:
                 drive.assume(drive.position)
             if not disabled:
                 return
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 slow = disabled[0]
                 raise DeviceFault(
                     self._device,
@@ -248,11 +248,11 @@ class DriveCycle:
 
     async def _search(self, drive: DriveLink) -> None:
         """Start homing once the drive is in homing mode, and wait until it is done."""
-        end = time.monotonic() + self._options.homing_timeout
+        end = monotonic.now() + self._options.homing_timeout
         begun = math.inf
         while True:
             if drive.status is not None and drive.status.mode == Mode.HOMING:
-                begun = min(begun, time.monotonic())
+                begun = min(begun, monotonic.now())
             # Homing begins with the rising edge of its bit, which counts only in homing mode.
             started = math.isfinite(begun)
             drive.controlword = Control.ENABLE | (codec.HOMING_START if started else 0)
@@ -261,12 +261,12 @@ class DriveCycle:
             if drive.state is State.FAULT:
                 raise self._fault(drive)
             status = 0 if drive.status is None else drive.status.statusword
-            current = time.monotonic() > begun + _OLD_STATUS
+            current = monotonic.now() > begun + _OLD_STATUS
             failed = current and status & StatusBit.HOMING_ERROR
             reached = status & StatusBit.ACKNOWLEDGED and status & StatusBit.REACHED
             if current and reached and not failed:
                 return
-            if failed or time.monotonic() > end:
+            if failed or monotonic.now() > end:
                 raise DeviceFault(
                     self._device,
                     _HOMING_FAILED,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from rtee import monotonic
 from rtee.buses.canopen import CanopenBus
 from rtee.buses.emulator import CanFrame
 from rtee.drivers.cia402 import cia301, codec
@@ -94,7 +94,7 @@ class DriveLink:
 
         self._notify = notify
         self._remote = canopen.RemoteNode(self.id, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
-        self.bus.network.add_node(self._remote)
+        self.bus.join(self._remote)
         self._remote.sdo.RESPONSE_TIMEOUT = timeout
         for cob, receive in (
             (TPDO[0] + self.id, self._receive_status),
@@ -148,7 +148,7 @@ class DriveLink:
                         raise
                     # This is the worker thread, so sleeping does not block the event loop.
                     self.bus.counters.retries += 1
-                    time.sleep(_LATE)
+                    monotonic.sleep(_LATE)
         except canopen.SdoAbortedError as error:
             raise DriverError(
                 self.name, f"node {self.id} refuses object {index:04X}h: {error}"
@@ -285,7 +285,7 @@ class DriveLink:
             self.status = Status.from_bytes(frame.data)
         except CanopenFrameError:
             return
-        self.stamp = frame.stamp or time.monotonic()
+        self.stamp = frame.stamp or monotonic.now()
         self._notify()
 
     def _receive_motion(self, frame: CanFrame) -> None:

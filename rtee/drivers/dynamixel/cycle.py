@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel import setup, table
 from rtee.drivers.dynamixel.link import DynamixelLink
@@ -170,7 +170,7 @@ class ServoCycle:
         if count % self._options.health_every == 0:
             self._read_health()
         data, errors = self.link.read_group(table.STATE, table.STATE_SIZE)
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         if self.active:
             setup.refuse(self.link, self._device, self.names, errors)
         position, velocity, effort, current = self._units.measured(data)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import ClassVar
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
@@ -205,12 +205,12 @@ class DynamixelDriver(CalibratesServos):
         for number in broken:
             await link.run(partial(link.reboot, number), _ONE_SERVO)
         # A servo is silent until its reboot is done.
-        end = time.monotonic() + self.options.reboot_time
+        end = monotonic.now() + self.options.reboot_time
         while broken:
             await asyncio.sleep(_REBOOT_POLL)
             models = [await link.run(partial(link.ping, n), _ONE_SERVO) for n in broken]
             broken = [n for n, model in zip(broken, models, strict=True) if model is None]
-            if broken and time.monotonic() > end:
+            if broken and monotonic.now() > end:
                 raise cycle.fault(setup.TORQUE_LOST, "silent after its reboot", broken)
         await link.run(cycle.find, _SLOW)
         await link.run(cycle.check, _SLOW)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import dynamixel_sdk as sdk
 
+from rtee import monotonic
 from rtee.buses.dynamixel import DynamixelBus
 from rtee.drivers.dynamixel import table
 from rtee.drivers.dynamixel.codec import Error
@@ -138,12 +138,12 @@ class DynamixelLink:
             BusBroken: if the request could not be sent.
         """
         latency = max(_PATIENT_LATENCY, self._latency) if self.patient else self._latency
-        end = time.monotonic() + self.delay + max(self._deadline, 5.0 * latency)
+        end = monotonic.now() + self.delay + max(self._deadline, 5.0 * latency)
         counters, result = self.bus.counters, int(sdk.COMM_SUCCESS)
         self.bus.port.latency = (latency + self.delay) * 1000.0
         for number in range(self._retries + 1):
             if number:
-                if time.monotonic() >= end:
+                if monotonic.now() >= end:
                     break
                 counters.retries += 1
             # When an exception ends a request, the SDK leaves this flag set and refuses all others.

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.drivers.feetech import setup, table
 from rtee.drivers.feetech.joints import Joints
 from rtee.drivers.feetech.link import FeetechLink
@@ -210,7 +210,7 @@ class ServoCycle:
             # Remembered for the next cycle, which looks for a power cycle.
             self._silent = True
             raise
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         self._believe(states, stamp)
         if self.active and any(state.status for state in states):
             # Read again, since a sum of bytes misses one damaged answer in fifty.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, ClassVar
@@ -13,6 +12,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, Ring, State
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
@@ -173,7 +173,7 @@ class HeriEthercatDriver(Driver):
 
     async def _exchange(self) -> None:
         # 16 bits of microseconds wrap after 65 ms, which is many exchanges.
-        stamp = int(time.monotonic() * 1e6) & 0xFFFF
+        stamp = int(monotonic.now() * 1e6) & 0xFFFF
         outputs = [
             Command(
                 (self._references[MOTORS * b], self._references[MOTORS * b + 1]),
@@ -191,7 +191,7 @@ class HeriEthercatDriver(Driver):
             self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
         except HeriFrameError as error:
             raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
-        self._stamp = time.monotonic()
+        self._stamp = monotonic.now()
         self._fresh = True
 
     def _torque(self, board: int) -> float:
@@ -237,10 +237,10 @@ class HeriEthercatDriver(Driver):
         """
         bus = self.connection.link
         await bus.run(lambda ring: ring.write(position, *COMMAND_OBJECT, codec.order(code)), 1.0)
-        end = time.monotonic() + self.options.order_timeout
+        end = monotonic.now() + self.options.order_timeout
         done: bool | None = None
         # Without frames, the board's watchdog would take it out of operation meanwhile.
-        while done is None and time.monotonic() < end:
+        while done is None and monotonic.now() < end:
             await self._exchange()
             raw = await bus.run(lambda ring: ring.read(position, *ACKNOWLEDGE_OBJECT), 1.0)
             try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from rtee import monotonic
 from rtee.buses.retry import patiently
 from rtee.drivers.inspire_rh56.codec import COUNT, FINGERS, KEEP, Register, Report, State, table
 from rtee.drivers.inspire_rh56.link import Rh56Link
@@ -115,7 +115,7 @@ async def _opened(
     measured: Callable[[], Awaitable[Report]], device: str, angles: Sequence[int]
 ) -> None:
     """Wait until the motors that got a set-point have reached it; raises `CalibrationError`."""
-    end = time.monotonic() + _OPENING
+    end = monotonic.now() + _OPENING
     while True:
         report = await patiently(measured)
         away = [
@@ -125,6 +125,6 @@ async def _opened(
         ]
         if not away:
             return
-        if time.monotonic() > end:
+        if monotonic.now() > end:
             raise CalibrationError(device, f"it does not open: {', '.join(away)}")
         await asyncio.sleep(0.05)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import BaseModel
 
+from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
@@ -174,7 +174,7 @@ class InspireRh56Driver(Driver):
         """Wait for the time that a hand on the network needs between two connections."""
         if self.options.port.startswith("tcp://") and not self.spec.emulated:
             await self.connection.close()
-            await asyncio.sleep(max(0.0, self._closed + _PAUSE - time.monotonic()))
+            await asyncio.sleep(max(0.0, self._closed + _PAUSE - monotonic.now()))
 
     async def _identify(self, link: Rh56Link) -> None:
         """Read the hand, and find out whether one exchange is enough for all measurements."""
@@ -241,7 +241,7 @@ class InspireRh56Driver(Driver):
         if self._count % self.options.check_every == 0:
             await self._read_back(self.connection.link)
         report = await self._measured()
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         self._check(report)
         if self._tactile is not None:
             # ``None`` until every area has been read once.
@@ -375,17 +375,17 @@ class InspireRh56Driver(Driver):
 
     async def _cleared(self) -> Report:
         """Return the report in which the errors are gone, or the last one after `_CLEARING`."""
-        end = time.monotonic() + _CLEARING
+        end = monotonic.now() + _CLEARING
         while True:
             report = await self._measured()
-            if not any(report.errors[m] for m in self._motors) or time.monotonic() > end:
+            if not any(report.errors[m] for m in self._motors) or monotonic.now() > end:
                 return report
             await asyncio.sleep(0.01)
 
     async def close(self) -> None:
         """Detach from the bus; the hand keeps its set-points."""
         if self.connection.is_open:
-            self._closed = time.monotonic()
+            self._closed = monotonic.now()
         await super().close()
 
     # --- calibration -------------------------------------------------------------------------

@@ -7,13 +7,13 @@ from value to value, as in all tables of the hand, and one request reads at most
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.drivers.inspire_rh56.link import Rh56Link
 from rtee.sample import FloatArray
 from rtee.touch import TouchReading, TouchSensor
@@ -124,7 +124,7 @@ class TactileReader:
         turn = self._turn
         address, count = self.blocks[turn]
         # Before the request: values must not seem newer than they are.
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         data = await link.read(address, 2 * count)
         raw = np.frombuffer(data, dtype="<u2").astype(np.float64)
         begin = sum(n for _, n in self.blocks[:turn])

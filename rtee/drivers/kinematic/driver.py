@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Interval
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
@@ -67,7 +67,7 @@ class KinematicDriver(Driver):
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.now: Callable[[], float] = time.monotonic
+        self.now: Callable[[], float] = monotonic.asked
         self._options = read_plain_options(KinematicOptions, spec)
         self._check_names(self._options.start, fingers=False)
         self.plants = [

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel
 
+from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
@@ -163,7 +163,7 @@ class LinkerHandDriver(Driver):
 
     def _keep(self, counts: tuple[int, ...]) -> None:
         """Store measured positions, and when each motor has moved last."""
-        now = time.monotonic()
+        now = monotonic.now()
         before = self._counts or counts
         for motor, (new, old) in enumerate(zip(counts, before, strict=True)):
             # A change of one count is noise.
@@ -181,7 +181,7 @@ class LinkerHandDriver(Driver):
         both = tuple(zip(self._motors, self._scales, strict=True))
         position = [scale.to_si(self._counts[motor]) for motor, scale in both]
         self._here = np.array(position)
-        now = time.monotonic()
+        now = monotonic.now()
         return ActuatorState.measured(
             position,
             now,
@@ -250,7 +250,7 @@ class LinkerHandDriver(Driver):
         # Limits count as unknown until the hand has confirmed them.
         self._torques = self._speeds = None
         await self.connection.link.write(tables)
-        now = time.monotonic()
+        now = monotonic.now()
         for motor, target in enumerate(targets):
             # A motor with a new set-point gets the time to move before it counts as resting.
             if before is None or target != before[motor]:

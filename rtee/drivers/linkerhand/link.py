@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from rtee import monotonic
 from rtee.buses.bus import Bus
 from rtee.buses.can import CanBus
 from rtee.buses.emulator import CanFrame
@@ -171,10 +171,10 @@ class CanLink(LinkerLink):
 
     async def _pause(self) -> None:
         """Wait for the pause after the previous frame."""
-        wait = self._sent + self._spacing - time.monotonic()
+        wait = self._sent + self._spacing - monotonic.now()
         if wait > 0.0:
             await asyncio.sleep(wait)
-        self._sent = time.monotonic()
+        self._sent = monotonic.now()
 
     async def read(self, table: Table) -> tuple[int, ...]:
         """Return the values of all motors; raises `BusError`."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import anyio
 import anyio.to_thread
 
+from rtee import monotonic
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
@@ -123,7 +124,7 @@ class MujocoDriver(Driver):
 
     async def sense(self) -> ActuatorState:
         """Advance by one exchange, then measure."""
-        exchange = partial(self._exchange, self.simulation, self._due(time.monotonic()))
+        exchange = partial(self._exchange, self.simulation, self._due(monotonic.now()))
         try:
             if self._cost < self._affordable:
                 return exchange()
@@ -146,7 +147,7 @@ class MujocoDriver(Driver):
             return self._measured(simulation)
 
     def _measured(self, simulation: Simulation) -> ActuatorState:
-        now = time.monotonic()
+        now = monotonic.now()
         extras: dict[str, FloatArray] = simulation.seen
         if not simulation.taxels.sensors:
             # A hand with touch sensors feels with them, as a real one does.

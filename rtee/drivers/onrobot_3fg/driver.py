@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
@@ -10,6 +9,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
+from rtee import monotonic
 from rtee.buses.modbus import ModbusBus
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
@@ -170,7 +170,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         command = self._next(
             self.scale.position.to_count(float(reference.position[0])),
             self.scale.effort.to_count(float(reference.max_effort[0])),
-            time.monotonic(),
+            monotonic.now(),
         )
         if command is None:
             return None
@@ -242,7 +242,7 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
     def _note(self, status: Status) -> None:
         # A change of one count may be noise at standstill.
         if abs(status.raw_diameter - self._status.raw_diameter) > 1:
-            self._moved_at = time.monotonic()
+            self._moved_at = monotonic.now()
         self._status = status
 
     # --- stop and faults ---------------------------------------------------------------------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
@@ -12,6 +11,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.serial import SerialBus
@@ -194,23 +194,23 @@ class OrcaTouchDriver(Driver):
     async def _arm(self, bus: SerialBus) -> None:
         """Start the stream, as the hand's own client does it; raises `BusError`."""
         # Before the writes, so that a failed start, too, is repeated only after `_AGAIN`.
-        self._armed = time.monotonic()
+        self._armed = monotonic.now()
         await self._write(bus, Register.STREAM, 0)
         await self._write(bus, Register.CONTENT, int(self._content))
         await self._write(bus, Register.STREAM, 1)
-        self._heard = time.monotonic()
+        self._heard = monotonic.now()
 
     async def _first(self, bus: SerialBus) -> None:
         """Wait for the first frame; raises `BusTimeout`."""
-        end = time.monotonic() + _WITHIN
+        end = monotonic.now() + _WITHIN
         while self._newest is None:
             bus.check()
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 raise BusTimeout(bus.name, f"the board sent no frame within {_WITHIN:g} s")
             await asyncio.sleep(0.002)
 
     def _hear(self, data: bytes) -> None:
-        now = time.monotonic()
+        now = monotonic.now()
         for frame in self._stream.feed(data):
             match frame:
                 case Stream():
@@ -224,7 +224,7 @@ class OrcaTouchDriver(Driver):
         """Return the newest reading; a stream that has stopped is started again."""
         bus = self.connection.link
         bus.check()
-        now = time.monotonic()
+        now = monotonic.now()
         if now - self._heard > _SILENT:
             # The start takes several exchanges, which would delay every cycle of a board that is
             # gone.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Coroutine
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
@@ -13,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
@@ -211,9 +211,9 @@ class QbSoftHandDriver(Driver):
         return await self.connection.link.active() & every == every
 
     async def _confirm(self) -> None:
-        end = time.monotonic() + _ACTIVATION
+        end = monotonic.now() + _ACTIVATION
         while not await self._all_active():
-            if time.monotonic() > end:
+            if monotonic.now() > end:
                 raise self._inactive("is the supply high enough?")
             await asyncio.sleep(0.01)
 
@@ -241,7 +241,7 @@ class QbSoftHandDriver(Driver):
         self._here = np.array(self.mapping.to_closure(positions))
         return ActuatorState.measured(
             self._here,
-            time.monotonic(),
+            monotonic.now(),
             effort=[c * f for c, f in zip(currents, self._effort_per_ma, strict=True)],
             current=[c * 1e-3 for c in currents],
         )

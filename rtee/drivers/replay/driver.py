@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import anyio.to_thread
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
@@ -55,7 +55,7 @@ class ReplayDriver(Driver):
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
-        self.now: Callable[[], float] = time.monotonic
+        self.now: Callable[[], float] = monotonic.asked
         self.ended = self.behind = False
         self._options = read_options(ReplayOptions, spec)
         self._states: RecordedStates | None = None

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
+from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
@@ -298,9 +298,9 @@ class SchunkEguDriver(BlocksDriver):
 
     async def sense(self) -> ActuatorState:
         """Return the position and whether something is gripped."""
-        self._cycle_began = time.monotonic()
+        self._cycle_began = monotonic.now()
         now = await self._read_on()
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         if self._active:
             self._refuse(now)
         gripped = bool(now.status & Status.GRIPPED) and not now.status & Status.LOST
@@ -375,7 +375,7 @@ class SchunkEguDriver(BlocksDriver):
                 return
             if left > 2.0 * self._period * self._grip_speed:
                 return
-            now = time.monotonic()
+            now = monotonic.now()
             due = self._timer.due(left, 1 if self._word == Control.RUN else 2)
             # Read as long as there is time: what meets an object meanwhile must not be stopped.
             last = due - now < self._timer.reading or now + self._timer.reading > end
@@ -423,14 +423,14 @@ class SchunkEguDriver(BlocksDriver):
         self._gripping = control is Control.GRIP
         self._running = True
         self._timer.begin(self._way(0.0, float(self._input.position)))
-        self._asked = bool(self._input.status & Status.RECEIVED), time.monotonic()
+        self._asked = bool(self._input.status & Status.RECEIVED), monotonic.now()
         await self._write(Output(Control.RUN | control, position, speed, force))
 
     def _waits(self) -> bool:
         """Return whether the last command is not accepted yet; after a while it is given up."""
         if self._asked is None:
             return False
-        if time.monotonic() - self._asked[1] > _TAKEN:
+        if monotonic.now() - self._asked[1] > _TAKEN:
             self._asked, self._running = None, False
             self._follower.forget()
             return False
@@ -481,9 +481,9 @@ class SchunkEguDriver(BlocksDriver):
 
     async def _read_on(self) -> Input:
         """Read the image and update the progress of the last command."""
-        asked = time.monotonic()
+        asked = monotonic.now()
         now = self._input = await self._read()
-        answered = time.monotonic()
+        answered = monotonic.now()
         self._timer.read(answered - asked)
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:
             self._asked = None
@@ -496,7 +496,7 @@ class SchunkEguDriver(BlocksDriver):
     async def _write(self, output: Output) -> None:
         # Unknown until the gripper has answered.
         self._word = None
-        begun = time.monotonic()
+        begun = monotonic.now()
         await self.connection.link.write(output.to_registers())
-        self._timer.wrote(time.monotonic() - begun)
+        self._timer.wrote(monotonic.now() - begun)
         self._word = output.control

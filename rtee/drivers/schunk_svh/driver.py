@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Collection
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
@@ -225,7 +225,7 @@ class SchunkSvhDriver(Driver):
         answer, self._answer = self._answer, None
         if answer is None:
             feedback = await self.connection.link.feedback_all()
-            answer = feedback, time.monotonic()
+            answer = feedback, monotonic.now()
         feedback, stamp = answer
         units = self._units
         before, self._last = self._last, (feedback, stamp)
@@ -268,7 +268,7 @@ class SchunkSvhDriver(Driver):
                 self._targets[index] = target
         # One packet sets all channels; those without a reference get their last targets again.
         feedback = await self.connection.link.set_targets(self._targets)
-        self._answer = feedback, time.monotonic()
+        self._answer = feedback, monotonic.now()
 
     async def stop(self) -> None:
         """Hold the measured posture."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from rtee import monotonic
 from rtee.drivers.json_files import write_json
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import HOMING_RATE, Channel
@@ -80,7 +80,7 @@ async def _seek(
 ) -> int:
     threshold = channel.reset_factor * current.maximum
     far = channel.direction * _FAR
-    hits, last, since = 0, None, time.monotonic()
+    hits, last, since = 0, None, monotonic.now()
     while True:
         feedback = await link.set_target(channel.index, far)
         pressing = abs(feedback.current_ma) >= threshold
@@ -88,7 +88,7 @@ async def _seek(
         hits = hits + 1 if pressing else max(0, hits - 1)
         if hits >= _HITS:
             return feedback.position
-        now = time.monotonic()
+        now = monotonic.now()
         if last is None or abs(feedback.position - last) > _MOVED:
             last, since = feedback.position, now
         elif now - since > timeout:
@@ -104,8 +104,8 @@ async def _seek(
 async def _leave_stop(
     link: SvhLink, device: str, channel: Channel, goal: int, timeout: float
 ) -> None:
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
+    end = monotonic.now() + timeout
+    while monotonic.now() < end:
         feedback = await link.set_target(channel.index, goal)
         if abs(feedback.position - goal) < _NEAR:
             return

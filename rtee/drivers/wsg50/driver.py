@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.connection import Connection
@@ -225,7 +225,7 @@ class Wsg50Driver(GripperDriver):
     async def sense(self) -> ActuatorState:
         """Return width, speed, force and grasp."""
         report = self._report = await self.connection.link.report()
-        stamp = time.monotonic()
+        stamp = monotonic.now()
         if self._active:
             self._refuse(report)
             if not report.state & State.REFERENCED:

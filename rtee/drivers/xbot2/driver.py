@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
 from rtee.buses.zmq import ZmqBus
@@ -188,7 +188,7 @@ class XBot2Driver(Driver):
                 async with asyncio.timeout(1.5 / self.options.rate):
                     await self._arrived.wait()
         state = self._state
-        if state is None or time.monotonic() - self._stamp > _STALE:
+        if state is None or monotonic.now() - self._stamp > _STALE:
             # States are not requested, so the bus cannot count a missing one.
             bus.counters.timeouts += 1
             raise BusTimeout(bus.name, f"no state for more than {_STALE:g} s")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import anyio.to_thread
 import viser
 
+from rtee import monotonic
 from rtee.errors import LogError, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.playback import Playback, timeline
@@ -183,7 +183,7 @@ class RecordingsPanel:
 
     def advance(self) -> None:
         """Advance the time while the recording plays; called about 30 times per second."""
-        now = time.monotonic()
+        now = monotonic.now()
         passed, self._played = now - self._played, now
         playback = self._playback
         if playback is None or not self._play.value:

@@ -22,5 +22,6 @@ class TestAllegro(DriverContract):
         tolerance=0.05,
         stopping=0.5,  # its controller runs here, and swings out
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
+        answers=False,
         cycles=cycles(100),
     )

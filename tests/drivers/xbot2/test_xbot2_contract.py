@@ -17,6 +17,7 @@ class TestXBot2(DriverContract):
         commands=lambda emulator: emulator.commands,
         homes=False,
         wire_faults=frozenset({"drop", "corrupt", "duplicate", "delay"}),
+        answers=False,
         cycles=cycles(100),
     )
 

@@ -1,0 +1,182 @@
+"""An event loop on simulated time: it never waits, but sets its clock to the next timer.
+
+With it, emulators, the model of the wire, drivers and the loop live in one time that only they use
+up. Ten seconds of homing take as long as their computations, and every deadline is exact on any
+computer under any load. Everything must happen in this process: what comes over a real port or from
+another process would come too late, since nobody waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import selectors
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any, TypeVarTuple
+
+from rtee import monotonic
+
+Ts = TypeVarTuple("Ts")
+
+_START = 1000.0
+"""Time at which every simulated clock starts [s]; 0 means "never" in places."""
+
+_TURN = 10e-6
+"""Time that one turn of the event loop takes [s]: about that of a real one. Without it, a program
+that asks a device again and again until a time is over would never end."""
+
+_Select = Callable[[float | None], list[tuple[selectors.SelectorKey, int]]]
+
+
+@dataclass(eq=False, slots=True)
+class _Wait:
+    """A worker thread that waits."""
+
+    ready: Callable[[], bool]
+    until: float
+    over: threading.Event = field(default_factory=threading.Event)
+
+
+class SimulatedTimeLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time stands still while anything computes, and then jumps.
+
+    While it runs, `rtee.monotonic` gives its time. Worker threads are waited for: time passes only
+    while all of them have ended or wait, too (`wait`, `rtee.monotonic.sleep`).
+
+    Use it as the loop of a test: ``asyncio.Runner(loop_factory=SimulatedTimeLoop)``.
+
+    Args:
+        start: Its time at the beginning [s].
+    """
+
+    def __init__(self, start: float = _START) -> None:
+        self._time = start
+        self._working = 0
+        self._waits: list[_Wait] = []
+        self._ended = False
+        super().__init__(_JumpingSelector(self._select))
+
+    def time(self) -> float:
+        """Return the simulated time [s]."""
+        return self._time
+
+    def run_forever(self) -> None:
+        """Run until stopped; meanwhile, `rtee.monotonic` gives this loop's time."""
+        before = monotonic.now, monotonic.now_ns, monotonic.sleep
+        monotonic.now, monotonic.now_ns, monotonic.sleep = self.time, self._time_ns, self._sleep
+        try:
+            super().run_forever()
+        finally:
+            monotonic.now, monotonic.now_ns, monotonic.sleep = before
+
+    def close(self) -> None:
+        """Close the loop; threads that still wait in it go on at once."""
+        self._ended = True
+        for wait in self._waits:
+            wait.over.set()
+        super().close()
+
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[*Ts], Any], *args: *Ts
+    ) -> asyncio.Future[Any]:
+        """Call a function in a thread; time stands still until it returns or waits."""
+        result = super().run_in_executor(executor, func, *args)
+        self.work_begins()
+        result.add_done_callback(lambda _: self.work_ends())
+        return result
+
+    def work_begins(self) -> None:
+        """Let time stand still for a worker thread; called in the loop's thread."""
+        self._working += 1
+
+    def work_ends(self) -> None:
+        """Undo one `work_begins`; called in the loop's thread, after the work's result arrived."""
+        self._working -= 1
+
+    def wait(self, ready: Callable[[], bool], within: float) -> bool:
+        """Wait in a worker thread until ``ready()``, or until a time is over [s]; return which.
+
+        ``ready`` is called in the loop's thread.
+        """
+        wait = _Wait(ready, self._time + within)
+        self._waits.append(wait)
+        if self._ended:
+            return ready()
+        # From now on time may pass; the loop may be waiting for this thread.
+        self.call_soon_threadsafe(self.work_ends)
+        wait.over.wait()
+        return ready()
+
+    def _time_ns(self) -> int:
+        return round(self._time * 1e9)
+
+    def _sleep(self, seconds: float) -> None:
+        if threading.get_ident() == self._thread_id:
+            self._time += seconds
+        else:
+            self.wait(lambda: False, seconds)
+
+    def _release(self) -> None:
+        """Let the threads go on whose wait is over."""
+        for wait in [w for w in self._waits if w.until <= self._time or w.ready()]:
+            self._waits.remove(wait)
+            self.work_begins()
+            wait.over.set()
+
+    def _select(
+        self, timeout: float | None, select: _Select
+    ) -> list[tuple[selectors.SelectorKey, int]]:
+        """Do what a selector does, but let time pass instead of waiting for it."""
+        self._time += _TURN
+        self._release()
+        events = select(0)
+        if events or (timeout is not None and timeout <= 0.0):
+            return events
+        if self._working:
+            # Whatever a thread does next wakes the loop up.
+            return select(None)
+        due = [wait.until for wait in self._waits]
+        if timeout is not None:
+            due.append(self._time + timeout)
+        if not due:
+            return select(None)  # for a signal, or a thread that nobody knows of
+        self._time = max(self._time, min(due))
+        self._release()
+        return []
+
+    _thread_id: int | None
+
+
+class _JumpingSelector(selectors.DefaultSelector):
+    def __init__(self, passing: Callable[[float | None, _Select], Any]) -> None:
+        super().__init__()
+        self._passing = passing
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        return list(self._passing(timeout, super().select))
+
+
+class SimulatedQueue(queue.Queue[Any]):
+    """A queue whose ``get`` waits in simulated time; for a blocking library in a worker thread."""
+
+    def __init__(self, loop: SimulatedTimeLoop) -> None:
+        super().__init__()
+        self._loop = loop
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        """Return the oldest item; raises `queue.Empty`."""
+        if block and not self._loop.wait(lambda: not self.empty(), timeout or 0.0):
+            raise queue.Empty
+        return super().get(block=False)
+
+
+def on_simulated_time() -> SimulatedTimeLoop | None:
+    """Return the running event loop if it is on simulated time, else ``None``."""
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:  # in a thread without one
+        return None
+    return loop if isinstance(loop, SimulatedTimeLoop) else None
