@@ -58,3 +58,9 @@ def test_no_module_imports_itself_by_a_detour(graph: grimp.ImportGraph) -> None:
         if graph.find_shortest_chain(direct, module)
     ]
     assert circles == []
+
+
+def test_one_module_asks_for_the_time(graph: grimp.ImportGraph) -> None:
+    """All others ask it, so that simulated time is that of everything."""
+    asking = [m for m in sorted(graph.modules) if "time.monotonic" in path_of(m).read_text()]
+    assert asking == ["rtee.monotonic"]

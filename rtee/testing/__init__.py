@@ -14,7 +14,7 @@ Describe the device by a `DeviceCase` and derive from `DriverContract`::
         )
 
 The suite runs on simulated time: driver, emulator and wire share the time of the event loop
-`SIMULATED_TIME`, which jumps to the next timer instead of waiting for it.
+`simulated_time`, which jumps to the next timer instead of waiting for it.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from typing import TYPE_CHECKING, Any
 
 from rtee.errors import needing_extra
 from rtee.testing.case import DeviceCase, actuator, cycles
-from rtee.testing.session import SIMULATED_TIME, Session, open_files
+from rtee.testing.session import Session, open_files, simulated_time
 
 if TYPE_CHECKING:
     from rtee.testing.contract import DriverContract
 
 __all__ = [
-    "SIMULATED_TIME",
     "DeviceCase",
     "DriverContract",
     "Session",
     "actuator",
     "cycles",
     "open_files",
+    "simulated_time",
 ]
 
 

@@ -10,12 +10,9 @@ from typing import Any, ClassVar
 
 import pytest
 
-from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.retry import patiently
 from rtee.errors import (
-    BusBroken,
-    BusClosed,
     BusError,
     BusTimeout,
     DeviceFault,
@@ -27,7 +24,7 @@ from rtee.errors import (
 )
 from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
-from rtee.testing.session import SIMULATED_TIME, Session, open_files
+from rtee.testing.session import Session, open_files, simulated_time
 from rtee.types import Reference
 
 WIRE_FAULTS = ("drop", "corrupt", "duplicate", "delay", "split", "noise")
@@ -38,13 +35,6 @@ NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
 
 _DEAF = 0.06
 """Time for which all answers are lost [s]: longer than most drivers wait for an answer."""
-
-_RESTS = 0.1
-"""Time between two states that tell whether a device moves [s]: longer than the slowest takes for
-a new one, 67 ms."""
-
-_NOTICES = 30.0
-"""Longest time in which a driver notices that it was unplugged [s]; on a busy computer, too."""
 
 _SHARE = 0.05
 """Fraction of the messages that a faulty wire damages: more than even a real wire in need of
@@ -65,7 +55,7 @@ class DriverContract:
     @pytest.fixture
     def anyio_backend(self) -> tuple[str, dict[str, Any]]:
         """Run the tests in asyncio, as the loop runs drivers, but on simulated time."""
-        return SIMULATED_TIME
+        return simulated_time()
 
     @asynccontextmanager
     async def session(self, within: float = 55.0) -> AsyncIterator[Session]:
@@ -86,16 +76,6 @@ class DriverContract:
         async with self.session(within) as session:
             await session.start()
             yield session, await session.reach(posture)
-
-    async def _at_rest(self, session: Session) -> ActuatorState:
-        """Return the state once the device rests: one may run on while it is being stopped."""
-        end = monotonic.now() + self.case.within
-        state = await session.sense()
-        while True:
-            await asyncio.sleep(_RESTS)
-            before, state = state, await session.sense()
-            if session.near(state, before.position.tolist()) or monotonic.now() > end:
-                return state
 
     def needed(self, name: str) -> Any:
         """Return an attribute of the case, or skip the test if it is ``None``."""
@@ -175,7 +155,7 @@ class DriverContract:
         near, _ = self.case.between()
         async with self._session_at(near) as (session, _):
             await session.driver.deactivate()
-            there = await self._at_rest(session)
+            there = await session.at_rest()
             await session.driver.close()
             again = await session.start()
             assert again.fresh
@@ -301,7 +281,7 @@ class DriverContract:
         near, _ = self.case.between()
         async with self._session_at(near) as (session, _):
             session.emulator.inject(fault)
-            caught = await self._fault_of(session)
+            caught = await session.fault()
             assert caught.name
             assert caught.hint
             assert caught.recoverable
@@ -316,18 +296,6 @@ class DriverContract:
     async def _recover(self, session: Session) -> None:
         await patiently(session.driver.recover)
         await patiently(session.driver.activate)
-
-    async def _fault_of(self, session: Session) -> DeviceFault:
-        for _ in range(50):
-            try:
-                state = await session.driver.sense()
-                await session.driver.move(Reference.at(state.position))
-            except DeviceFault as fault:
-                return fault
-            except (BusTimeout, FrameError):
-                pass
-            await asyncio.sleep(0.01)
-        pytest.fail("the fault was never reported")
 
     async def test_a_power_cycle_is_noticed_or_harmless(self) -> None:
         """After a power cycle the device reports a fault or keeps its position, but never jumps."""
@@ -429,7 +397,7 @@ class DriverContract:
             files, tasks = open_files(), len(asyncio.all_tasks())
             for _ in range(100):
                 session.wire.unplug()
-                await self._lost(session)
+                await session.lost()
                 await session.driver.close()
                 session.wire.replug()
                 state = await session.start()
@@ -438,41 +406,18 @@ class DriverContract:
             # One more at most: a library may open a file of its own when it is first used.
             assert open_files() <= files + 1
 
-    async def _lost(self, session: Session) -> None:
-        end = monotonic.now() + _NOTICES
-        while monotonic.now() < end:
-            try:
-                state = await session.driver.sense()
-                await session.driver.move(Reference.at(state.position))
-            except (BusBroken, BusClosed, NotConnected):
-                return
-            except (BusTimeout, FrameError):
-                continue
-            await asyncio.sleep(0.001)
-        pytest.fail("the driver never noticed that it was unplugged")
-
     async def test_a_slow_device_leaves_a_fast_one_its_rate(self) -> None:
         """While one device takes 0.1 s per exchange, those of another one take no longer."""
         self.wired()
         async with self.session() as fast, Session(self.case, name="slow") as slow:
             await fast.start()
             await slow.start()
-            alone = await self._longest(fast)
+            alone = await fast.longest_exchange()
             slow.wire.faults = Faults(delay=1.0, delay_time=0.1, requests=False)
             waiting = asyncio.ensure_future(self._try(slow.driver.sense, 5))
-            beside = await self._longest(fast)
+            beside = await fast.longest_exchange()
             await waiting
             assert beside <= alone + 0.01
-
-    async def _longest(self, session: Session) -> float:
-        """Return the longest time of twenty exchanges at the rate of the case [s]."""
-        longest = 0.0
-        for _ in range(20):
-            begun = monotonic.now()
-            await session.sense()
-            longest = max(longest, monotonic.now() - begun)
-            await asyncio.sleep(1.0 / self.case.rate)
-        return longest
 
     async def _try(self, call: Callable[[], Any], times: int) -> None:
         for _ in range(times):
@@ -495,7 +440,7 @@ class DriverContract:
             assert session.near(await session.reach(near), near)
             await session.driver.stop()
             session.wire.unplug()
-            await self._lost(session)
+            await session.lost()
             await session.driver.close()
             session.wire.replug()
             await session.start()

@@ -16,13 +16,22 @@ from rtee.buses.simulated_time import SimulatedTimeLoop
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
-from rtee.errors import BusTimeout, FrameError
+from rtee.errors import BusBroken, BusClosed, BusTimeout, DeviceFault, FrameError, NotConnected
 from rtee.sample import ActuatorState
 from rtee.testing.case import DeviceCase
 from rtee.types import Reference
 
-SIMULATED_TIME: tuple[str, dict[str, Any]] = ("asyncio", {"loop_factory": SimulatedTimeLoop})
-"""What a fixture ``anyio_backend`` returns to have its tests run on simulated time."""
+_RESTS = 0.1
+"""Time between two states that tell whether a device moves [s]: longer than the slowest takes for
+a new one, 67 ms."""
+
+_NOTICES = 30.0
+"""Longest time in which a driver notices that it was unplugged [s]; on a busy computer, too."""
+
+
+def simulated_time() -> tuple[str, dict[str, Any]]:
+    """Return what a fixture ``anyio_backend`` returns to have its tests run on simulated time."""
+    return "asyncio", {"loop_factory": SimulatedTimeLoop}
 
 
 def open_files() -> int:
@@ -117,6 +126,53 @@ class Session:
                 return state or await self.sense()
             # Emulators in this process need the processor, too, even on a slow machine.
             await asyncio.sleep(0.002)
+
+    async def at_rest(self) -> ActuatorState:
+        """Return the state once the device rests: one may run on while it is being stopped."""
+        end = monotonic.now() + self.case.within
+        state = await self.sense()
+        while True:
+            await asyncio.sleep(_RESTS)
+            before, state = state, await self.sense()
+            if self.near(state, before.position.tolist()) or monotonic.now() > end:
+                return state
+
+    async def fault(self) -> DeviceFault:
+        """Return the fault that the driver reports while it senses and moves."""
+        for _ in range(50):
+            try:
+                state = await self.driver.sense()
+                await self.driver.move(Reference.at(state.position))
+            except DeviceFault as fault:
+                return fault
+            except (BusTimeout, FrameError):
+                pass
+            await asyncio.sleep(0.01)
+        raise AssertionError("the fault was never reported")
+
+    async def lost(self) -> None:
+        """Sense and move until the driver notices that it was unplugged."""
+        end = monotonic.now() + _NOTICES
+        while monotonic.now() < end:
+            try:
+                state = await self.driver.sense()
+                await self.driver.move(Reference.at(state.position))
+            except (BusBroken, BusClosed, NotConnected):
+                return
+            except (BusTimeout, FrameError):
+                continue
+            await asyncio.sleep(0.001)
+        raise AssertionError("the driver never noticed that it was unplugged")
+
+    async def longest_exchange(self) -> float:
+        """Return the longest time of twenty exchanges at the rate of the case [s]."""
+        longest = 0.0
+        for _ in range(20):
+            begun = monotonic.now()
+            await self.sense()
+            longest = max(longest, monotonic.now() - begun)
+            await asyncio.sleep(1.0 / self.case.rate)
+        return longest
 
     def near(self, state: ActuatorState, goal: Sequence[float]) -> bool:
         """Return whether the positions of a state are those of a posture, within the tolerance."""
