@@ -15,11 +15,9 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import Any, TypeVarTuple
+from typing import Any
 
 from rtee import monotonic
-
-Ts = TypeVarTuple("Ts")
 
 _START = 1000.0
 """Time at which every simulated clock starts [s]; 0 means "never" in places."""
@@ -80,7 +78,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
         super().close()
 
     def run_in_executor(
-        self, executor: Executor | None, func: Callable[[*Ts], Any], *args: *Ts
+        self, executor: Executor | None, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
         """Call a function in a thread; time stands still until it returns or waits."""
         result = super().run_in_executor(executor, func, *args)

@@ -7,11 +7,11 @@ for a result by the goal's identifier.
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rtee import monotonic
 from rtee.messages.convert import RESULT
 from rtee.remote.lease import Lease
 from rtee.types import Result
@@ -29,7 +29,7 @@ class GoalRecords:
     Any thread may call its methods.
     """
 
-    def __init__(self, lease: Lease, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, lease: Lease, now: Callable[[], float] = monotonic.asked) -> None:
         self._lease, self._now = lease, now
         self._changing = threading.Lock()
         self._results: OrderedDict[str, tuple[float, Result]] = OrderedDict()
