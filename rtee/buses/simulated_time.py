@@ -77,7 +77,7 @@ class SimulatedTimeLoop(asyncio.SelectorEventLoop):
             wait.over.set()
         super().close()
 
-    def run_in_executor(
+    def run_in_executor(  # type: ignore[override]
         self, executor: Executor | None, func: Callable[..., Any], *args: Any
     ) -> asyncio.Future[Any]:
         """Call a function in a thread; time stands still until it returns or waits."""
