@@ -86,6 +86,11 @@ class Bridge:
         """Whether the page is open in any window."""
         return bool(self.server.get_clients())
 
+    @property
+    def attended(self) -> bool:
+        """Whether the page is open in a window that may move the hand."""
+        return self.watched if self._visitors is None else self._visitors.attended
+
     def notify(self, title: str, text: str, colour: Any = "blue") -> None:
         """Show a notification in every window."""
         for client in self.server.get_clients().values():

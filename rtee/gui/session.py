@@ -63,6 +63,13 @@ _TABLE_PERIOD = 1 / 4
 _STATUS_PERIOD = 0.5
 """Time between two requests for the status [s]."""
 
+UNATTENDED = 3.0
+"""Time without an operator's window after which the hand is given back [s]: a window that is
+reloaded is there again sooner."""
+
+_WINDOWS_PERIOD = 0.25
+"""Time between two looks for windows [s]: short beside `UNATTENDED`."""
+
 _PANEL_WIDTH = 330
 """Width of the panel with plots and tables [pixels]: a third of a small laptop's screen."""
 
@@ -183,6 +190,7 @@ class Session:
             tasks.start_soon(self._follow_states)
             tasks.start_soon(self._follow_object)
             tasks.start_soon(self._follow_touch)
+            tasks.start_soon(self._follow_windows)
             await self._request_trials()
 
     async def _follow_object(self) -> None:
@@ -222,11 +230,21 @@ class Session:
     async def _follow_status(self) -> None:
         while True:
             status = await self._remote.status()
-            self._header.show(status)
+            self._header.show(status, jogs=self._making.jog.holding)
             self._table.show_status(status)
             self._making.show_status(status)
             self._recordings.show_status(status)
             await anyio.sleep(_STATUS_PERIOD)
+
+    async def _follow_windows(self) -> None:
+        """Give the hand back when nobody has been there for a while who could."""
+        attended = time.monotonic()
+        while True:
+            await anyio.sleep(_WINDOWS_PERIOD)
+            if self._bridge.attended:
+                attended = time.monotonic()
+            elif time.monotonic() - attended > UNATTENDED and self._making.jog.holding:
+                self._making.jog.give_back()
 
     async def _follow_states(self) -> None:
         """Draw the states received meanwhile, 30 times per second while a window is open."""
@@ -321,7 +339,7 @@ class Session:
 
     async def leave(self) -> None:
         """Release the lease if it is held for jogging."""
-        await self._making.leave()
+        await self._making.jog.leave()
 
     def remove(self) -> None:
         """Remove everything of the hand from the browser."""

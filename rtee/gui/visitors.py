@@ -24,6 +24,13 @@ from rtee.errors import LoopError
 from rtee.gui.access import HEADERS, Access, Role
 from rtee.gui.colours import STOP
 
+PING_PERIOD: Final = 2.0
+"""Interval at which a page is asked whether it is still there [s]: a computer that sleeps closes no
+connection."""
+
+PONG_WITHIN: Final = 8.0
+"""Time for the answer [s]: behind the megabytes of a scene, on a slow network, it takes seconds."""
+
 _LARGEST: Final = 2**20
 """Longest message that a page may send [bytes]; a text that a person typed has some hundred."""
 
@@ -73,6 +80,7 @@ class Visitors:
         self.guarded = False
         self._access = access
         self._for_everybody: frozenset[str] = frozenset()
+        self._operators: set[int] = set()
 
     def open_server(self, port: int) -> viser.ViserServer:
         """Start the browser's server at a port, or at the next free one if it is in use.
@@ -89,6 +97,7 @@ class Visitors:
         ) -> Any:
             self.guarded = True
             options |= {"max_size": _LARGEST, "ssl": self._access.tls}
+            options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
             return serve(
                 _in_role(handler),
                 *args,
@@ -109,8 +118,24 @@ class Visitors:
                 f"viser {viser.__version__} opens its server in a way that cannot be guarded; "
                 "install viser 1.1"
             )
-        server.on_client_connect(_greet)
+        server.on_client_connect(self._greet)
+        server.on_client_disconnect(self._forget)
         return server
+
+    @property
+    def attended(self) -> bool:
+        """Whether a window of an operator is open."""
+        return bool(self._operators)
+
+    async def _greet(self, client: viser.ClientHandle) -> None:
+        """Disable and dim the controls in an observer's page, all but STOP."""
+        if _role.get(Role.OBSERVER) is Role.OBSERVER:
+            client.gui.add_html(_WATCHING, order=-2)
+        else:
+            self._operators.add(client.client_id)
+
+    async def _forget(self, client: viser.ClientHandle) -> None:
+        self._operators.discard(client.client_id)
 
     def leave_to_everybody(self, *controls: Any) -> None:
         """Let observers use these buttons and commands and no others."""
@@ -172,18 +197,12 @@ class Visitor(ServerConnection):
 
 def _in_role(handler: Handler) -> Handler:
     async def handle(connection: ServerConnection) -> None:
-        # viser calls `_greet` for this connection in this task or a child of it, which inherits
+        # viser calls `Visitors._greet` for this connection in this task or a child of it, which inherits
         # the context variable. Without a known role, a page counts as an observer's.
         _role.set(getattr(connection, "role", None) or Role.OBSERVER)
         await handler(connection)
 
     return handle
-
-
-async def _greet(client: viser.ClientHandle) -> None:
-    """Disable and dim the controls in an observer's page, all but STOP."""
-    if _role.get(Role.OBSERVER) is Role.OBSERVER:
-        client.gui.add_html(_WATCHING, order=-2)
 
 
 class _NoRefusals(logging.Filter):

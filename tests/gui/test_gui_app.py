@@ -6,11 +6,15 @@ import contextlib
 import dataclasses
 import io
 import re
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
 import anyio
+import anyio.to_thread
 import numpy as np
 import pytest
 import viser
@@ -20,11 +24,15 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionKind, PrimitiveKind
 from rtee.extract.kinematic import kinematic_primitives
+from rtee.errors import LeaseHeld
+from rtee.gui.access import Access
+from rtee.gui.access import Role as AccessRole
 from rtee.gui.app import App
 from rtee.gui.bridge import Bridge
 from rtee.gui.panels.execution import Execution
 from rtee.gui.panels.plots import PlotsPanel
 from rtee.gui.panels.table import TablePanel
+from rtee.gui.visitors import Visitors
 from rtee.gui.wording import NOTHING
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
@@ -156,7 +164,7 @@ async def test_nothing_follows_the_sliders_of_a_hand_that_has_gone(
             group.start_soon(app.run)
             await shows(app, "small: connected")
             assert app.session is not None
-            jog, remote = app.session._making._jog, app.session._remote
+            jog, remote = app.session._making.jog, app.session._remote
             jog._hold.value = jog._follow.value = True
             while not (await remote.status()).stream.stream:  # noqa: ASYNC110
                 await anyio.sleep(0.02)
@@ -178,7 +186,7 @@ async def test_ending_it_while_jog_is_ticked_is_no_loss(
             group.start_soon(app.run)
             await shows(app, "small: connected")
             assert app.session is not None
-            app.session._making._jog._hold.value = True
+            app.session._making.jog._hold.value = True
             while not (await app.session._remote.status()).holder:  # noqa: ASYNC110
                 await anyio.sleep(0.02)
             group.cancel_scope.cancel()
@@ -435,3 +443,75 @@ async def test_a_folder_that_cannot_be_looked_into_ends_nothing(
         assert panel._folder.value == typed
         assert panel._file.options == (NOTHING,)
         group.cancel_scope.cancel()
+
+
+WINDOW = """
+import sys
+from benchmarks.gui_onlooker import window
+with window(sys.argv[1]) as connection:
+    print("there", flush=True)
+    for _ in connection:
+        pass
+"""
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+async def test_jogging_ends_when_the_last_operator_has_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repository: Path, end: signal.Signals
+) -> None:
+    """A window that was closed, or whose computer slept, with Jog ticked kept the hand for ever."""
+    monkeypatch.setattr("rtee.gui.session.UNATTENDED", 0.3)
+    monkeypatch.setattr("rtee.gui.visitors.PING_PERIOD", 0.1)
+    monkeypatch.setattr("rtee.gui.visitors.PONG_WITHIN", 5.0)
+    access = Access(observers=True)
+    visitors = Visitors(access)
+    server = visitors.open_server(0)
+    links = access.links(server.get_port())
+    hand = make_hand(tmp_path)
+    with contextlib.ExitStack() as stack:
+        stack.callback(server.stop)
+
+        def window(role: AccessRole) -> subprocess.Popen[str]:
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-c", WINDOW, links[role]],
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    cwd=repository,
+                )
+            )
+            stack.callback(process.kill)
+            assert process.stdout is not None
+            assert process.stdout.readline() == "there\n"
+            return process
+
+        async with serving(hand, make_library(hand)), anyio.create_task_group() as group:
+            app = App(server, "small", None, visitors)
+            group.start_soon(app.run)
+            await shows(app, "small: connected")
+            await anyio.to_thread.run_sync(window, AccessRole.OBSERVER)
+            process = await anyio.to_thread.run_sync(window, AccessRole.OPERATOR)
+            while not visitors.attended:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+            assert app.session is not None
+            session = app.session
+            jog, header = session._making.jog, session._header
+            jog._hold.value = jog._follow.value = True
+            while "Jog is on" not in header._state.content:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+            async with rtee.connect("small") as other:
+                while "gui" not in (await other.status()).holder:  # noqa: ASYNC110
+                    await anyio.sleep(0.02)
+                await anyio.sleep(1.0)  # attended, it is kept
+                with pytest.raises(LeaseHeld):
+                    await other.do("Trig", "index")
+                process.send_signal(end)
+                while (await other.status()).holder:  # noqa: ASYNC110
+                    await anyio.sleep(0.02)
+                assert (await other.do("Trig", "index", intensity=0.1)).reached
+            assert server.get_clients(), "the observer is still there"
+            assert not jog.holding
+            assert all(slider.disabled for slider in jog._sliders)
+            while "Jog is on" in header._state.content:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+            group.cancel_scope.cancel()

@@ -69,7 +69,7 @@ class EditPanel:
 
 
 class MakingPanel:
-    """The panels of the tab "Make"."""
+    """The panels of the tab "Make"; `jog` is the first of them."""
 
     def __init__(self, bridge: Bridge, remote: RemoteHand, hand: Hand) -> None:
         """Add the panel to the current container."""
@@ -79,7 +79,7 @@ class MakingPanel:
         self._hand = hand
         self._state: State | None = None
         with gui.add_folder("Jog"):
-            self._jog = JogPanel(bridge, remote, hand)
+            self.jog = JogPanel(bridge, remote, hand)
         with gui.add_folder("Save this posture"):
             self._name = gui.add_text("Name", "", hint="Letters, digits, _ - .")
             self._store = gui.add_checkbox(
@@ -112,10 +112,6 @@ class MakingPanel:
         await self._remote.add_generic(name, within, store=bool(self._store.value))
         self._bridge.notify("Saved", f"action '{name}'", "green")
 
-    async def leave(self) -> None:
-        """Release the lease if it is held for jogging."""
-        await self._jog.leave()
-
     def show_actions(self, actions: Sequence[Action]) -> None:
         """Offer these actions as parts and for editing."""
         self._parts.offer(actions)
@@ -124,7 +120,7 @@ class MakingPanel:
     def show_state(self, state: State) -> None:
         """Show the measured state."""
         self._state = state
-        self._jog.follow(state)
+        self.jog.follow(state)
 
     def show_status(self, status: HandStatus) -> None:
         """Show the status of the hand."""

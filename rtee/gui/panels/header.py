@@ -88,18 +88,19 @@ class Header:
         else:
             self._bridge.notify("Stopped", f"confirmed by {', '.join(confirmed)}", "green")
 
-    def show(self, status: HandStatus) -> None:
-        """Show the status of the hand."""
+    def show(self, status: HandStatus, *, jogs: bool = False) -> None:
+        """Show the status of the hand, and whether this GUI holds it for jogging."""
         lines = [device_line(device) for device in status.devices]
         holder = "nobody" if not status.holder else escape(status.holder)
         if status.holder == self._hand.client:
             holder = "this GUI"
         doing = f" · running <b>{escape(status.action)}</b>" if status.action else ""
+        doing += " · ● recording" if status.recording else ""
         lines.append(f"held by {holder}{doing}")
+        if jogs:  # in sight while any tab is open, and in every window
+            lines.append("<b>Jog is on</b> (tab Make): nobody else can move the hand")
         if not self._bridge.may(Role.MAINTAINER):
             lines.append(f"this GUI's certificate: <b>{self._bridge.role.name.lower()}</b>")
-        if status.recording:
-            lines[-1] += " · ● recording"
         if status.recording_trouble:
             lines.append(f"recording: {escape(status.recording_trouble)}")
         self._put(lines)

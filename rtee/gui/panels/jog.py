@@ -112,6 +112,15 @@ class JogPanel:
         speed = actuator.velocity * self._speed.value / 100.0
         self._bridge.call(lambda: self._remote.jog({actuator.name: value}, speed))
 
+    @property
+    def holding(self) -> bool:
+        """Whether this GUI holds the hand for jogging."""
+        return self._hold.value
+
+    def give_back(self) -> None:
+        """Untick the box, which releases the lease and ends the stream of the sliders."""
+        self._hold.value = False
+
     async def leave(self) -> None:
         """Release the lease if it is held; do not wait long for a hand that has gone."""
         if self._hold.value:
