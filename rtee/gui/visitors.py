@@ -31,6 +31,9 @@ connection."""
 PONG_WITHIN: Final = 8.0
 """Time for the answer [s]: behind the megabytes of a scene, on a slow network, it takes seconds."""
 
+_CLOSE_WITHIN: Final = 1.0
+"""Time for a page to confirm the end of its connection [s]: one that sleeps does not."""
+
 _LARGEST: Final = 2**20
 """Longest message that a page may send [bytes]; a text that a person typed has some hundred."""
 
@@ -98,6 +101,7 @@ class Visitors:
             self.guarded = True
             options |= {"max_size": _LARGEST, "ssl": self._access.tls}
             options |= {"ping_interval": PING_PERIOD, "ping_timeout": PONG_WITHIN}
+            options["close_timeout"] = _CLOSE_WITHIN
             return serve(
                 _in_role(handler),
                 *args,
@@ -197,8 +201,8 @@ class Visitor(ServerConnection):
 
 def _in_role(handler: Handler) -> Handler:
     async def handle(connection: ServerConnection) -> None:
-        # viser calls `Visitors._greet` for this connection in this task or a child of it, which inherits
-        # the context variable. Without a known role, a page counts as an observer's.
+        # viser calls `Visitors._greet` for this connection in this task or a child of it, which
+        # inherits the context variable. Without a known role, a page counts as an observer's.
         _role.set(getattr(connection, "role", None) or Role.OBSERVER)
         await handler(connection)
 

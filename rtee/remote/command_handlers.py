@@ -98,6 +98,7 @@ class CommandHandlers:
                 return
             sample = STREAM_TARGETS.decode(request.question)
             self._lease.check(request.client)
+            self._lease.sampled(request.client, sample.stream)
             self._moves += 1
             streams.sample(sample)
             self._moves += 1
@@ -194,9 +195,10 @@ class CommandHandlers:
         if self._lease.runs(stream):
             raise GoalRejected(f"the stream '{stream}' runs already")
         # Before `begin`, since the loop may end the stream before it returns.
-        self._lease.started(request.client, stream)
+        within = None if math.isnan(deadline) else deadline  # NaN: as configured
+        waits = self._loop.settings.stream.deadline if within is None else within
+        self._lease.streams(request.client, stream, waits)
         try:
-            within = None if math.isnan(deadline) else deadline  # NaN: as configured
             efforts = paired("effort", fields["effort_name"], fields["effort"].tolist())
             self._loop.streams.begin(stream, fields["rate"], within, efforts)
         except Exception:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from rtee import monotonic
@@ -11,11 +12,17 @@ JOGGING = 1.0
 """Time for which a client holds the lease after a jog [s]: longer than between two clicks."""
 
 
+IDLE = 3.0
+"""Time without a sample, beyond the stream's deadline, after which an open stream does not hold the
+lease any more [s]: the hand has paused it, and its person may have gone."""
+
+
 class Lease:
     """The lease of a hand, by the clock ``now`` [s].
 
-    A client holds it from ``acquire`` to ``release``, and implicitly while its own goal or stream
-    runs and shortly after it has jogged the hand. A client that has left holds nothing.
+    A client holds it from ``acquire`` to ``release``, and implicitly while its own goal runs, while
+    samples of its stream come, and shortly after it has jogged the hand. A client that has left
+    holds nothing.
 
     One thread at a time may use it, except `ended` and `holder`, which may be used at any time.
     """
@@ -24,6 +31,8 @@ class Lease:
         self._now = now
         self._acquired = ""
         self._goals: dict[str, str] = {}
+        self._deadlines: dict[str, float] = {}  # of the streams among them
+        self._sampled = 0.0
         self._jogger = ""
         self._jogged_until = 0.0
 
@@ -33,8 +42,10 @@ class Lease:
         if self._acquired:
             return self._acquired
         # A copy, since the loop's thread may end a goal meanwhile.
-        if running := tuple(self._goals.values()):
-            return running[0]
+        for goal_id, client in tuple(self._goals.items()):
+            deadline = self._deadlines.get(goal_id, math.inf)
+            if self._now() - self._sampled < deadline + IDLE:
+                return client
         return self._jogger if self._now() < self._jogged_until else ""
 
     def check(self, client: str) -> None:
@@ -63,8 +74,21 @@ class Lease:
         """Record that a goal of a client runs."""
         self._goals[goal_id] = client
 
+    def streams(self, client: str, stream: str, deadline: float) -> None:
+        """Record that a client's stream is open, with its deadline [s]."""
+        self._sampled = self._now()
+        self._deadlines = {stream: deadline}  # a hand plays one stream at a time
+        self.started(client, stream)
+
+    def sampled(self, client: str, stream: str) -> None:
+        """Record that a client has sent a sample; raises `LeaseHeld` if the stream is another's."""
+        owner = self._goals.get(stream, client)
+        if owner != client:
+            raise LeaseHeld(owner)
+        self._sampled = self._now()
+
     def ended(self, goal_id: str) -> None:
-        """Record that a goal has ended."""
+        """Record that a goal or a stream has ended."""
         # One atomic step: the loop's thread calls this while Zenoh's threads look up leases.
         self._goals.pop(goal_id, None)
 

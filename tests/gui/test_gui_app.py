@@ -23,8 +23,8 @@ from remote.serving import Config, Remote, free_endpoint, make_hand, make_librar
 import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import ActionKind, PrimitiveKind
-from rtee.extract.kinematic import kinematic_primitives
 from rtee.errors import LeaseHeld
+from rtee.extract.kinematic import kinematic_primitives
 from rtee.gui.access import Access
 from rtee.gui.access import Role as AccessRole
 from rtee.gui.app import App
@@ -462,7 +462,7 @@ async def test_jogging_ends_when_the_last_operator_has_gone(
     """A window that was closed, or whose computer slept, with Jog ticked kept the hand for ever."""
     monkeypatch.setattr("rtee.gui.session.UNATTENDED", 0.3)
     monkeypatch.setattr("rtee.gui.visitors.PING_PERIOD", 0.1)
-    monkeypatch.setattr("rtee.gui.visitors.PONG_WITHIN", 5.0)
+    monkeypatch.setattr("rtee.gui.visitors.PONG_WITHIN", 3.0)
     access = Access(observers=True)
     visitors = Visitors(access)
     server = visitors.open_server(0)

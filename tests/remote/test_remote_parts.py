@@ -32,7 +32,7 @@ from rtee.remote.call_queue import CallQueue
 from rtee.remote.directory import running, runtime_folder
 from rtee.remote.identities import Identities
 from rtee.remote.incoming_request import IncomingRequest
-from rtee.remote.lease import JOGGING, Lease
+from rtee.remote.lease import IDLE, JOGGING, Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.planner import info_fields, info_of
 
@@ -94,6 +94,28 @@ def test_jogging_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
     assert lease.holder == "a"
     lease.release("a")
     lease.check("b")
+
+
+def test_a_stream_without_samples_holds_the_hand_for_a_moment(lease: Lease, time: Time) -> None:
+    lease.streams("a", "a.1", 0.1)
+    for _ in range(20):
+        time.now += IDLE
+        with pytest.raises(LeaseHeld):
+            lease.check("b")
+        lease.sampled("a", "a.1")
+    time.now += IDLE + 0.2
+    lease.check("b")
+    assert not lease.client_left("b")
+    with pytest.raises(LeaseHeld):  # the lease is free, and the stream still its client's
+        lease.sampled("b", "a.1")
+    lease.sampled("a", "a.1")
+    assert lease.holder == "a"
+    time.now += IDLE + 0.2
+    lease.started("b", "1")
+    assert lease.holder == "b"
+    lease.ended("a.1")  # pre-empted
+    lease.ended("1")
+    assert lease.holder == ""
 
 
 @pytest.mark.parametrize("how", ["acquire", "goal", "jog"])

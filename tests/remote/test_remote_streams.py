@@ -196,6 +196,45 @@ async def test_others_are_kept_out(hand: Hand, library: ActionLibrary) -> None:
             await sent(stream, 3, near=0.5)
 
 
+async def test_a_stream_of_somebody_who_sends_nothing_holds_nobody_up(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An open stream kept the lease for ever, as a gamepad that nobody touched."""
+    monkeypatch.setattr("rtee.remote.lease.IDLE", 0.3)
+    async with (
+        serving(hand, library),
+        rtee.connect(client="one") as one,
+        rtee.connect(client="other") as other,
+    ):
+
+        async def held_by(client: str) -> None:
+            while (await other.status()).holder != client:  # noqa: ASYNC110
+                await anyio.sleep(0.02)
+
+        async with one.stream(rate=50) as stream:
+            await held_by("")
+            await stream.send({"near": 0.1})  # somebody comes back
+            await held_by(one.client)
+            await held_by("")
+            assert (await other.do("Trig", "index", intensity=0.2)).reached
+            await until(lambda: bool(stream.ended))
+            with pytest.raises(RequestRejected, match="took over"):
+                await stream.send({"near": 0.1})
+
+
+async def test_who_gives_up_before_a_stream_is_open_does_not_keep_it(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library), rtee.connect() as one, rtee.connect() as other:
+        with anyio.CancelScope() as scope:
+            scope.cancel()
+            async with one.stream(rate=50):
+                pass
+        assert scope.cancelled_caught
+        assert (await other.status()).stream.stream == ""
+        assert (await other.do("Trig", "index", intensity=0.2)).reached
+
+
 async def test_a_goal_takes_over(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served, rtee.connect("small") as remote:
         running = await remote.start("fist", speed=0.1)
