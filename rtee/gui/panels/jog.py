@@ -115,7 +115,7 @@ class JogPanel:
     @property
     def holding(self) -> bool:
         """Whether this GUI holds the hand for jogging."""
-        return self._hold.value
+        return bool(self._hold.value)
 
     def give_back(self) -> None:
         """Untick the box, which releases the lease and ends the stream of the sliders."""
