@@ -238,12 +238,12 @@ class Session:
 
     async def _follow_windows(self) -> None:
         """Give the hand back when nobody has been there for a while who could."""
-        attended = time.monotonic()
+        attended = monotonic.now()
         while True:
             await anyio.sleep(_WINDOWS_PERIOD)
             if self._bridge.attended:
-                attended = time.monotonic()
-            elif time.monotonic() - attended > UNATTENDED and self._making.jog.holding:
+                attended = monotonic.now()
+            elif monotonic.now() - attended > UNATTENDED and self._making.jog.holding:
                 self._making.jog.give_back()
 
     async def _follow_states(self) -> None:
