@@ -1,8 +1,9 @@
 # `make demo` and `make test` each set up everything they need on a fresh machine.
 PYTHON ?= python3
 BIN := .venv/bin
+TEST_PROCESSES ?= 3
 
-.PHONY: demo test heavy ros2-peers device-peers wheels bundle lint types layers docs bench format clean
+.PHONY: demo quick test tests times heavy ros2-peers device-peers wheels bundle checks lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.
 .venv/.ready: pyproject.toml constraints.txt
@@ -17,17 +18,28 @@ BIN := .venv/bin
 demo: .venv/.ready
 	$(BIN)/python examples/demo.py
 
-# Three processes: half of the tests wait for simulated wires and for a browser. These are real, so
-# that a test may fail when the computer is busy: it is run once more, and named in the summary.
-# What comes before takes one processor each, so it is done at the same time.
-test: .venv/.ready
-	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target \
-		lint types layers .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -n 3 --reruns 1 --rerun-show-tracebacks -r fEsR --durations 25
+# What a developer runs at each step: the checks, and the files of tests that take no longer than a
+# moment (tests/long_files.txt has the others).
+quick: .venv/.ready
+	@$(MAKE) --no-print-directory --jobs 3 --output-sync=target checks
+	RTEE_QUICK=1 $(BIN)/python -m pytest -q -n 3
 
-# Whole experiments in dynamics, too long for every commit.
+# Types, layers and lint beside the tests, which wait half of the time for wires, sockets and a browser.
+test: .venv/.ready
+	@$(MAKE) --no-print-directory --jobs 5 checks tests
+
+tests: .ros2-peers/.ready .device-peers/.ready
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --durations 25
+
+# How long the files of tests take, by which they are shared out: the longest first.
+times: .ros2-peers/.ready .device-peers/.ready
+	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --junitxml=.times.xml
+	$(BIN)/python tests/long_files.py .times.xml && rm .times.xml
+
+# What is too long for every commit: whole experiments in dynamics, and every hand where a test of
+# each commit takes one of each kind.
 heavy: .venv/.ready
-	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2 --timeout 600
+	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2
 
 # Other implementations of ROS 2 over Zenoh, which tests run against in processes of their own.
 .ros2-peers/.ready: tests/ros2/peers/requirements.txt .venv/.ready
@@ -54,6 +66,8 @@ wheels: .venv/.ready
 bundle: .venv/.ready
 	$(BIN)/python deploy/bundle.py $(FOR)
 
+checks: lint types layers
+
 lint: .venv/.ready
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -63,6 +77,7 @@ types: .venv/.ready
 
 layers: .venv/.ready
 	$(BIN)/lint-imports
+	$(BIN)/deptry rtee
 
 format: .venv/.ready
 	$(BIN)/ruff format .

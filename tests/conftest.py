@@ -35,17 +35,34 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-HEAVY = "RTEE_HEAVY"
-"""Variable of the environment with which tests marked as heavy run, too."""
+HEAVY, QUICK = "RTEE_HEAVY", "RTEE_QUICK"
+"""Variables of the environment: run the tests marked as heavy, too; leave out `LONG` files."""
+
+LONG = {
+    name: float(seconds)
+    for seconds, name in map(str.split, (Path(__file__).with_name("long_files.txt")).open())
+}
+"""How long the tests of a file take [s], where it is more than a moment (`make times`)."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests in a browser first: they take longest, and wait for it most of the time."""
-    items.sort(key=lambda item: item.get_closest_marker("browser") is None)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put files that take long first, and those in a browser before them; leave out some."""
+    items.sort(
+        key=lambda item: (item.get_closest_marker("browser") is None, -LONG.get(_file(item), 0.0))
+    )
+    left: list[pytest.Item] = []
     if not os.environ.get(HEAVY):
-        for item in items:
-            if item.get_closest_marker("heavy") is not None:
-                item.add_marker(pytest.mark.skip(reason="minutes of simulation: make heavy"))
+        left += [item for item in items if item.get_closest_marker("heavy")]
+    if os.environ.get(QUICK):
+        left += [i for i in items if _file(i) in LONG or i.get_closest_marker("browser")]
+    if left:
+        names = {item.nodeid for item in left}
+        items[:] = [item for item in items if item.nodeid not in names]
+        config.hook.pytest_deselected(items=left)
+
+
+def _file(item: pytest.Item) -> str:
+    return item.nodeid.partition("::")[0]
 
 
 @pytest.hookimpl(optionalhook=True)

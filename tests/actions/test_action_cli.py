@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
@@ -97,9 +97,7 @@ def test_compose_warns_of_a_scale_above_one(home: Path) -> None:
     result = CliRunner().invoke(app_of(compose), ["hard", "trig:index*1.5", "--hand", "small"])
     said = "rtee: warning: 'hard' scales Trig (index) by 1.5"
     assert said in result.stderr
-    later = subprocess.run(
-        [sys.executable, "-m", "rtee", "actions", "small"], capture_output=True, text=True
-    )
+    later = subprocess.run([*RTEE, "actions", "small"], capture_output=True, text=True)
     assert later.stderr.startswith(said)
 
 

@@ -12,12 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.load import load_hand
 
-RTEE = (sys.executable, "-m", "rtee")
 HAND = "robotiq_2f_85"
+REAL = (sys.executable, "-m", "rtee")
 
 
 def environment(place: Path) -> dict[str, str]:
@@ -32,7 +33,6 @@ def calibrate(place: Path, *words: str, typed: str, status: int = 0) -> str:
         input=typed,
         capture_output=True,
         text=True,
-        timeout=60,
         check=False,
     )
     assert done.returncode == status, done.stdout + done.stderr
@@ -137,7 +137,7 @@ class Terminal:
         return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
 
-RUN = (*RTEE, "run", HAND, "--no-log", "--rate", "200", "--option", "objects={finger_joint: 0.5}")
+RUN = ("run", HAND, "--no-log", "--rate", "200", "--option", "objects={finger_joint: 0.5}")
 """A stand-in of the gripper with something half way: no wire that a busy computer could starve."""
 
 
@@ -153,7 +153,9 @@ def standing_in(repository: Path, tmp_path: Path) -> Iterator[Path]:
     file.write_text(
         text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 0.5\n")
     )
-    run = subprocess.Popen(RUN, env=environment(tmp_path), stdout=subprocess.PIPE, text=True)
+    run = subprocess.Popen(
+        [*RTEE, *RUN], env=environment(tmp_path), stdout=subprocess.PIPE, text=True
+    )
     assert run.stdout is not None
     assert run.stdout.readline().startswith(f"{HAND}: ")
     yield tmp_path
@@ -225,18 +227,19 @@ def test_a_hand_that_came_with_rtee_is_copied_first(repository: Path, tmp_path: 
     }
     shipped = site / "rtee" / "_config" / HAND / "hand.yaml"
     before = shipped.read_bytes()
-    run = subprocess.Popen(RUN, cwd=work, env=installed, stdout=subprocess.PIPE, text=True)
+    run = subprocess.Popen(
+        [*REAL, *RUN], cwd=work, env=installed, stdout=subprocess.PIPE, text=True
+    )
     try:
         assert run.stdout is not None
         assert run.stdout.readline().startswith(f"{HAND}: ")
         done = subprocess.run(
-            [*RTEE, "calibrate", HAND, "--opening", PINCH],
+            [*REAL, "calibrate", HAND, "--opening", PINCH],
             cwd=work,
             env=installed,
             input="44mm\n\n\n",
             capture_output=True,
             text=True,
-            timeout=60,
             check=False,
         )
         assert done.returncode == 0, done.stdout + done.stderr

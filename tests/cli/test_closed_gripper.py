@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 from hand.models import FRANKA
+from rtee_process import RTEE
 
-RTEE = (sys.executable, "-m", "rtee")
 PINCH = "PinchTight:leftfinger,rightfinger*0.5"
 LINE = "rest: {panda_finger_joint1: 0.04}"
 

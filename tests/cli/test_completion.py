@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 
 import pytest
+from rtee_process import RTEE
 
 
 def completed(*words: str) -> list[str]:
-    command = [sys.executable, "-c", "from rtee.cli import main; main()"]
     asked = {
         "_RTEE_COMPLETE": "complete_bash",
         "COMP_WORDS": " ".join(("rtee", *words)),
         "COMP_CWORD": str(len(words)),
         "RTEE_HAND": "schunk_svh",
     }
-    done = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True)
+    done = subprocess.run(RTEE, env=os.environ | asked, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 

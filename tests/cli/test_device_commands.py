@@ -5,18 +5,14 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-RTEE = [sys.executable, "-c", "from rtee.cli import main; main()"]
+from rtee_process import RTEE
 
 
 def rtee(*words: str, status: int = 0, typed: str = "") -> str:
-    run = subprocess.run(
-        [*RTEE, *words], capture_output=True, text=True, input=typed, timeout=50, check=False
-    )
+    run = subprocess.run([*RTEE, *words], capture_output=True, text=True, input=typed, check=False)
     assert run.returncode == status, run.stdout + run.stderr
     assert "Traceback" not in run.stderr
     return run.stdout + run.stderr

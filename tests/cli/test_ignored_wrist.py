@@ -6,13 +6,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from hand.models import anthropomorphic
+from rtee_process import RTEE
 
-RTEE = (sys.executable, "-m", "rtee")
 WRIST = ("rh_WRJ2", "rh_WRJ1")
 
 

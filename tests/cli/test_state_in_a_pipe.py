@@ -6,13 +6,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
-RTEE = (sys.executable, "-m", "rtee")
 HAND = "robotiq_2f_85"
 
 

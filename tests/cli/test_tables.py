@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 
 import pytest
+from rtee_process import RTEE
 
 from rtee.cli import _table
 from rtee.cli._table import Column, Row, Table, prefix_to_drop
@@ -84,11 +84,10 @@ def test_what_names_share_is_dropped_on_terminals_only(monkeypatch: pytest.Monke
 
 def test_a_terminal_that_lacks_a_sign_gets_it_escaped() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "rtee", "actions", "schunk_svh"],
+        [*RTEE, "actions", "schunk_svh"],
         env={**os.environ, "PYTHONIOENCODING": "ascii"},
         capture_output=True,
         text=True,
-        timeout=60,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert r"Trig (thumb) \xd7 0.3" in done.stdout

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
 from rtee.cli.main import main
 
@@ -34,7 +35,7 @@ def test_the_gui_of_any_hand_says_that_it_waits(
     pytest.importorskip("viser")
     monkeypatch.setenv("RTEE_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RTEE_CONNECT", raising=False)
-    words = [sys.executable, "-m", "rtee", "gui", "--port", "0"]
+    words = [*RTEE, "gui", "--port", "0"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as page:
         assert page.stdout is not None
         said = page.stdout.readline()

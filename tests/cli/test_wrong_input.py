@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from hand.models import GRIPPER, SRDF, YAML, line_of
+from rtee_process import RTEE
 
 from rtee.cli.main import main
 
@@ -256,7 +257,7 @@ def test_options_that_cannot_be(command: str, message: str, home: Path, refused:
 def test_a_line_that_is_no_line(home: Path, repository: Path) -> None:
     hand = str(repository / "config" / "robotiq_2f_85")
     command = ("run", hand, "--no-log", "--driver", "devices", "--option", "port=http://x")
-    done = subprocess.run([*COMMAND, *command], capture_output=True, text=True, timeout=50)
+    done = subprocess.run([*RTEE, *command], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     assert done.stderr.splitlines()[-1].startswith("rtee: 'http://x' is not an address of a line")
 
@@ -264,7 +265,7 @@ def test_a_line_that_is_no_line(home: Path, repository: Path) -> None:
 def test_too_few_files(home: Path) -> None:
     command = shlex.join((*COMMAND, "run", "gripper", "--no-log", "--duration", "1"))
     shell = ("/bin/bash", "-c", f"ulimit -n 12 && {command}")
-    done = subprocess.run(shell, capture_output=True, text=True, timeout=50)
+    done = subprocess.run(shell, capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr.startswith("rtee: only 12 files may be open at once")
     assert done.stderr.count("\n") == 1

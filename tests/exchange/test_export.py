@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +13,7 @@ mujoco = pytest.importorskip("mujoco")
 pin = pytest.importorskip("pinocchio")
 
 from hand.models import GRIPPER, check_meshes  # noqa: E402
+from rtee_process import RTEE  # noqa: E402
 
 from rtee.drivers.mujoco.couplings import fit, followers, span  # noqa: E402
 from rtee.errors import ConfigError  # noqa: E402
@@ -290,7 +290,7 @@ def test_prefixes_and_comments_stay_in_the_urdf(tmp_path: Path) -> None:
 
 def test_the_command_says_what_it_wrote(tmp_path: Path) -> None:
     ran = subprocess.run(
-        [sys.executable, "-m", "rtee", "export", str(CONFIG / "dagana"), "--mjcf", str(tmp_path)],
+        [*RTEE, "export", str(CONFIG / "dagana"), "--mjcf", str(tmp_path)],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert f"written to {tmp_path / 'dagana.xml'}" in ran.stdout

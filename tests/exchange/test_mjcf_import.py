@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ mujoco = pytest.importorskip("mujoco")
 pytest.importorskip("pinocchio")
 
 from hand.test_scaffold import stl  # noqa: E402
+from rtee_process import RTEE  # noqa: E402
 
 from rtee.errors import ModelError  # noqa: E402
 from rtee.exchange import mjcf_files  # noqa: E402
@@ -781,7 +781,7 @@ def test_damaged_files_are_read_or_refused(tmp_path: Path, seed: int) -> None:
 
 def run(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "rtee", *map(str, words)],
+        [*RTEE, *map(str, words)],
         capture_output=True,
         text=True,
         check=False,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ import pytest
 pytest.importorskip("xacro", reason="the extra xacro is not installed")
 
 from hand.test_scaffold import stl
+from rtee_process import RTEE
 
 from rtee.errors import ConfigError, ModelError
 from rtee.exchange import xacro_expand
@@ -161,7 +161,7 @@ def test_only_files_called_so_are_run(xacro: Path, tmp_path: Path) -> None:
 
 def run(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "rtee", *map(str, words)],
+        [*RTEE, *map(str, words)],
         capture_output=True,
         text=True,
         check=False,

@@ -6,7 +6,6 @@ import os
 import stat
 import struct
 import subprocess
-import sys
 import tracemalloc
 import zlib
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Chunk
+from rtee_process import RTEE
 
 from rtee.cli import main
 from rtee.errors import LogError
@@ -100,7 +100,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory, repository: Path) -> Path:
     """A recording of a real run, with several chunks."""
     folder = tmp_path_factory.mktemp("run")
     hand = str(repository / "config" / "robotiq_2f_85")
-    command = (sys.executable, "-m", "rtee", "run", hand, "--rate", "100", "--duration", "4")
+    command = (*RTEE, "run", hand, "--rate", "100", "--duration", "4")
     environment = os.environ | {"RTEE_RUNTIME_DIR": str(folder / "runtime")}
     subprocess.run([*command, "--log", "logs"], cwd=folder, env=environment, check=True)
     return next((folder / "logs").glob("*.mcap"))

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet
 import pytest
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 import rtee
@@ -440,7 +441,7 @@ def test_log_replay_shows_recorded_states_to_clients(claw: Hand, tmp_path: Path)
     (path,) = recorded(tmp_path)
     path.write_bytes(path.read_bytes()[:-400])  # as if its program had been killed
     told = {tuple(tick(number).position.tolist()) for number in range(300)}
-    command = [sys.executable, "-m", "rtee", "log", "replay"]
+    command = [*RTEE, "log", "replay"]
     child = subprocess.Popen(
         [*command, str(path), "--speed", "2", "--repeat", "--gui"],
         stdout=subprocess.PIPE,

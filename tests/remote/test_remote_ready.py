@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 
 import anyio
 import pytest
 from anyio.from_thread import BlockingPortal, start_blocking_portal
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 import rtee
@@ -99,7 +99,7 @@ def test_do_waits_until_the_devices_are_active(served: Served, portal: BlockingP
 def test_do_waits_for_a_hand_that_does_not_run_yet(
     hand: Hand, library: ActionLibrary, portal: BlockingPortal
 ) -> None:
-    words = [sys.executable, "-m", "rtee", "do", "fist", "--wait", "50", "--intensity", "0.1"]
+    words = [*RTEE, "do", "fist", "--wait", "50", "--intensity", "0.1"]
     with subprocess.Popen(words, stdout=-1, stderr=-1, text=True) as waiting:
         assert waiting.stderr is not None
         said = waiting.stderr.readline()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import anyio
 import anyio.from_thread
 import pytest
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 from rtee.cli._common import app_of
@@ -206,7 +206,7 @@ def test_a_router_that_is_not_there_is_told() -> None:
 
 def test_a_stand_in_router_brings_nodes_together() -> None:
     place = free_endpoint()
-    command = [sys.executable, "-m", "rtee", "ros2", "router", "--listen", place]
+    command = [*RTEE, "ros2", "router", "--listen", place]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

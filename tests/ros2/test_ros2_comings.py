@@ -12,6 +12,7 @@ from pathlib import Path
 import anyio
 import pytest
 from remote.serving import make_hand, make_library, serving, until
+from rtee_process import RTEE
 
 import rtee.ros2.serving
 from rtee.actions.library import ActionLibrary
@@ -161,7 +162,7 @@ async def test_a_run_that_is_killed_leaves_nothing(settings: Ros2Settings, tmp_p
         "name: small\nurdf: small.urdf\nsrdf: small.srdf\n"
         f"ros2: {{enabled: true, router: {settings.router}, namespace: left}}\n"
     )
-    command = [sys.executable, "-m", "rtee", "run", str(folder), "--no-log"]
+    command = [*RTEE, "run", str(folder), "--no-log"]
     run = await anyio.open_process(command, stderr=subprocess.PIPE)
     async with run, robot(settings) as others:
         await others.sees("/left/small")

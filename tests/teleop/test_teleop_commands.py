@@ -6,7 +6,6 @@ import os
 import pty
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import anyio.from_thread
 import pytest
 from remote.serving import Served, make_hand, make_library, serving
+from rtee_process import RTEE
 from typer.testing import CliRunner
 
 from rtee.cli._common import app_of
@@ -80,7 +80,7 @@ def test_without_a_terminal_one_sentence_says_so() -> None:
 def test_the_keyboard_of_a_terminal_moves_the_hand(served: Served) -> None:
     ours, theirs = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "rtee", "teleop", "--keyboard", "Trig index"],
+        [*RTEE, "teleop", "--keyboard", "Trig index"],
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,
