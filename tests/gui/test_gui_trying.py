@@ -123,7 +123,10 @@ async def test_a_trial_is_done_apart_one_at_a_time_and_cancelled(repository: Pat
     assert result["variations"]["tried"] == 2
     progress = [each["progress"] for each in said if "progress" in each]
     assert progress == sorted(progress)
-    assert len(progress) >= 3
+    texts = [each["text"] for each in said if "text" in each]
+    assert texts == [
+        f"Grasp: {what}" for what in ("without variation", "variation 1 of 2", "variation 2 of 2")
+    ]
 
     with pytest.raises(RequestRejected, match="no_such_action"):
         await jobs.run(Job(folder, "sphere:0.03", actions=(("no_such_action", ()),)), "it", print)
@@ -151,6 +154,7 @@ async def test_grasps_are_planned_apart(repository: Path) -> None:
     said = list[dict[str, Any]]()
     folder = str(repository / "config" / HAND)
     assert await Jobs().run(Job(folder, "box:0.04x0.04x0.1", checked=0), "planning", said.append)
+    assert said[0]["text"] == "looking for grasps"
     (ranking,) = [each["ranking"] for each in said if "ranking" in each]
     assert ranking["plans"][0]["reasons"]
     with pytest.raises(RequestRejected, match="does not fit"):

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import rtee
+from rtee.actions.build import StepPlan
 from rtee.actions.fingerprints import Fingerprints
+from rtee.actions.types import ActionReference
 from rtee.remote.blocking import BlockingHand
 from rtee.testing.browser import browser
 from rtee.trials.result import Trial, TrialResult
@@ -31,15 +33,46 @@ PROXIED = "hand.example.org"
 BALL = ("--object", "sphere:0.03", "--option", "support=floating", "--option", "touch=4x4")
 """It stays between the fingers when they open, so that each test finds it as the others did."""
 
-_WITHOUT_ANTIALIASING = """
+_SPARING = """
+window.drawing = false;
 const open = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, attributes) {
   if (kind.startsWith("webgl")) attributes = {...attributes, antialias: false};
   return open.call(this, kind, attributes);
 };
+const drawing = ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced", "RangeElements"];
+for (const name of drawing.map((kind) => `draw${kind}`)) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...given) {
+    if (window.drawing) draw.apply(this, given);
+  };
+}
+const next = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (draw) => setTimeout(() => next(draw), 50);
+window.cancelAnimationFrame = (timer) => clearTimeout(timer);
 """
-"""Drawn by the processor, a frame of the 3D view takes 0.4 instead of 1.0 s of it so, and every
-click waits for two frames."""
+"""Draws the 3D view, in which the processor draws each frame for 0.4 s, only while somebody looks
+at it, and twenty times a second at most."""
+
+_NOTE_WHAT_IS_TOLD = """
+window.told = [];
+new MutationObserver((changes) => {
+  for (const change of changes)
+    for (const node of change.addedNodes) {
+      if (node.nodeType !== Node.ELEMENT_NODE) continue;
+      const one = ".mantine-Notification-root";
+      for (const each of node.matches(one) ? [node] : node.querySelectorAll(one))
+        window.told.push(each.textContent);
+    }
+}).observe(document, {childList: true, subtree: true});
+"""
+"""Keeps what notifications say, which close by themselves."""
+
+PATIENCE = 300_000.0
+"""Longest wait in a page [ms]: for a hang, not for a slow computer."""
+
+GATE = "gate"
+"""While a file of this name is in the hands' folder, trials and plans of the page wait to begin."""
 
 DRIVERS = {
     GRIPPER: ("--driver", "kinematic", "--rate", "200"),
@@ -97,7 +130,11 @@ def hands(place: Path) -> Iterator[Hands]:
 @pytest.fixture(scope="package")
 def gui(place: Path, hands: Hands) -> Iterator[Program]:
     assert hands[GRIPPER].process.poll() is None
-    program = Program(place, "gui", GRIPPER, "--port", "0", "--observer")
+    gated = {
+        "RTEE_TEST_GATE": str(place / GATE),
+        "PYTHONPATH": str(Path(__file__).with_name("gate")),
+    }
+    program = Program(place, "gui", GRIPPER, "--port", "0", "--observer", **gated)
     yield program
     program.end()
     said = program.rest()
@@ -117,7 +154,9 @@ def context(proxy_port: int) -> Iterator[BrowserContext]:
     # Proxies have certificates of no authority that a browser knows.
     arguments = (f"--host-resolver-rules={rules}", "--ignore-certificate-errors")
     with browser(900, 700, scale=0.5, arguments=arguments) as opened:
-        opened.add_init_script(_WITHOUT_ANTIALIASING)
+        for script in (_SPARING, _NOTE_WHAT_IS_TOLD):
+            opened.add_init_script(script)
+        opened.set_default_timeout(PATIENCE)
         yield opened
 
 
@@ -152,6 +191,15 @@ def window(any_window: Window) -> Window:
     """The window, showing the gripper's actions."""
     any_window.show(GRIPPER)
     return any_window
+
+
+@pytest.fixture
+def lasting(other: BlockingHand) -> Iterator[str]:
+    """An action that goes on until it is cancelled."""
+    close = ActionReference("PinchTight", ("finger_1", "finger_2"))
+    other.add_timed("lasting", [StepPlan(close, after=60.0)])
+    yield "lasting"
+    other.remove_action("lasting")
 
 
 @pytest.fixture

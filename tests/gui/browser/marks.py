@@ -10,6 +10,5 @@ from rtee.testing.browser import find_browser
 
 in_a_browser: Final = [
     pytest.mark.browser,
-    pytest.mark.timeout(300),
     pytest.mark.skipif(find_browser() is None, reason="no Chromium was found"),
 ]

@@ -9,24 +9,25 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from pathlib import Path
 
+from rtee_process import RTEE
+
 GRIPPER, SQUEEZER, MANY = "robotiq_2f_85", "squeezer", "many"
 """The hands of the tests in a browser: kinematic, simulated with a ball, and with 24 actuators."""
-
-COMMAND = (sys.executable, "-c", "from rtee.cli import main; main()")
 
 
 class Program:
     """A command of rtee that runs until it is ended."""
 
-    def __init__(self, folder: Path, *arguments: str, command: tuple[str, ...] = COMMAND) -> None:
+    def __init__(
+        self, folder: Path, *arguments: str, command: tuple[str, ...] = RTEE, **more: str
+    ) -> None:
         runtime = folder / "run"
         runtime.mkdir(mode=0o700, exist_ok=True)
         environment = {k: v for k, v in os.environ.items() if not k.startswith("RTEE_")}
-        environment["XDG_RUNTIME_DIR"] = str(runtime)
+        environment |= {"XDG_RUNTIME_DIR": str(runtime), "PYTHONUNBUFFERED": "1", **more}
         self.process = subprocess.Popen(
             [*command, *arguments],
             cwd=folder,
@@ -44,17 +45,16 @@ class Program:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             self._lines.put(line)
+        self._lines.put("")  # there will be no more
 
-    def line(self, pattern: str, within: float = 120.0) -> re.Match[str]:
+    def line(self, pattern: str) -> re.Match[str]:
         """Wait for a line of its output."""
         said: list[str] = []
-        while True:
-            try:
-                said.append(self._lines.get(timeout=within))
-            except queue.Empty:
-                raise AssertionError(f"no '{pattern}' in: {''.join(said)}") from None
-            if found := re.search(pattern, said[-1]):
+        while line := self._lines.get():
+            said.append(line)
+            if found := re.search(pattern, line):
                 return found
+        raise AssertionError(f"it ended without '{pattern}': {''.join(said)}")
 
     def rest(self) -> str:
         """Return what it has said since the last line that was waited for."""
@@ -66,17 +66,14 @@ class Program:
     def kill(self) -> None:
         """Kill it as a crash would."""
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait()
 
     def end(self) -> None:
         """End it in good order."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
-            try:
-                self.process.wait(20)
-            except subprocess.TimeoutExpired:
-                self.kill()
-        self._thread.join(10)
+            self.process.wait()
+        self._thread.join()
         if self.process.stdout is not None:
             self.process.stdout.close()
 

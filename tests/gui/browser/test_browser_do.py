@@ -101,16 +101,12 @@ def test_forces_are_offered_for_the_opening_that_is_chosen(
     window.type("Intensity [%]", "100", card)
 
 
-def test_cancel_is_said(window: Window, other: BlockingHand) -> None:
-    other.open()
-    card = window.folder("PinchTight", unfold=True)
-    more = window.folder("More", unfold=True)
-    window.type("Speed [%]", "5", more)
+def test_cancel_is_said(window: Window, lasting: str) -> None:
+    card = window.folder(lasting, unfold=True)
     window.button("Do", card).click()
-    window.status("running PinchTight")
+    window.status(f"running {lasting}")
     window.button("Cancel", card).click()
     window.says("cancelled", card)
-    window.type("Speed [%]", "100", more)
 
 
 def test_an_action_made_elsewhere_appears_in_every_window_and_goes(
@@ -137,14 +133,14 @@ def test_who_holds_the_hand_is_named_and_what_is_refused_is_said(
         card = window.folder("PinchTight", unfold=True)
         window.button("Do", card).click()
         window.says(f"the hand is held by '{other.client}'", card)
-        window.says("Refused")
+        window.told("Refused")
         window.forget()
         window.tab("Make")
         window.field("Jog (holds the hand)").click()
-        window.says("Refused")
+        window.told("Refused")
         window.wait(window.field("Jog (holds the hand)"), "box => !box.checked")
         window.button("STOP").click()
-        window.says("confirmed by")
+        window.told("confirmed by")
     finally:
         other.release()
     window.status("held by nobody")

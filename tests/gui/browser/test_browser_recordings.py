@@ -28,14 +28,14 @@ def test_a_recording_is_marked_ended_and_looked_at(
     window.tab("Log")
     window.says("○ off")
     window.button("Start").click()
-    window.says("a recording begins")
+    window.told("a recording begins")
     window.page.locator("div:visible", has_text="recording to").first.wait_for()
     for name in ("STOP", "Start", "Stop", "Set mark"):
         assert window.room(window.button(name).first) >= 0, name
     other.do("PinchTight", "finger_1", "finger_2")
     window.type("Mark", "it is closed")
     window.button("Set mark").click()
-    window.says("it is closed")
+    window.told("it is closed")
     closed = other.state().position[0]
     other.open()
     window.button("Stop").click()

@@ -22,7 +22,7 @@ from rtee.remote.blocking import BlockingHand
 from .conftest import REBOUND
 from .marks import in_a_browser
 from .running import GRIPPER, Program
-from .window import Window
+from .window import Window, told
 
 if TYPE_CHECKING:
     from playwright.sync_api import BrowserContext, Page
@@ -132,8 +132,7 @@ def test_a_page_of_another_origin_cannot_connect(
     before = other.state().position
     page.goto(f"http://{host}:{stranger.port}/")
     page.wait_for_function("document.title === 'refused'")
-    page.wait_for_timeout(100)  # the console's line is told after the event
-    assert any("403" in text for text in said if "WebSocket" in text), said
+    until_told(page, said, "403")
     assert other.state().position == pytest.approx(before, abs=0.05)
 
 
@@ -150,8 +149,13 @@ def test_a_page_of_a_rebound_name_cannot_connect(
     page.on("console", lambda message: said.append(message.text))
     page.goto(f"http://{REBOUND}:{stranger.port}/")
     page.wait_for_function("document.title === 'refused'")
-    page.wait_for_timeout(100)
-    assert any("421" in text for text in said if "WebSocket" in text), said
+    until_told(page, said, "421")
+
+
+def until_told(page: Page, said: list[str], status: str) -> None:
+    """Wait until the console says with which status a WebSocket was refused, after the event."""
+    while not any(status in text for text in said if "WebSocket" in text):
+        page.wait_for_timeout(20)
 
 
 def test_the_page_cannot_be_framed(page: Page, stranger: Stranger) -> None:
@@ -253,18 +257,17 @@ def test_an_observer_sees_and_stops_only(
     # A script of their own reaches the server, which takes only the stop.
     assert other.do("PinchTight", intensity=0.5).reached
     before = other.state().position
-    confirmed = page.get_by_text("confirmed by")
     with window_of(observer) as connection:
         there = {found["props"]["label"]: found for found in controls(connection)}
         use(connection, there["Open"])
         use(connection, there["Jog (holds the hand)"])
         use(connection, there["STOP"])
-        confirmed.first.wait_for()
-    confirmed.first.wait_for(state="hidden")
+        told(page, "confirmed by")
+    page.evaluate("window.told = []")
     stop = page.get_by_role("button", name="STOP")
     assert stop.evaluate(of) == "auto"
     stop.click()
-    confirmed.first.wait_for()
+    told(page, "confirmed by")
     assert other.status().holder == ""
     assert other.state().position == pytest.approx(before, abs=0.05)
     page.goto(operator)  # the browser keeps one token

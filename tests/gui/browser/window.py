@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -28,6 +27,14 @@ Worker.prototype.postMessage = function (data, ...more) {
   return post.call(this, data, ...more);
 };
 """
+
+_DRAW = """
+async () => {
+  window.drawing = true;
+  for (let frame = 0; frame < 3; frame++) await new Promise(window.requestAnimationFrame);
+}
+"""
+"""Draws the 3D view as it is now: what was being drawn, then a frame, and what follows it."""
 
 _ROOM = """
 (control) => {
@@ -109,26 +116,26 @@ class Window:
         from playwright.sync_api import TimeoutError as NotThere
 
         wanted = self.page.get_by_role("option", name=option, exact=True)
-        for _ in range(5):
+        while True:
             self.field(label, within).click()
             try:
-                wanted.click(timeout=4000)
+                return wanted.click(timeout=4000)
             except NotThere:
                 continue
-            return
-        raise AssertionError(f"'{option}' cannot be chosen in '{label}'")
 
     def says(self, text: str | re.Pattern[str], within: Locator | None = None) -> Locator:
-        """Wait until something is said; returns where."""
+        """Wait until something is said that stays; returns where."""
         found = (within or self.page).get_by_text(text).locator("visible=true").first
         found.wait_for()
         return found
 
-    def until(self, true: Callable[[], bool], within: float = 60.0) -> None:
-        """Wait until something is true."""
-        end = time.monotonic() + within
+    def told(self, text: str | re.Pattern[str]) -> None:
+        """Wait until a notification has said something since `forget`; it may have closed."""
+        told(self.page, text)
+
+    def until(self, true: Callable[[], bool]) -> None:
+        """Wait until something is true that stays so, or comes again."""
         while not true():
-            assert time.monotonic() < end, "it never came true"
             self.page.wait_for_timeout(50)
 
     def status(self, text: str) -> None:
@@ -144,22 +151,31 @@ class Window:
         self.page.wait_for_function(condition, arg=control.element_handle())
 
     def forget(self) -> None:
-        """Close the notifications, and wait until they have gone."""
+        """Close the notifications, wait until they have gone, and forget what they said."""
         close = "document.querySelectorAll('.mantine-Notification-closeButton')"
+        self.page.evaluate("window.told = []")
         self.page.wait_for_function(f"[...{close}].map(each => each.click()).length === 0")
 
     def picture(self) -> Picture:
         """Return what the middle of the 3D view shows ``(h, w, 3)``."""
         area = {"x": 380.0, "y": 160.0, "width": 160.0, "height": 340.0}
+        self.page.evaluate(_DRAW)
         data = self.page.screenshot(clip=area)  # type: ignore[arg-type]
+        self.page.evaluate("window.drawing = false")
         with Image.open(io.BytesIO(data)) as image:
             return np.asarray(image.convert("RGB"), dtype=np.int16)
 
     def pictured_anew(self, before: Picture) -> Picture:
         """Wait until the 3D view shows something clearly different."""
-        for _ in range(100):
+        while True:
             now = self.picture()
             if (np.abs(now - before).max(axis=2) > CLEAR).mean() > SHARE:
                 return now
             self.page.wait_for_timeout(100)
-        raise AssertionError("the 3D view shows the same as before")
+
+
+def told(page: Page, text: str | re.Pattern[str]) -> None:
+    """Wait until a notification of a page has said something; it may have closed."""
+    pattern = text.pattern if isinstance(text, re.Pattern) else re.escape(text)
+    while not any(re.search(pattern, each) for each in page.evaluate("window.told")):
+        page.wait_for_timeout(50)
