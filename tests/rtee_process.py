@@ -53,7 +53,8 @@ def serve(listening: socket.socket) -> None:
                         ended, status = os.waitpid(child, os.WNOHANG)
                         if ended:
                             link = running.pop(child)
-                            waiting.unregister(link)
+                            if link.fileno() in waiting.get_map():  # nobody has killed it
+                                waiting.unregister(link)
                             _tell(link, status)
                             link.close()
                 elif key.fileobj is listening:

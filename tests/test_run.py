@@ -130,7 +130,7 @@ async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
             async with rtee.connect("jaw", wait=20.0) as hand:
                 events = hand.events()
                 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, present[1]))
-                with anyio.fail_after(20):
+                with anyio.fail_after(300):
                     async for event in events:
                         if event.kind == "log_failed":
                             break
@@ -169,7 +169,7 @@ async def test_a_hand_is_commanded_over_the_network(folder: Path) -> None:
 
     async with anyio.create_task_group() as group:
         group.start_soon(main)
-        with anyio.fail_after(20):
+        with anyio.fail_after(300):
             while True:
                 try:
                     async with rtee.connect("jaw") as hand:
@@ -344,7 +344,7 @@ def test_the_gui_of_a_run_that_is_killed_ends_with_it(folder: Path) -> None:
         assert line, process.stderr
     process.kill()
     # Read to its end: the GUI has ended, too, or it would hold the pipe open.
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate()
     assert "Traceback" not in errors
 
 
@@ -358,7 +358,7 @@ def test_a_signal_does_what_is_configured_and_closes_the_log(
     assert process.stdout.readline().startswith("stopping: 1 actuator")
     time.sleep(0.3)
     process.send_signal(number)
-    output, errors = process.communicate(timeout=20)
+    output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert "ticks at 200 Hz" in output
     assert words_in(calls) == ["activate", "stop", "close"]
@@ -373,7 +373,7 @@ def test_a_hand_that_everybody_can_change_is_warned_of(folder: Path) -> None:
     for path, mode in ((home / "hand.yaml", 0o666), (home, 0o777)):
         path.chmod(mode)
         process = start(folder, "--duration", "0.1", hand="public")
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate()
         assert process.returncode == 0, errors
         (line,) = [line for line in errors.splitlines() if "changed by everybody" in line]
         assert f"{path} can be changed by everybody; 'chmod -R o-w {home}' prevents it" in line
@@ -381,7 +381,7 @@ def test_a_hand_that_everybody_can_change_is_warned_of(folder: Path) -> None:
 
 def test_a_users_mistake_is_one_sentence_and_status_2(folder: Path) -> None:
     process = start(folder, "--rate", "5000")
-    output, errors = process.communicate(timeout=20)
+    output, errors = process.communicate()
     assert process.returncode == 2
     assert output == ""
     assert errors.count("\n") == 1
@@ -392,12 +392,12 @@ def test_options_of_a_driver_are_read_like_yaml(folder: Path) -> None:
     process = start(
         folder, "--duration", "0.2", "--option", "time_constant=0.2", "--option", "start={drive: 1}"
     )
-    output, errors = process.communicate(timeout=20)
+    output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert output.startswith("jaw: ")
     assert "leaked" not in errors  # ruckig's binding says so if its objects outlive the process
     process = start(folder, "--option", "time_constant")
-    _, errors = process.communicate(timeout=20)
+    _, errors = process.communicate()
     assert process.returncode == 2
     assert "should be NAME=VALUE" in errors
 
@@ -405,6 +405,6 @@ def test_options_of_a_driver_are_read_like_yaml(folder: Path) -> None:
 def test_what_is_not_permitted_is_told_once(folder: Path) -> None:
     write_hand(folder, "pinned", "realtime: {enabled: true, cpus: [4000], lock_memory: false}\n")
     process = start(folder, "--duration", "0.1", hand="pinned")
-    output, errors = process.communicate(timeout=20)
+    output, errors = process.communicate()
     assert process.returncode == 0, errors
     assert (output + errors).count("CPU 4000 cannot be used") == 1

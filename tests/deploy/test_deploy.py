@@ -481,7 +481,6 @@ def rtee(
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (repository, path)))},
         capture_output=True,
         text=True,
-        timeout=120,
         **more,  # type: ignore[call-overload]
     )
 

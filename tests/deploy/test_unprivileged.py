@@ -43,7 +43,7 @@ class Somebody:
 
     def rtee(self, *words: str) -> tuple[int, str, str]:
         with self.start(*words) as process:
-            output, errors = process.communicate(timeout=120)
+            output, errors = process.communicate()
         assert "Traceback" not in errors, f"rtee {' '.join(words)}\n{errors}"
         return process.returncode, output, errors
 
@@ -94,7 +94,7 @@ def test_a_hand_without_rights_or_set_up(nobody: Somebody) -> None:
         assert nobody.rtee("open")[0] == 0
         assert nobody.rtee("stop")[0] == 0
         run.send_signal(signal.SIGINT)
-        _, errors = run.communicate(timeout=60)
+        _, errors = run.communicate()
     finally:
         run.kill()
         run.wait()

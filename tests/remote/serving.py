@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import anyio
 
@@ -30,6 +31,9 @@ from rtee.sample import TickRecord
 from rtee.types import DeviceSpec, Event, Goal, Result
 
 RATE = 200.0
+LASTING: dict[str, Any] = {"speed": 0.001, "timeout": 3600.0}
+"""Options of a goal that goes on, whatever the computer's speed, until it is ended."""
+
 BOX = '<collision><geometry><box size="0.01 0.01 0.03"/></geometry></collision>'
 URDF = f"""<robot name="small">
   <link name="base"/>

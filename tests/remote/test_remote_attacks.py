@@ -23,7 +23,7 @@ from rtee.remote.client import RemoteHand
 from rtee.remote.session import direct
 from rtee.types import Event, Goal, Result
 
-from .serving import Served, Told, serving, until
+from .serving import LASTING, Served, Told, serving, until
 
 pytestmark = pytest.mark.anyio
 
@@ -210,7 +210,7 @@ async def test_a_dead_client_is_missed_whatever_tokens_others_declare(
                 lambda: list(bad.session.liveliness().get("rtee/small/clients/*", timeout=0.5))
             )
             assert not any(victim._link._token_name in str(each.ok.key_expr) for each in found)
-            await victim.start("fist", speed=0.05)
+            await victim.start("fist", **LASTING)
         lost = await served.event("client_lost")
         assert lost.source == victim.client
         await until(lambda: bool(served.watcher.results))

@@ -30,7 +30,7 @@ from rtee.remote.publishing import MOST_STREAMS
 from rtee.remote.rates import REFUSALS, Ignored, Rates
 from rtee.remote.session import LARGEST, direct, open_client
 
-from .serving import serving, until
+from .serving import LASTING, serving, until
 from .test_remote_lost import READER, printed_line, started
 
 pytestmark = pytest.mark.anyio
@@ -323,7 +323,7 @@ async def test_stops_are_carried_out_together_and_always_take_effect(
         assert stops() <= 2 or any("not confirmed" in event.text for event in told)
         # One that comes right after another, but with a goal in between, ends that goal.
         for _ in range(5):
-            running = await remote.start("fist", speed=0.05)
+            running = await remote.start("fist", **LASTING)
             assert list(await remote.stop()) == ["sim"]
             assert (await running.result()).cancelled
 
@@ -344,7 +344,7 @@ async def test_many_stops_are_all_answered_and_later_ones_later(
         async with anyio.create_task_group() as group:
             for number in range(3):
                 await stop(number)
-            running = await remote.start("fist", speed=0.05)
+            running = await remote.start("fist", **LASTING)
             group.start_soon(stop, 3)
             assert (await running.result()).cancelled
             assert done == [0, 1, 2], "it has stopped the hand, and is told so later"

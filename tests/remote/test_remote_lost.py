@@ -15,7 +15,7 @@ from rtee.hand.config_schema import Behaviour, SafetySettings
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 
-from .serving import RATE, serving, until
+from .serving import LASTING, RATE, serving, until
 
 pytestmark = pytest.mark.anyio
 
@@ -24,7 +24,7 @@ import sys, anyio, rtee
 async def main():
     async with rtee.connect("small") as hand:
         if sys.argv[1] == "goal":
-            await hand.start("fist", speed=0.05)
+            await hand.start("fist", speed=0.001, timeout=3600)
         elif sys.argv[1] == "jog":
             await hand.jog({"near": 1.0}, 0.1)
         elif sys.argv[1] == "acquire":
@@ -151,7 +151,7 @@ async def test_leaving_while_a_goal_runs_is_being_lost(hand: Hand, library: Acti
     settings = LoopSettings(rate=RATE, safety=safety)
     async with serving(hand, library, settings=settings) as served:
         async with rtee.connect("small") as remote:
-            await remote.start("fist", speed=0.05)
+            await remote.start("fist", **LASTING)
         await served.event("client_lost")
         await until(lambda: [goal.action for goal in served.watcher.goals] == ["fist", "open"])
 
@@ -160,7 +160,7 @@ async def test_a_killed_hand_is_noticed(tmp_path: Path) -> None:
     tests = str(Path(__file__).parents[1])
     process = await started(RUN, tests, str(tmp_path))
     async with rtee.connect("small") as remote:
-        running = await remote.start("fist", speed=0.05)
+        running = await remote.start("fist", **LASTING)
         states = remote.states(20.0)
         await anext(states)
         process.kill()

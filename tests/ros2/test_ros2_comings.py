@@ -181,7 +181,7 @@ async def test_a_companion_that_does_not_listen_is_not_waited_for(
     monkeypatch.setattr(shutdown_signals, "_END_WITHIN", 0.2)
     ready = tmp_path / "ready"
     code = f"import signal, time; signal.signal(15, signal.SIG_IGN); open({str(ready)!r}, 'w')"
-    with anyio.fail_after(60):
+    with anyio.fail_after(300):
         async with anyio.create_task_group() as group:
             group.start_soon(companion, (sys.executable, "-c", f"{code}; time.sleep(600)"))
             while not ready.exists():  # noqa: ASYNC110

@@ -59,7 +59,7 @@ class Peer:
 
     async def said(self) -> dict[str, Any]:
         """Return what it says next."""
-        with anyio.fail_after(60):
+        with anyio.fail_after(300):
             line = await self.lines.receive_until(b"\n", 1 << 20)
         found: dict[str, Any] = json.loads(line)
         return found

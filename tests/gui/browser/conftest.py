@@ -40,19 +40,19 @@ HTMLCanvasElement.prototype.getContext = function (kind, attributes) {
   if (kind.startsWith("webgl")) attributes = {...attributes, antialias: false};
   return open.call(this, kind, attributes);
 };
-const drawing = ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced", "RangeElements"];
-for (const name of drawing.map((kind) => `draw${kind}`)) {
+const kinds = ["Arrays", "Elements", "ArraysInstanced", "ElementsInstanced", "RangeElements"];
+for (const name of ["clear", ...kinds.map((kind) => `draw${kind}`)]) {
   const draw = WebGL2RenderingContext.prototype[name];
   WebGL2RenderingContext.prototype[name] = function (...given) {
     if (window.drawing) draw.apply(this, given);
   };
 }
 const next = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = (draw) => setTimeout(() => next(draw), 50);
+window.requestAnimationFrame = (draw) => setTimeout(() => next(draw), 100);
 window.cancelAnimationFrame = (timer) => clearTimeout(timer);
 """
 """Draws the 3D view, in which the processor draws each frame for 0.4 s, only while somebody looks
-at it, and twenty times a second at most."""
+at it, and ten times a second at most."""
 
 _NOTE_WHAT_IS_TOLD = """
 window.told = [];
@@ -68,7 +68,7 @@ new MutationObserver((changes) => {
 """
 """Keeps what notifications say, which close by themselves."""
 
-PATIENCE = 300_000.0
+PATIENCE = 60_000.0
 """Longest wait in a page [ms]: for a hang, not for a slow computer."""
 
 GATE = "gate"
@@ -197,7 +197,7 @@ def window(any_window: Window) -> Window:
 def lasting(other: BlockingHand) -> Iterator[str]:
     """An action that goes on until it is cancelled."""
     close = ActionReference("PinchTight", ("finger_1", "finger_2"))
-    other.add_timed("lasting", [StepPlan(close, after=60.0)])
+    other.add_timed("lasting", [StepPlan(close, before=3600.0)])
     yield "lasting"
     other.remove_action("lasting")
 
