@@ -24,7 +24,7 @@ LATE = 500
 def hung(recorder: Recorder) -> threading.Event:
     """Let the writer wait as for a disk that hangs, until the event that is returned is set."""
     gate = threading.Event()
-    recorder._queue.put(lambda: gate.wait(20) and None)
+    recorder._queue.put(lambda: gate.wait() and None)
     wait_for(lambda: recorder._queue.empty())
     return gate
 

@@ -55,6 +55,17 @@ async def repeat(publisher: Publisher, message: Any, enough: Callable[[], bool])
         await anyio.sleep(0.02)
 
 
+async def ended(served: Served, positions: list[float], publish: Callable[[], None]) -> None:
+    """Publish a trajectory, and wait for its end at some positions.
+
+    Where a busy computer has let it run out of samples, the hand has braked: it is sent again.
+    """
+    while not near(served, positions):
+        publish()
+        await until(lambda: bool(served.loop.streams.stream) or near(served, positions))
+        await until(lambda: not served.loop.streams.stream)
+
+
 def near(served: Served, positions: list[float]) -> bool:
     return all(abs(a - b) < 0.01 for a, b in zip(where(served), positions, strict=True))
 
@@ -74,13 +85,14 @@ async def test_trajectory(hand: Hand, library: ActionLibrary, settings: Ros2Sett
     async with a_hand_in_ros(hand, library, settings) as (served, robot):
         publisher = await robot.talk("/small/joint_trajectory", TRAJECTORY)
         # The mimic joint stands for its actuator: far = 0.5 near + 0.1.
-        publisher.publish(trajectory(["far", "thumb"], (0.2, [0.2, 0.1]), (0.4, [0.35, 0.2])))
-        await until(lambda: near(served, [0.5, 0.2, 0.0]))
-        # A newer message counts at once.
-        publisher.publish(trajectory(["thumb"], (30.0, [0.9])))
-        publisher.publish(trajectory(["thumb"], (0.2, [-0.2])))
-        await until(lambda: near(served, [0.5, -0.2, 0.0]))
-        await until(lambda: not served.loop.streams.stream)
+        message = trajectory(["far", "thumb"], (0.2, [0.2, 0.1]), (0.4, [0.35, 0.2]))
+        await ended(served, [0.5, 0.2, 0.0], lambda: publisher.publish(message))
+
+        def twice() -> None:  # a newer message counts at once
+            publisher.publish(trajectory(["thumb"], (30.0, [0.9])))
+            publisher.publish(trajectory(["thumb"], (0.2, [-0.2])))
+
+        await ended(served, [0.5, -0.2, 0.0], twice)
 
 
 async def test_jog(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:
@@ -133,6 +145,7 @@ async def test_what_moves_nothing(
         jogs = await robot.talk("/small/joint_jog", JOG)
         jogs.publish(jogs.type.message(joint_names=["elbow"], velocities=[1.0]))
         await _settled(robot)
+        await until(lambda: len(_refusals(caplog)) >= 3)
         assert near(served, [0.0, 0.0, 0.0])
         assert not served.watcher.goals
         assert "stream_ended" not in [event.kind for event in served.watcher.events]

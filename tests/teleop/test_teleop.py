@@ -201,7 +201,7 @@ async def test_a_recorded_stream_is_played_again(hand: Hand, tmp_path: Path) -> 
             async with rtee.connect("small") as remote, remote.stream(rate=50) as stream:
                 for k in range(40):
                     await stream.send({"Trig index": k / 40}, {"Trig index": 1.25}, stamp=k / 50)
-                    await anyio.sleep(0.02)
+                    await until(lambda k=k: served.loop.streams.status().samples > k)
             await until(lambda: served.loop.controller.stream is None)
             served.loop.remove_observer(recorder)
         samples = recorded(folder)
@@ -212,8 +212,7 @@ async def test_a_recorded_stream_is_played_again(hand: Hand, tmp_path: Path) -> 
             await remote.do("open")
             async with remote.stream(rate=100) as stream:
                 await play(samples, stream, speed=2.0)
-                await anyio.sleep(0.1)  # the last one is taken at the next tick
-                assert (await stream.status()).samples == 40
+                await until(lambda: served.loop.streams.status().samples == 40)
                 with pytest.raises(ConfigError, match="speed"):
                     await play(samples, stream, speed=0.0)
 
