@@ -99,12 +99,13 @@ HandOption = Annotated[
         autocompletion=complete_hand,
     ),
 ]
+RUNNING_HELP = "Name of a running hand, also as the first word; not needed where only one runs."
 RunningOption = Annotated[
     str | None,
     typer.Option(
         "--hand",
         envvar=HAND_VARIABLE,
-        help="Name of a running hand; not needed where only one runs.",
+        help=RUNNING_HELP,
         autocompletion=complete_running,
     ),
 ]
@@ -179,17 +180,62 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 
 
 class _Command(TyperCommand):
-    """A command that refuses NaN and infinity, and whose ``--wait`` may stand without a number."""
+    """A command that refuses NaN and infinity, and whose ``--wait`` may stand without a number.
+
+    A command that speaks to a running hand takes the hand as its first word, too.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments; refuse NaN and infinity, which the ranges of options let pass."""
-        rest = super().parse_args(ctx, self._with_wait(args))
+        rest = super().parse_args(ctx, self._with_hand(self._with_wait(args)))
         for option in self.params:
             value = ctx.params.get(option.name)
             for each in value if isinstance(value, list | tuple) else (value,):
                 if isinstance(each, float) and not math.isfinite(each):
                     raise typer.BadParameter("should be a finite number", ctx=ctx, param=option)
         return rest
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the pieces of the usage line, with the hand before the other arguments."""
+        pieces: list[str] = super().collect_usage_pieces(ctx)
+        return [*pieces[:1], "[HAND]", *pieces[1:]] if self._takes_running() else pieces
+
+    def _takes_running(self) -> bool:
+        return any(getattr(option, "help", None) == RUNNING_HELP for option in self.params)
+
+    def _with_hand(self, args: list[str]) -> list[str]:
+        """Return the arguments with a hand that is the first word as the option ``--hand``.
+
+        Where words may mean something else, it counts as a hand if a hand of this name runs here.
+        """
+        given = any(word == "--hand" or word.startswith("--hand=") for word in args)
+        place = None if given or not self._takes_running() else self._first_word(args)
+        if place is None:
+            return args
+        arguments = any(option.param_type_name == "argument" for option in self.params)
+        if arguments and args[place] not in complete_running(args[place]):
+            return args
+        # As one word, since a hand's name may begin with a dash like an option.
+        return [f"--hand={args[place]}", *args[:place], *args[place + 1 :]]
+
+    def _first_word(self, args: list[str]) -> int | None:
+        """Return the index of the first argument that is no option and no option's value."""
+        valued = {
+            name
+            for option in self.params
+            if option.param_type_name == "option" and not getattr(option, "is_flag", False)
+            for name in option.opts
+        }
+        place = 0
+        while place < len(args):
+            word = args[place]
+            if word == "--":
+                place += 1
+                break
+            if not word.startswith("-") or word == "-":
+                break
+            place += 2 if word in valued else 1
+        return place if place < len(args) else None
 
     def _with_wait(self, args: list[str]) -> list[str]:
         """Return the arguments with the usual time [s] after each ``--wait`` that lacks one."""

@@ -11,14 +11,14 @@ from typing import Annotated
 
 import typer
 
-from rtee.cli._common import BesideOption, check_files
+from rtee.cli._common import BesideOption, RunningOption, check_files
 
 _NICE = 10
 """The GUI's nice value: a tenth of an ordinary program's share of a busy processor."""
 
 
 def gui(
-    hand: Annotated[str | None, typer.Argument(help="The running hand; by default any.")] = None,
+    hand: RunningOption = None,
     port: Annotated[int, typer.Option(help="Port to listen on.", min=0, max=65535)] = 8080,
     host: Annotated[
         str,

@@ -19,28 +19,31 @@ if TYPE_CHECKING:
 def stop(
     hand: RunningOption = None, connect: ConnectOption = None, as_json: JsonOption = False
 ) -> None:
-    """Stop a hand now, whichever client holds its lease; without --hand all on this computer."""
+    """Stop a hand now, whichever client holds its lease; without a name all on this computer.
+
+    Example: rtee stop schunk_svh
+    """
     import anyio
 
-    from rtee.remote.client import connect as connected
+    from rtee.remote.client import stop_hand
     from rtee.remote.find import hands_running
 
     names: list[str | None] = [hand]
     if hand is None and connect is None:
-        # If none runs, connecting raises the error that says so.
+        # If none runs, looking for one raises the error that says so.
         names = list(hands_running()) or [None]
     confirmed: dict[str, dict[str, bool]] = {}
     errors: list[RteeError] = []
 
-    async def stop_hand(name: str | None) -> None:
+    async def stop_one(name: str | None) -> None:
         try:
-            async with connected(name, endpoint=connect, client="rtee-stop") as remote:
-                devices = confirmed[remote.name] = await remote.stop()
+            stopped, devices = await stop_hand(name, endpoint=connect, client="rtee-stop")
+            confirmed[stopped] = devices
             if as_json:
                 return
             for device, done in devices.items():  # printed now: another hand may not answer
                 words = "has stopped" if done else "did NOT confirm the stop"
-                print(f"{remote.name}: {device} {words}", flush=True)
+                print(f"{stopped}: {device} {words}", flush=True)
         # Raised here, it would cancel the stop of the other hands.
         except RteeError as error:
             errors.append(error)
@@ -49,7 +52,7 @@ def stop(
         async with anyio.create_task_group() as group:
             for name in names:
                 # All at once, so that no hand moves on while another is slow to answer.
-                group.start_soon(stop_hand, name)
+                group.start_soon(stop_one, name)
 
     anyio.run(stop_all)
     if as_json:

@@ -10,9 +10,11 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import io
+import itertools
 import logging
+import math
 from collections.abc import Awaitable, Callable
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec.msgpack
 import viser
@@ -43,12 +45,8 @@ _CAMERA: Final = "ViewerCameraMessage"
 _UPDATE: Final = "GuiUpdateMessage"
 _COMMAND: Final = "CommandTriggerMessage"
 
-_USED: Final = frozenset({_CAMERA, _UPDATE, _COMMAND})
-"""Messages that this GUI's page needs: the camera's pose, changes of controls, and keys.
-
-viser's server accepts more: uploads, and requests for a public tunnel to this computer
-(``ShareUrlRequest``), which would open the hand to anybody.
-"""
+_LONGEST_TEXT: Final = 10_000
+"""Longest text in a control [characters]: several pages, more than a person types."""
 
 _STOP_BUTTON: Final = f'.mantine-Paper-root button[style*="#{bytes(STOP).hex()}"]'
 """CSS selector of STOP by its colour, which no other button has: viser sets no id or class."""
@@ -65,11 +63,89 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 Process = Callable[[ServerConnection, Request], Response | None]
 
 
-class _Message(msgspec.Struct):
-    """The fields of a message that decide whether the server receives it."""
+_LARGEST_WHOLE: Final = 2**53
+"""Largest whole number of a control: JavaScript's numbers, as pages send them, have no larger one
+that is exact."""
 
-    type: str
-    uuid: str = ""
+_Four = tuple[float, float, float, float]
+_Three = tuple[float, float, float]
+
+# The messages that this GUI's page needs, with exactly their fields. viser's server accepts more:
+# uploads, and requests for a public tunnel to this computer (``ShareUrlRequest``), which would open
+# the hand to anybody. What it cannot decode ends the connection of its page.
+
+
+class _Message(msgspec.Struct, forbid_unknown_fields=True):
+    """A message of a page."""
+
+
+class _Camera(_Message, tag=_CAMERA):
+    """The camera's pose."""
+
+    wxyz: _Four
+    position: _Three
+    fov: float
+    near: float
+    far: float
+    image_height: float
+    image_width: float
+    look_at: _Three
+    up_direction: _Three
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers are finite."""
+        single = (self.fov, self.near, self.far, self.image_height, self.image_width)
+        lists = (self.wxyz, self.position, self.look_at, self.up_direction)
+        return all(map(math.isfinite, itertools.chain(single, *lists)))
+
+
+class _Value(msgspec.Struct, forbid_unknown_fields=True):
+    """The only property of a control that a page may change."""
+
+    value: Any
+
+
+class _Update(_Message, tag=_UPDATE):
+    """A new value of a control."""
+
+    uuid: str
+    updates: _Value
+
+
+class _Command(_Message, tag=_COMMAND):
+    """A command, by its key."""
+
+    uuid: str
+
+
+_READER: Final = msgspec.msgpack.Decoder(_Camera | _Update | _Command)
+
+
+def _fits(value: object, control: Any) -> bool:
+    """Return whether a value is one that a control's page can give it."""
+    present, options = control._impl.value, getattr(control, "options", None)  # noqa: SLF001
+    if isinstance(present, tuple):
+        same = isinstance(value, list) and len(value) == len(present)
+        return same and all(map(_is_like, cast("list[object]", value), present))
+    return _is_like(value, present) and (options is None or value in options)
+
+
+def _is_like(value: object, present: object) -> bool:
+    """Return whether a value is of the same type as the present one."""
+    match present:
+        case bool():
+            return isinstance(value, bool)
+        case int():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            whole = cast("float", value)
+            return number and abs(whole) <= _LARGEST_WHOLE and whole % 1 == 0
+        case float():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            return number and math.isfinite(cast("float", value))
+        case str():
+            return isinstance(value, str) and len(value) <= _LONGEST_TEXT
+    return False
 
 
 class Visitors:
@@ -82,6 +158,7 @@ class Visitors:
         """Admit the holders of the tokens of ``access``."""
         self.guarded = False
         self._access = access
+        self._server: viser.ViserServer | None = None
         self._for_everybody: frozenset[str] = frozenset()
         self._operators: set[int] = set()
 
@@ -122,6 +199,7 @@ class Visitors:
                 f"viser {viser.__version__} opens its server in a way that cannot be guarded; "
                 "install viser 1.1"
             )
+        self._server = server
         server.on_client_connect(self._greet)
         server.on_client_disconnect(self._forget)
         return server
@@ -150,14 +228,19 @@ class Visitors:
         """Return whether the server may receive a message of a page."""
         try:
             # viser's page sends only binary messages, so that a text is not from it.
-            header = msgspec.msgpack.decode(
-                message if isinstance(message, bytes) else b"", type=_Message
-            )
+            read = _READER.decode(message if isinstance(message, bytes) else b"")
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, TypeError):
             return False
-        if role is None or header.type not in _USED:
+        if role is None or isinstance(read, _Camera):
+            return role is not None and read.is_finite
+        if role is not Role.OPERATOR and read.uuid not in self._for_everybody:
             return False
-        return role is Role.OPERATOR or header.type == _CAMERA or header.uuid in self._for_everybody
+        if isinstance(read, _Command):
+            return True
+        # viser has no public way to a control by its id in the messages of a page.
+        known = {} if self._server is None else self._server.gui._gui_input_handle_from_uuid  # noqa: SLF001
+        control = known.get(read.uuid)
+        return control is not None and _fits(read.updates.value, control)
 
     def _judged(self, process: Process | None) -> Process:
         def judge(connection: ServerConnection, request: Request) -> Response | None:

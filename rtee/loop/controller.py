@@ -34,6 +34,7 @@ from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
+from rtee.loop.reference_start import ReferenceStart
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.hold import StreamHold
@@ -78,6 +79,7 @@ class Controller:
         reference_effort: Effort limits to be sent [N·m | N].
         max_velocity: Velocity limits to be sent [rad/s | m/s].
         active: Whether an actuator's device may be moved.
+        starts: Starts the references where actuators are measured.
         outbox: Reports, which the caller takes out.
         stream: The open stream, if there is one.
         ended_stream: Identifier of the stream that ended last.
@@ -101,27 +103,41 @@ class Controller:
         self.outbox = Outbox()
         report = self.outbox.items.append
         self._plausible = Plausibility(hand.actuators, report)
+        self.active, self.reference_effort = [False] * n, [0.0] * n
+        self.starts = ReferenceStart(
+            self._profile,
+            self._limiter,
+            self._contact,
+            self._plausible,
+            self.active,
+            self.reference_effort,
+            settings.grasp.effort,
+        )
         self._reflexes = Reflexes(
-            hand, settings.grasp, self._profile, self._limiter, self._contact, self._limit, report
+            hand,
+            settings.grasp,
+            self._profile,
+            self._limiter,
+            self._contact,
+            self._limit,
+            self.starts.at,
+            report,
         )
         self._executor = Executor(
             hand, settings, self._profile, self._contact, self._plausible, self._reflexes, report
         )
         self.max_velocity = self._executor.max_velocity
-        self.active = [False] * n
         self._accepts = [True] * n
-        self._seeding: set[int] = set()
         self._goal_effort: dict[int, float] = {}
         self._holding: set[int] = set()
         self._kept: frozenset[int] = frozenset()
         self._settling: dict[int, float] = {}
         self._thermal_due = self._limited_reported = -math.inf
-        self._restart(dict(enumerate(hand.rest.tolist())))
+        self.starts.set(dict(enumerate(hand.rest.tolist())))
         nothing = [math.nan] * n
         self._measured = Measured(nothing, nothing, nothing, [False] * n, [-1] * n)
         self.reference_position = self._limiter.position
         self.reference_velocity = self._limiter.velocity
-        self.reference_effort = [0.0] * n
         self._set_efforts()
         self._stream_hold = StreamHold(
             hand, self._contact, self._limiter.position, self.reference_effort, self._holding
@@ -167,7 +183,7 @@ class Controller:
         self._end_stream(stamp, f"{plan.action} took over")
         # Before contacts are forgotten: the result says which fingers grasp.
         self._executor.end(stamp, self._measured, preempted=True)
-        self._let_go(plan.legs[0].targets)
+        self._let_go(plan.legs[0].targets, stamp)
         self._leave_hold(plan.involved)
         kept = {i: e for i, e in self._goal_effort.items() if i not in plan.involved}
         self._goal_effort = kept | dict(plan.effort)
@@ -180,26 +196,21 @@ class Controller:
         if lost := [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
 
-    def _let_go(self, targets: Mapping[int, float]) -> None:
+    def _let_go(self, targets: Mapping[int, float], stamp: float) -> None:
         """Restart references that lead into an object from the actuators' measured positions.
 
         On its way back out of the object, such a reference would press with the full effort limit.
         Where the target leads further into the object, the grip is kept.
         """
         there: dict[int, float] = {}
+        kept = self._kept.union(self._reflexes.held)
         for i, target in targets.items():
-            here = self._measured.position[i]
-            ahead = self._limiter.position[i] - here
-            blocked = self._contact.blocked(i) or i in self._kept or i in self._reflexes.held
-            if blocked and math.isfinite(here) and ahead * (target - here) <= 0.0:
+            if i not in kept and not self._contact.blocked(i):
+                continue
+            here = self.starts.at(i, stamp, touching=i in kept)
+            if here is not None and (self._limiter.position[i] - here) * (target - here) <= 0.0:
                 there[i] = here
-        self._restart(there)
-
-    def _restart(self, positions: Mapping[int, float]) -> None:
-        """Restart references, at rest, from positions by actuator."""
-        self._profile.seed(positions)
-        for i, position in positions.items():
-            self._limiter.seed(i, position)
+        self.starts.set(there)
 
     def apply(self, command: Command, stamp: float) -> None:
         """Apply a command at a time [s]; one for an unknown goal or stream has no effect."""
@@ -217,8 +228,9 @@ class Controller:
                 self._end_stream(stamp, reason or "the hand has stopped")
                 self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 frozen = self._indices(actuators)
+                # Before contacts are forgotten: they tell a blocked finger from a broken encoder.
+                self.starts.brake(frozen)
                 self._leave_hold(frozen)
-                self._seeding.update(frozen)
             case Jog():
                 self._jog(command, stamp)
             case SetGripEffort(fraction):
@@ -257,15 +269,6 @@ class Controller:
         self._leave_hold(indices)
         self._settling.update(dict.fromkeys(indices, stamp + _SETTLE))
 
-    def posture_to_keep(self) -> list[float]:
-        """Return the positions to leave the hand in [rad | m]; blocked fingers keep their grip."""
-        return [
-            position
-            if math.isnan(measured := self._measured.position[i]) or self._contact.blocked(i)
-            else measured
-            for i, position in enumerate(self._limiter.position)
-        ]
-
     def _leave_hold(self, indices: Iterable[int]) -> None:
         for i in indices:
             self._settling.pop(i, None)
@@ -291,8 +294,9 @@ class Controller:
         for name, flag in active.items():
             i = self.hand.actuator_index(name)
             if flag and not self.active[i]:
-                self._seeding.add(i)
-                self._plausible.forget((i,))
+                self.starts.activate(i)
+            elif not flag:
+                self.starts.unplaced.discard(i)
             self.active[i] = flag
             self._leave_hold((i,))
             if not flag and self.stream is not None and i in self.stream.indices:
@@ -326,7 +330,7 @@ class Controller:
         self, stream: StreamPlayer, targets: Mapping[int, float], stamp: float
     ) -> None:
         """Have actuators follow a stream, with its effort limits and with contact detection."""
-        self._let_go(targets)
+        self._let_go(targets, stamp)
         self._kept -= targets.keys()
         for i in targets:
             self.max_velocity[i] = self.hand.actuators[i].velocity
@@ -379,10 +383,12 @@ class Controller:
         self._measured = measured
         if measured.touch:
             self._contact.feel(stamp, measured.touch)
-        if self._seeding or not all(self.active):
-            self._seed(stamp, measured)
-        self._plausible.step(stamp, measured.position, measured.fresh, self.active)
-        limiter = self._limiter
+        limiter, starts = self._limiter, self.starts
+        # A goal may have begun between activation, or a freeze, and this tick.
+        if started := starts.step(stamp, measured):
+            self._executor.seeded(started, stamp, measured)
+        if starts.unplaced and (doubts := self.doubts(starts.unplaced)):
+            self._fail(starts.unplaced, stamp, doubts)
         if stamp >= self._thermal_due:
             self._watch_temperature(stamp, measured)
         self._executor.step(stamp, measured, limiter.position, self.reference_effort)
@@ -405,24 +411,6 @@ class Controller:
         if limiter.apply(wanted):
             self._report_limited(stamp)
 
-    def _seed(self, stamp: float, measured: Measured) -> None:
-        """Set the reference to the measured position for actuators that are inactive or were."""
-        start: dict[int, float] = {}
-        allowed: list[int] = []
-        for i, active in enumerate(self.active):
-            position = measured.position[i]
-            if active and i not in self._seeding:
-                continue
-            if math.isfinite(position) and (active or position != self._limiter.position[i]):
-                start[i] = position
-                self._seeding.discard(i)
-                if active:
-                    allowed.append(i)
-        if start:
-            self._restart(start)
-        if allowed:  # a goal may have begun between activation and this tick
-            self._executor.seeded(allowed, stamp, measured)
-
     def _settle(self, stamp: float, measured: Measured) -> None:
         profile = self._profile
         for i, due in list(self._settling.items()):
@@ -430,8 +418,8 @@ class Controller:
                 self._settling[i] = stamp + _SETTLE
             elif stamp >= due:
                 del self._settling[i]
-                position = measured.position[i]
-                if abs(position - profile.position[i]) > _OFF:
+                position = self.starts.at(i, stamp)
+                if position is not None and abs(position - profile.position[i]) > _OFF:
                     profile.go({i: position})
 
     def _ease_off(self, stamp: float, measured: Measured) -> None:
@@ -443,10 +431,11 @@ class Controller:
                 continue
             self._holding.add(i)
             # A stream commands the positions of its actuators: only their effort can be lowered.
-            if i not in streamed and not (
-                self._accepts[i] and math.isfinite(self._effort_limit(i))
+            if (
+                i not in streamed
+                and not (self._accepts[i] and math.isfinite(self._effort_limit(i)))
+                and (here := self.starts.at(i, stamp)) is not None
             ):
-                here = measured.position[i]
                 push = self._profile.target[i] - here
                 self._profile.go({i: here + grasp.grip_effort * push})
             self._set_efforts()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 
 import anyio
 import numpy as np
@@ -118,7 +119,7 @@ class Devices:
     def _follow(self, device: Supervisor, steer: Steer, on_lost: Callable[[str], None]) -> None:
         names = device.actuators
         if device.active:
-            # The reference starts from the measured position, so there must be one.
+            # The reference starts from the measured position, so there must be a valid one.
             if self.state.known(device):
                 self._active[device.name] = True
                 accepts = "max_effort" in device.driver.capabilities.accepts
@@ -183,12 +184,18 @@ class Devices:
 
     # --- at a tick ---------------------------------------------------------------------------
 
-    def move(self, record: TickRecord, max_velocity: list[float]) -> None:
+    def move(
+        self,
+        record: TickRecord,
+        max_velocity: list[float],
+        unplaced: AbstractSet[int] = frozenset(),
+    ) -> None:
         """Have every device that is due exchange with its part of a tick's reference.
 
         Args:
             record: The record of the tick.
             max_velocity: Velocity limits of all actuators [rad/s | m/s].
+            unplaced: Actuators without a reference, see `ReferenceStart`; their devices get none.
         """
         if max_velocity != self._max_velocity:
             self._max_velocity = list(max_velocity)
@@ -197,6 +204,8 @@ class Devices:
         for device in self._all:
             if device.due(record.tick):
                 moving = self._active[device.name] and not device.muted
+                if unplaced and not unplaced.isdisjoint(device.indices):
+                    moving = False
                 device.exchange(self._reference(device, record) if moving else None)
 
     def _reference(self, device: Supervisor, record: TickRecord) -> Reference:

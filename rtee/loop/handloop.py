@@ -192,7 +192,7 @@ class HandLoop:
             touch=state.touch,
         )
         # Move: send the reference. A device that answers at once is also read again here.
-        devices.move(record, controller.max_velocity)
+        devices.move(record, controller.max_velocity, controller.starts.unplaced)
 
     def notify_observers(self) -> None:
         """Report the last `cycle` to the observers."""
@@ -367,7 +367,7 @@ class HandLoop:
         No references are sent afterwards, though the loop may still tick. Returns the same as
         `stop`.
         """
-        posture = self.controller.posture_to_keep()
+        posture = self.controller.starts.posture_to_keep()
         effort = self.controller.reference_effort
 
         async def keep(device: Supervisor, within: float) -> bool:

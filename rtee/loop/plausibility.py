@@ -1,4 +1,7 @@
-"""Detect measured positions that an actuator cannot have reached."""
+"""Judge measured positions: which no actuator can have reached, which a reference may start from.
+
+`Plausibility.start` alone decides whether a reference may start from a measurement.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +44,25 @@ _AGREEING = 2.5
 between measurements: two more measurements agree, even if they are late."""
 
 
+_OLD = 0.05
+"""A measurement older than this is too old for a reference to start from [s], but for devices that
+are measured less often: at 2 rad/s, an actuator moves 0.1 rad in it."""
+
+_OLD_INTERVALS = 2.5
+"""A measurement of such a device is too old after this many usual intervals: one was missed, and
+the next one is late."""
+
+_LONGEST_INTERVAL = 0.25
+"""A longer time between two measurements is not an interval, but a silence [s]."""
+
+_WEIGHT = 0.125
+"""Weight of the newest interval in the usual one, which follows a change within 8 intervals."""
+
+_FROZEN = 0.01
+"""An encoder looks frozen if its value has not changed at all while the reference has moved by this
+share of the range: more than friction and play keep from a servo."""
+
+
 @dataclass(slots=True)
 class _Doubt:
     """Time of the last implausible measurement [s], and the number of implausible steps."""
@@ -78,6 +100,10 @@ class Plausibility:
         self._seen = [-math.inf] * n
         self._all_seen = -math.inf
         self._doubted: dict[int, _Doubt] = {}
+        self._usual = [0.0] * n
+        self._all_usual = 0.0
+        self._reference = [math.nan] * n
+        self._still = [_FROZEN * span if math.isfinite(span) else _FROZEN for span in spans]
 
     def forget(self, indices: Iterable[int]) -> None:
         """Forget the positions of some actuators, which people may have moved meanwhile."""
@@ -104,13 +130,49 @@ class Plausibility:
                 return i
         return None
 
+    def start(
+        self, i: int, stamp: float, reference: float, *, touching: bool = False
+    ) -> float | None:
+        """Return the measured position of an actuator if a reference may start from it.
+
+        ``None``: it was never measured, or the measurement is invalid, old or implausible, or the
+        encoder looks frozen. Then the reference must brake where it is.
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            reference: Its position sent last [rad | m].
+            touching: Whether something else than the position shows that the actuator presses
+                against an object, which keeps it as still as a frozen encoder.
+        """
+        here = self._last[i]
+        # True for NaN, too.
+        if not self._lowest[i] <= here <= self._highest[i] or i in self._doubted:
+            return None
+        limit = max(_OLD, _OLD_INTERVALS * max(self._usual[i], self._all_usual))
+        if stamp - max(self._seen[i], self._all_seen) > limit:
+            return None
+        away = abs(reference - self._reference[i])
+        if not touching and away > self._still[i] and stamp - self._changed[i] > limit:
+            return None
+        return here
+
+    def started(self, i: int, reference: float) -> None:
+        """Record that the reference of an actuator was set to a position [rad | m]."""
+        self._reference[i] = reference
+
     def words(self, i: int) -> str:
         """Return in words that the position of an actuator is implausible, else an empty string."""
         name = self._actuators[i].name
         return f"the measured position of {name} is not plausible" if i in self._doubted else ""
 
     def step(
-        self, stamp: float, position: Sequence[float], fresh: Sequence[bool], active: Sequence[bool]
+        self,
+        stamp: float,
+        position: Sequence[float],
+        fresh: Sequence[bool],
+        active: Sequence[bool],
+        reference: Sequence[float],
     ) -> None:
         """Check the measured positions of a tick.
 
@@ -119,6 +181,7 @@ class Plausibility:
             position: Measured positions [rad | m].
             fresh: Whether each is newer than at the tick before.
             active: Whether its device drives an actuator; people may move the others.
+            reference: Positions sent last [rad | m].
         """
         last = self._last
         if position != last:  # this test alone for a hand at rest
@@ -126,12 +189,16 @@ class Plausibility:
                 if here != last[i]:
                     self._moved(i, here, stamp, active[i])
                     last[i] = here
+                    self._reference[i] = reference[i]
         if all(fresh):
             # Usually all are fresh: one time for all instead of a list of equal times.
+            self._all_usual = _usual(self._all_usual, stamp - self._all_seen)
             self._all_seen = stamp
         else:
             for i, new in enumerate(fresh):
                 if new:
+                    before = max(self._seen[i], self._all_seen)
+                    self._usual[i] = _usual(self._usual[i], stamp - before)
                     self._seen[i] = stamp
         if self._doubted:
             self._believe(stamp, active)
@@ -141,6 +208,10 @@ class Plausibility:
         way, most = abs(here - self._last[i]), self._most[i]
         if way != way or not active:  # the first measurement, or an undriven actuator
             self._left[i] = most
+            if way != way:  # as new as this tick, even if it was collected before the first one
+                self._seen[i] = stamp
+            if active and self._outside(i, here):
+                self._doubt(i, stamp, f"is at {here:.3g}", "far outside of its limits", step=False)
         else:
             before, rate, left = self._seen[i], self._rate[i], self._left[i]
             if self._all_seen > before:
@@ -186,3 +257,10 @@ class Plausibility:
                 name = self._actuators[i].name
                 text = f"the measured position of {name} is plausible again"
                 self._report(Event("implausible", name, text, stamp))
+
+
+def _usual(before: float, interval: float) -> float:
+    """Return the usual interval between measurements after another one [s]."""
+    if interval > _LONGEST_INTERVAL:
+        return before
+    return before + _WEIGHT * (interval - before)

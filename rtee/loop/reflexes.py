@@ -117,6 +117,8 @@ class Reflexes:
         limiter: Holds the positions sent last.
         contact: Detects contacts; learns which actuators were stopped.
         limit: Returns an actuator's effort limit by its goal [N·m | N].
+        start: Returns the measured position of an actuator if its reference may start from it now
+            [s]; see `Plausibility.start`.
         report: Called with events.
 
     Attributes:
@@ -135,9 +137,10 @@ class Reflexes:
         limiter: Limiter,
         contact: ContactWatch,
         limit: Callable[[int], float],
+        start: Callable[[int, float, bool], float | None],
         report: Callable[[Event], None],
     ) -> None:
-        self._hand, self._grasp, self._limit = hand, grasp, limit
+        self._hand, self._grasp, self._limit, self._start = hand, grasp, limit, start
         self._profile, self._limiter, self._contact = profile, limiter, contact
         self._report = report
         self._free = [
@@ -396,8 +399,11 @@ class Reflexes:
         if watched.mode is OnContact.SQUEEZE and len(self._hand.actuators[i].fingers) > 1:
             return  # it moves both sides: there is nothing to wait for
         # At the measured position: the reference leads on into the object.
-        self._profile.seed({i: here})
-        self._limiter.seed(i, here)
+        if self._start(i, stamp, True) is None:
+            self._profile.go({}, brake=(i,))
+        else:
+            self._profile.seed({i: here})
+            self._limiter.seed(i, here)
         self.busy.add(i)
         holds = watched.mode is OnContact.HOLD
         self._contact.pin(i, stamp, here, grasping=holds)

@@ -30,8 +30,8 @@ _GRASPED = {None: -1, False: 0, True: 1}  # a device's report, as `Measured.gras
 class StateAggregator:
     """Merges the states of all devices; published arrays are never changed, but replaced.
 
-    A position that is no longer measured keeps its last value; before the first measurement it is
-    ``NaN``.
+    A position that is not validly measured keeps its last value, which does not count as fresh;
+    before the first measurement it is ``NaN``.
 
     Args:
         devices: The devices, which together have every actuator once.
@@ -40,7 +40,7 @@ class StateAggregator:
     Attributes:
         sample: The measured quantities of all actuators.
         grasped: The devices' own reports ``(n,)``: 1 holding, 0 not holding, -1 no report.
-        fresh: Whether each actuator was measured since the last `collect` ``(n,)``.
+        fresh: Whether each actuator was validly measured since the last `collect` ``(n,)``.
         channels: Further channels by ``device/channel``, among them the forces that touch sensors
             measure on the fingers.
         measured: The same measurements as lists, for the controller.
@@ -62,6 +62,7 @@ class StateAggregator:
         self.grasped: NDArray[np.int8] = np.full(n, -1, dtype=np.int8)
         self.channels: Mapping[str, FloatArray] = {}
         self._new = 0
+        self._invalid: dict[int, BoolArray] = {}
         self.fresh, listed = self._flags(0)
         nothing = [math.nan] * n
         self.measured = Measured(nothing, nothing, nothing, listed, [-1] * n)
@@ -94,13 +95,20 @@ class StateAggregator:
             if name in self._by_taxels:
                 forces = self._touch.forces[name]
                 self._keep_extras(name, {**self._extras[name], TIP_FORCE: forces})
-        if new != self._new:
-            self._new = new
+        if new != self._new or self._invalid:
+            # Not the same while there are invalid positions: the flags are made for each tick.
+            self._new = -1 if self._invalid else new
             self.fresh, self.measured.fresh = self._flags(new)
+            for k, invalid in self._invalid.items():
+                fresh = self.fresh.copy()
+                fresh[self._indices[k][invalid]] = False
+                fresh.flags.writeable = False
+                self.fresh, self.measured.fresh = fresh, fresh.tolist()
 
     def known(self, device: Supervisor) -> bool:
-        """Return whether every position of a device has been measured."""
-        return all(map(math.isfinite, (self.measured.position[i] for i in device.indices)))
+        """Return whether the newest state of a device has a valid position for every actuator."""
+        state = device.connection.state
+        return state is not None and bool(np.isfinite(state.position).all())
 
     def where(self, device: Supervisor) -> NDArray[np.intp] | None:
         """Return the hand's indices of a device's actuators; ``None``: all of them, in order."""
@@ -130,6 +138,13 @@ class StateAggregator:
             position = np.where(np.isfinite(sample.position), sample.position, before.position)
             sample = replace(sample, position=position)
             measured.position = position.tolist()
+            invalid = ~np.isfinite(state.position)
+            if invalid.any():
+                self._invalid[k] = invalid
+            else:
+                self._invalid.pop(k, None)
+        elif self._invalid:
+            self._invalid.pop(k, None)
         self.sample = sample
         if state.grasped is not None:
             grasped = self.grasped.copy()

@@ -215,8 +215,8 @@ class Supervisor:
         """Disable the device, which leaves it limp and inactive. Returns the same as `stop`."""
         return await self._confirmed("disable", self._disable, within)
 
-    async def hold(self, reference: Reference | None, within: float) -> bool:
-        """Send a last reference; ``None``: the measured posture. Returns the same as `stop`."""
+    async def hold(self, reference: Reference, within: float) -> bool:
+        """Send a last reference. Returns the same as `stop`."""
         return await self._confirmed("hold", lambda: self._send_last(reference), within)
 
     async def recover(self) -> None:
@@ -251,14 +251,12 @@ class Supervisor:
         self.connection.deactivated("it was disabled")
         self.connection.accept(await patiently(self.driver.sense))
 
-    async def _send_last(self, reference: Reference | None) -> bool:
-        state = await patiently(self.driver.sense)
-        self.connection.accept(state)
+    async def _send_last(self, reference: Reference) -> bool:
+        self.connection.accept(await patiently(self.driver.sense))
         # An inactive device would refuse the reference, and does not move anyway.
         if not self.active:
             return False
-        last = Reference.at(state.position) if reference is None else reference
-        await patiently(lambda: self.driver.move(last))
+        await patiently(lambda: self.driver.move(reference))
         return True
 
     async def _confirmed(

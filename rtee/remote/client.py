@@ -12,21 +12,24 @@ import os
 import uuid
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import wraps
+from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import anyio
 import anyio.to_thread
 
-from rtee.errors import ConfigError, RemoteError
+from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.hand.names import safe_name
 from rtee.messages.requests import HERE, PLAIN, Role
 from rtee.remote.action_client import ActionClient
 from rtee.remote.credentials import common_name, person
-from rtee.remote.find import open_hand
+from rtee.remote.find import VARIABLE as CONNECT
+from rtee.remote.find import chosen_here, open_hand
 from rtee.remote.goal import GoalClient
 from rtee.remote.link import Link
 from rtee.remote.monitoring import Monitoring
 from rtee.remote.reaching import ReachClient
+from rtee.remote.stopping import stop_at, stop_path
 from rtee.remote.stream import StreamClient
 
 P = ParamSpec("P")
@@ -128,9 +131,9 @@ class RemoteHand:
         client: This client's name on the network.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, stops: Path | None = None) -> None:
         self.name, self.client = link.hand, link.client
-        self._link = link
+        self._link, self._stops = link, stops
         self._monitoring = Monitoring(link)
         self._actions = ActionClient(link)
         self._goals = GoalClient(link, self._monitoring.info)
@@ -228,8 +231,10 @@ class RemoteHand:
         Returns:
             Whether each device has confirmed the stop.
         """
-        reply = await self._link.request("stop")
-        return dict(zip(reply["device"], reply["confirmed"].tolist(), strict=True))
+        if self._stops is not None:
+            with contextlib.suppress(NoHand):
+                return await anyio.to_thread.run_sync(stop_at, self._stops, self.name, self.client)
+        return await _stop(self._link)
 
     async def recover(self, device: str | None = None) -> None:
         """Recover one device, or all, from a fault; moves only devices that must be homed."""
@@ -268,6 +273,31 @@ class RemoteHand:
         await self._link.ask(name, fields)
 
 
+async def _stop(link: Link) -> dict[str, bool]:
+    reply = await link.request("stop")
+    return dict(zip(reply["device"], reply["confirmed"].tolist(), strict=True))
+
+
+async def stop_hand(
+    hand: str | None = None, *, endpoint: str | None = None, client: str = "python"
+) -> tuple[str, dict[str, bool]]:
+    """Stop a hand without connecting to it first; return its name and who has confirmed.
+
+    On this computer the stop goes through a socket of its own. Elsewhere it is sent without
+    ``hello``, so that no limit of clients and requests stands before it. The arguments and errors
+    are those of `connect`.
+    """
+    if endpoint is None and not os.environ.get(CONNECT):
+        running = chosen_here(hand)
+        stops = stop_path(running.endpoints[0]) if running.endpoints else None
+        if stops is not None:
+            with contextlib.suppress(NoHand):
+                done = await anyio.to_thread.run_sync(stop_at, stops, running.hand, client)
+                return running.hand, done
+    async with _linked(hand, endpoint, client, 0.0, None) as (link, _):
+        return link.hand, await _stop(link)
+
+
 @contextlib.asynccontextmanager
 async def connect(
     hand: str | None = None,
@@ -299,17 +329,31 @@ async def connect(
     for what, value in (("hand", hand), ("endpoint", endpoint), ("client", client)):
         if not isinstance(value, str) and (value is not None or what == "client"):
             raise ConfigError(f"the {what} to connect with should be a text, not {value!r:.100}")
-    session, name, way = await open_hand(hand, endpoint, wait, on_wait)
-    # The process id and a random part distinguish clients of the same name. The client's own name
-    # is cut, so that all fits into the 100 characters of a name.
-    owner = "" if way in (HERE, PLAIN) else f"{person(way)}-"
-    identity = safe_name(f"{owner}{client[:50]}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
-    link = Link(session, name, identity, common_name(way))
-    try:
-        remote = RemoteHand(link)
+    async with _linked(hand, endpoint, client, wait, on_wait) as (link, stops):
+        remote = RemoteHand(link, stops)
         await link.connect()
         yield remote
         await remote.leave()  # not after an error, which counts as losing the client
+
+
+@contextlib.asynccontextmanager
+async def _linked(
+    hand: str | None,
+    endpoint: str | None,
+    client: str,
+    wait: float,
+    on_wait: Callable[[str], object] | None,
+) -> AsyncIterator[tuple[Link, Path | None]]:
+    """Open a link to a hand, which does not know this client yet, and find its stop socket."""
+    session, name, way, stops = await open_hand(hand, endpoint, wait, on_wait)
+    # The process id and a random part distinguish clients of the same name. The client's own name
+    # is cut, so that all fits into the 100 characters of a name.
+    own = client[:50].replace(".", "_")  # a dot sets off the person of a certificate
+    owner = "" if way in (HERE, PLAIN) else f"{person(way)}."
+    identity = safe_name(f"{owner}{own}-{os.getpid()}-{uuid.uuid4().hex[:8]}", "client")
+    link = Link(session, name, identity, common_name(way))
+    try:
+        yield link, stops
     finally:
         link.leave()
         # Even when cancelled: while the session is open, the client is alive to the hand.

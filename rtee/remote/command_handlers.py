@@ -23,6 +23,7 @@ from rtee.messages.convert import STREAM_TARGETS
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
+from rtee.remote.stopping import Stopped
 from rtee.types import Goal
 
 Fields = Mapping[str, Any]
@@ -41,7 +42,7 @@ class CommandHandlers:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._lock = threading.Lock()
         self._stop_lock = threading.Lock()
-        self._stopping: list[IncomingRequest] = []
+        self._stopping: list[tuple[str, Stopped]] = []
         self._stopped: Fields = {}
         self._stopped_at, self._stopped_after = -math.inf, 0
         # Counts requests that may move the hand, before and after each: a stop that overlaps with
@@ -93,29 +94,31 @@ class CommandHandlers:
         """Pass a sample of a stream to the loop; only refusals are answered."""
         streams = self._loop.streams
         with self._lock:
+            # First: samples of others must not use up the rate of the holder's stream.
+            self._lease.check(request.client)
             # Before the sample is decoded, so that a flood costs little.
             if not streams.admit():
                 return
             sample = STREAM_TARGETS.decode(request.question)
-            self._lease.check(request.client)
             self._lease.sampled(request.client, sample.stream)
             self._moves += 1
             streams.sample(sample)
             self._moves += 1
 
-    def stop(self, request: IncomingRequest) -> None:
+    def stop(self, client: str, answer: Stopped) -> None:
         """Stop all devices; any client may request it, even without ``hello``.
+
+        ``client`` says who in words; ``answer`` is called once the devices have stopped.
 
         Stops that arrive while the devices are being stopped are carried out together afterwards. A
         stop shortly after a confirmed one, without a request in between that could move the hand,
         gets the same answer.
         """
-        request.check()
         with self._stop_lock:
             if self._is_stopped():
-                request.answer(self._stopped)
+                answer(self._stopped)
                 return
-            self._stopping.append(request)
+            self._stopping.append((client, answer))
             if len(self._stopping) > 1:
                 return  # an earlier stop is under way
         self._thread.start(self._stop_together)
@@ -138,18 +141,18 @@ class CommandHandlers:
             with self._stop_lock:
                 # Read before the devices stop: a motion meanwhile needs another stop.
                 asked, moves = len(self._stopping), self._moves
-                client = self._stopping[0].client or "a client"
+                client = self._stopping[0][0] or "a client"
             confirmed = dict(await self._loop.stop(f"stopped by {client}"))
-            answer = {"device": list(confirmed), "confirmed": list(confirmed.values())}
+            fields = {"device": list(confirmed), "confirmed": list(confirmed.values())}
             with self._stop_lock:
                 done, self._stopping[:asked] = self._stopping[:asked], []
                 # A stop that a device has not confirmed must not answer the next one.
                 if all(confirmed.values()):
-                    self._stopped, self._stopped_after = answer, moves
+                    self._stopped, self._stopped_after = fields, moves
                     self._stopped_at = monotonic.now()
                 more = bool(self._stopping)
-            for request in done:
-                request.answer(answer)
+            for _, answer in done:
+                answer(fields)
             if not more:
                 return
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import NamedTuple
 
 import anyio
@@ -17,6 +18,7 @@ from rtee.messages import network_key
 from rtee.messages.requests import ALIVE
 from rtee.remote.directory import Running, running
 from rtee.remote.session import open_client, way_to
+from rtee.remote.stopping import stop_path
 
 VARIABLE = "RTEE_CONNECT"
 """Environment variable with the endpoint of a hand on another computer."""
@@ -31,12 +33,14 @@ _ANSWER_WITHIN = 1.0
 class Found(NamedTuple):
     """A session with a hand, its name, and the access path.
 
-    The access path is `HERE`, `PLAIN`, or the name of this user's certificate.
+    The access path is `HERE`, `PLAIN`, or the name of this user's certificate. A hand on this
+    computer has a stop socket.
     """
 
     session: zenoh.Session
     hand: str
     way: str
+    stops: Path | None = None
 
 
 def hands_running() -> dict[str, Running]:
@@ -78,17 +82,23 @@ async def open_hand(
         await anyio.sleep(_POLL_PERIOD)
 
 
-async def _here(hand: str | None) -> Found:
+def chosen_here(hand: str | None) -> Running:
+    """Return a hand that runs on this computer; raises the errors of `open_hand`."""
     hands = running()
-    name = _chosen(hand, hands, "on this computer")
+    return hands[_chosen(hand, hands, "on this computer")]
+
+
+async def _here(hand: str | None) -> Found:
+    there = chosen_here(hand)
     try:
-        session = await anyio.to_thread.run_sync(open_client, hands[name].endpoints)
+        session = await anyio.to_thread.run_sync(open_client, there.endpoints)
     except NoHand:
         raise NoHand(
-            f"the hand '{name}' does not answer; it runs in process {hands[name].pid}"
+            f"the hand '{there.hand}' does not answer; it runs in process {there.pid}"
         ) from None
     # A server announces one endpoint here, its Unix socket.
-    return Found(session, name, way_to(hands[name].endpoints[0]))
+    endpoint = there.endpoints[0]
+    return Found(session, there.hand, way_to(endpoint), stop_path(endpoint))
 
 
 async def _elsewhere(hand: str | None, endpoint: str) -> Found:

@@ -121,6 +121,9 @@ class Identities:
             raise RequestRejected(
                 f"the names of clients of this certificate begin '{admitted.prefix}'"
             )
+        # Otherwise a client could pass for one of another person, whose name ends at the dot.
+        if "." in name.removeprefix(admitted.prefix):
+            raise RequestRejected("a client's name has a dot after a certificate's person only")
         if _TOKEN.match(token) is None:
             raise RequestRejected("a token's name has 32 hexadecimal digits, chosen at random")
         with self._lock:

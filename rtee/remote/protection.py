@@ -163,5 +163,5 @@ class Protection:
                     admitted[name].name,
                 )
         self._admitted = {
-            name: Admitted(entry.role, f"{person(entry.name)}-") for name, entry in admitted.items()
+            name: Admitted(entry.role, f"{person(entry.name)}.") for name, entry in admitted.items()
         }

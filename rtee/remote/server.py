@@ -58,6 +58,7 @@ from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
 from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
+from rtee.remote.stopping import SUFFIX, StopSocket
 
 T = TypeVar("T")
 
@@ -174,6 +175,8 @@ class Server:
                     commands.client_left(client)
 
             stack.enter_context(protection.watched(admit))
+            stops = await in_thread(StopSocket, socket.with_suffix(SUFFIX), commands.stop)
+            stack.push_async_callback(in_thread, stops.close)
             # Last, since waiting clients send requests as soon as the hand is announced.
             place.write([endpoint])
             stack.callback(place.withdraw)
@@ -226,7 +229,8 @@ class Server:
             if not self._identities.answers_stop_at_once(request.client):
                 # Too many stops: their answers are delayed, but they take effect at once.
                 request.send = answer_later
-            self._commands.stop(request)
+            request.check()
+            self._commands.stop(request.client, request.answer)
 
         check, junk = self._identities.name, self._identities.answers_junk
         handle_request(query, STOP, check, handle, send, answers_junk=junk)
@@ -253,6 +257,7 @@ class Server:
 
     def _on_put(self, sample: zenoh.Sample) -> None:
         attachment, owner = attachment_of(sample), last_part(sample)
+        is_sample = str(sample.key_expr).rpartition("/")[0].endswith("/sample")
         signed = False
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
@@ -265,6 +270,9 @@ class Server:
 
         def answer(data: bytes, ok: bool) -> None:
             claim = claim_of(attachment)
+            if not ok and signed and is_sample:
+                # Nobody waits for the answer to a sample, so refusals do not slow its sender down.
+                self.inboxes.count_excess(owner)
             # Only to the signer: otherwise others could make the hand refuse its request.
             if claim is not None and signed:
                 self._answer_put(owner, claim.number, data, ok)

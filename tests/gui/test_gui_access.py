@@ -137,13 +137,30 @@ def test_junk_is_dropped(message: str | bytes) -> None:
     assert not Visitors(Access()).admits(Role.OPERATOR, message)
 
 
+CAMERA: dict[str, object] = {
+    **dict.fromkeys(("fov", "near", "far"), 1.0),
+    **dict.fromkeys(("image_height", "image_width"), 800),
+    **dict.fromkeys(("position", "look_at", "up_direction"), (0, 0.0, 1.0)),
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "type": "ViewerCameraMessage",
+}
+
+
 @pytest.mark.parametrize(
     ("message", "operator", "observer"),
     [
-        ({"type": "ViewerCameraMessage"}, True, True),
-        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {}}, True, True),
+        (CAMERA, True, True),
+        ({**CAMERA, "fov": float("nan")}, False, False),
+        ({**CAMERA, "fov": "wide"}, False, False),
+        ({**CAMERA, "more": 1}, False, False),
+        ({"type": "ViewerCameraMessage"}, False, False),
+        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {"value": True}}, True, True),
+        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {}}, False, False),
+        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {"removed": True}}, False, False),
+        ({"type": "GuiUpdateMessage", "uuid": "stop", "updates": {"update_cb": []}}, False, False),
         ({"type": "CommandTriggerMessage", "uuid": "stop"}, True, True),
-        ({"type": "GuiUpdateMessage", "uuid": "open", "updates": {}}, True, False),
+        ({"type": "GuiUpdateMessage", "uuid": "open", "updates": {"value": True}}, True, False),
+        ({"type": "GuiUpdateMessage", "uuid": "none", "updates": {"value": True}}, False, False),
         ({"type": "GuiUpdateMessage", "uuid": ["stop"], "updates": {}}, False, False),
         ({"type": "CommandTriggerMessage", "uuid": "open"}, True, False),
         ({"type": "ShareUrlRequest"}, False, False),
@@ -152,17 +169,22 @@ def test_junk_is_dropped(message: str | bytes) -> None:
         ({"type": ["GuiUpdateMessage"]}, False, False),
     ],
 )
-def test_what_a_page_may_send(message: object, operator: bool, observer: bool) -> None:
-    class Control:
-        class _impl:  # noqa: N801 - as viser calls it
-            uuid = "stop"
-
+def test_what_a_page_may_send(message: dict[str, object], operator: bool, observer: bool) -> None:
     visitors = Visitors(Access())
-    visitors.leave_to_everybody(Control())
-    data = msgspec.msgpack.encode(message)
-    assert visitors.admits(Role.OPERATOR, data) is operator
-    assert visitors.admits(Role.OBSERVER, data) is observer
-    assert not visitors.admits(None, data)
+    server = visitors.open_server(0)
+    try:
+        buttons = {name: server.gui.add_button(name) for name in ("stop", "open")}
+        visitors.leave_to_everybody(buttons["stop"])
+        if message.get("uuid") in ("stop", "open"):
+            message = {**message, "uuid": buttons[str(message["uuid"])]._impl.uuid}
+            if message["type"] == "CommandTriggerMessage":  # any id is one of a command
+                assert message["uuid"] in (button._impl.uuid for button in buttons.values())
+        data = msgspec.msgpack.encode(message)
+        assert visitors.admits(Role.OPERATOR, data) is operator
+        assert visitors.admits(Role.OBSERVER, data) is observer
+        assert not visitors.admits(None, data)
+    finally:
+        server.stop()
 
 
 # --- the server

@@ -130,7 +130,7 @@ async def test_what_its_certificate_does_not_allow_cannot_be_used(
         assert words & changing == (changing if role >= Role.MAINTAINER else set())
         assert app.session is not None
         await app.session._header._do_stop()
-        assert "stopped by one-gui-" in (await served.event("stop")).text
+        assert "stopped by one.gui-" in (await served.event("stop")).text
         group.cancel_scope.cancel()
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from rtee.actions.library import ActionLibrary
 from rtee.commands import SetActive
 from rtee.hand.model import Hand
@@ -24,13 +26,13 @@ def test_a_goal_between_permission_and_tick_starts_where_the_hand_is(
     n = len(hand.actuators)
     controller.apply(SetActive(dict.fromkeys(hand.actuator_names, True)), 0.0)
     controller.accept(make_plan(Goal("Trig", ("index",)), hand, library, settings), 0.0)
-    position = [START] * n
+    position = [min(START, actuator.upper) for actuator in hand.actuators]
     unmeasured = [math.nan] * n
     for tick in range(500):
         measured = Measured(position, unmeasured, unmeasured, [True] * n, [-1] * n)
         controller.step(tick * settings.period, measured)
         if tick == 0:
-            assert max(abs(p - START) for p in controller.reference_position) < 0.01
+            assert controller.reference_position == pytest.approx(position, abs=0.01)
         position = list(controller.reference_position)
     results = [item for item in controller.outbox.items if isinstance(item, Result)]
     assert [result.reached for result in results] == [True]

@@ -164,7 +164,7 @@ def test_motion_is_believed_however_sparse_and_late_it_is_measured(
         measured_at += interval
         found_at = max(found_at + 0.001, measured_at + late)
         phase = times_faster * SPEC.velocity * measured_at % (2 * SPEC.upper)
-        plausible.step(found_at, [min(phase, 2 * SPEC.upper - phase)], [True], [True])
+        plausible.step(found_at, [min(phase, 2 * SPEC.upper - phase)], [True], [True], [0.0])
     assert not told
 
 
@@ -173,10 +173,10 @@ def test_what_is_not_measured_anew_leaves_the_time_for_its_way() -> None:
     for tick in range(1000):
         fresh = tick % 500 == 0
         here = 1.0 if tick >= 500 else 0.0
-        plausible.step(tick * 0.001, [here], [fresh], [True])
+        plausible.step(tick * 0.001, [here], [fresh], [True], [0.0])
     assert not told
-    plausible.step(1.0, [0.0], [True], [True])
-    plausible.step(1.001, [1.4], [True], [True])
+    plausible.step(1.0, [0.0], [True], [True], [0.0])
+    plausible.step(1.001, [1.4], [True], [True], [0.0])
     assert len(told) == 1
 
 
@@ -184,7 +184,7 @@ def test_far_outside_of_the_limits_is_told_but_may_come_back() -> None:
     plausible, told = watched()
     for tick in range(2000):
         position = max(3.0 - tick * 0.002, 0.5)
-        plausible.step(tick * 0.001, [position], [True], [True])
+        plausible.step(tick * 0.001, [position], [True], [True], [0.0])
         assert plausible.broken([0]) is None
         if tick > 0 and position > SPEC.upper + 0.5 * SPEC.upper:
             assert plausible.doubted([0])

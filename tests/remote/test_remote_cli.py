@@ -217,3 +217,43 @@ def test_completion(
     assert _common.complete_element(chosen, "") == ["index"]
     assert _common.complete_element(Context(action="fist"), "") == []
     assert _common.complete_action(Context(hand="none"), "") == []
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        (stop, ["small"]),
+        (stop, ["--hand", "small"]),
+        (stop, ["--json", "small"]),
+        (open, ["small"]),
+        (state, ["--rate", "5", "small", "--once"]),
+        (status, ["small", "--json"]),
+        (recover, ["small"]),
+        (recover, ["small", "sim"]),
+        (recover, ["sim", "--hand", "small"]),
+        (do, ["small", "Trig", "index", "--intensity", "0.1"]),
+        (do, ["--intensity", "0.1", "small", "fist"]),
+    ],
+)
+def test_a_hand_is_an_argument_or_an_option(
+    served: Served,
+    tmp_path_factory: pytest.TempPathFactory,
+    command: Callable[..., None],
+    words: list[str],
+) -> None:
+    other = make_hand(tmp_path_factory.mktemp("other"), "other")
+    with (
+        anyio.from_thread.start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(serving(other, make_library(other))) as second,
+    ):
+        run(command, *words)
+        assert not second.watcher.events
+        assert not second.watcher.goals
+
+
+def test_a_hand_that_does_not_run_is_named(served: Served) -> None:
+    for command in (stop, open, state, status):
+        with pytest.raises(NoHand, match=r"'smal' does not run .* did you mean 'small'"):
+            run(command, "smal")
+    with pytest.raises(RequestRejected, match="unknown action 'smal'"):
+        run(do, "smal", "fist")

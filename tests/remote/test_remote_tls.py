@@ -76,13 +76,13 @@ async def test_each_role_may_do_what_it_should(
         for role, file in files.items():
             monkeypatch.setenv(credentials.IDENTITY_VARIABLE, str(file))
             async with rtee.connect(endpoint=endpoint) as remote:
-                assert remote.client.startswith(f"{role.name.lower()}-python-")
+                assert remote.client.startswith(f"{role.name.lower()}.python-")
                 assert remote.role is role
                 assert (await remote.status()).hand == "small"
                 assert (await anext(remote.states(50.0))).names
                 assert list(await remote.stop()) == ["sim"]
                 await _tries(remote, role)
-        moved = {goal.client.partition("-")[0] for goal in served.watcher.goals}
+        moved = {goal.client.partition(".")[0] for goal in served.watcher.goals}
         assert moved == {"operator", "maintainer"}
 
 
@@ -116,7 +116,7 @@ async def test_the_hand_itself_refuses_what_a_role_may_not(
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))) as served:
         # Zenoh's rules are still those of a maintainer.
         name = credentials.common_name(name_of(file))
-        served.server._identities._admitted = {name: Admitted(Role.OBSERVER, "ann-")}.get
+        served.server._identities._admitted = {name: Admitted(Role.OBSERVER, "ann.")}.get
         async with rtee.connect(endpoint=endpoint) as remote:
             assert "has the role observer" in await refused(remote.hold())
             assert "needs the role maintainer" in await refused(

@@ -1,0 +1,181 @@
+"""A stop has a way of its own, which nobody can use up."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import anyio
+import anyio.to_thread
+import pytest
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.commands import StreamTargets
+from rtee.errors import NoHand, RequestRejected
+from rtee.hand.model import Hand
+from rtee.messages.convert import STREAM_TARGETS
+from rtee.messages.requests import HERE
+from rtee.remote import identities
+from rtee.remote.client import stop_hand
+from rtee.remote.stopping import stop_at, stop_path
+
+from .serving import Served, serving, until
+from .test_remote_attacks import Intruder
+from .test_remote_streams import sent
+
+pytestmark = pytest.mark.anyio
+
+
+def path_of(served: Served) -> Path:
+    path = stop_path(served.server.endpoint)
+    assert path is not None
+    return path
+
+
+async def stops(served: Served, client: str = "test") -> dict[str, bool]:
+    return await anyio.to_thread.run_sync(stop_at, path_of(served), "small", client)
+
+
+async def test_a_stop_needs_no_session(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        goal = await remote.start("fist", speed=0.1)
+        assert await stop_hand(client="a.test") == ("small", {"sim": True})
+        assert (await goal.result()).cancelled
+        [event] = [e for e in served.watcher.events if e.kind == "stop"]
+        who = f"a.test (process {os.getpid()} of user {os.getuid()})"
+        assert event.text == f"small: stopped by {who}; confirmed"
+
+
+async def test_a_stop_says_which_device_did_not_confirm(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        served.driver.unplug()
+        await anyio.sleep(0.05)
+        assert await stops(served) == {"sim": False}
+
+
+async def test_whatever_comes_is_a_stop(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        for junk in (b"", b"\xff" * 5, os.urandom(60_000), b"{" * 300, b"0 \n\x1b[31m"):
+            goal = await remote.start("fist", speed=0.1)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                sender.sendto(junk, str(path_of(served)))
+            assert (await goal.result()).cancelled
+        assert all(event.text.isprintable() for event in served.watcher.events)
+
+
+async def test_a_cleaner_of_files_does_not_keep_a_hand_from_being_stopped(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library) as served:
+        path_of(served).unlink()
+        # Until the socket is there again, the stop goes through the network's.
+        async with rtee.connect("small") as remote:
+            assert await remote.stop() == {"sim": True}
+        await until(path_of(served).exists)
+        assert await stops(served) == {"sim": True}
+    assert not path_of(served).exists()
+    with pytest.raises(NoHand):
+        await stops(served)
+
+
+@contextmanager
+def flood(path: Path, senders: int = 4) -> Iterator[None]:
+    ended = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(0.1)
+            while not ended.is_set():
+                try:
+                    sender.sendto(b"x", str(path))
+                except OSError:
+                    continue
+
+    threads = [threading.Thread(target=send) for _ in range(senders)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+async def test_a_flood_of_stops_keeps_no_stop_away(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        with flood(path_of(served)):
+            for _ in range(10):
+                assert await stops(served) == {"sim": True}
+
+
+async def test_64_clients_of_one_way_keep_no_stop_away(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identities, "_MOST_CLIENTS", 2)
+    async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small"):
+        with pytest.raises(RequestRejected, match="clients of this kind"):
+            async with rtee.connect("small"):
+                pass
+        assert await stop_hand() == ("small", {"sim": True})
+        # Nor one that goes through the network: it needs no hello.
+        one._stops = None
+        assert await one.stop() == {"sim": True}
+
+
+async def test_samples_without_lease_take_none_of_the_stream(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with (
+        serving(hand, library) as served,
+        rtee.connect("small") as holder,
+        rtee.connect("small") as other,
+        holder.stream(rate=50) as stream,
+        anyio.create_task_group() as group,
+    ):
+        await stream.send({"near": 0.1})
+
+        async def steal() -> None:
+            while True:
+                for _ in range(6):
+                    now = time.monotonic()
+                    stolen = StreamTargets(stream.name, now, {"near": 1.4}, {}, other.client)
+                    other._link.put("sample", STREAM_TARGETS.encode(stolen), "x")
+                await anyio.sleep(0.02)
+
+        group.start_soon(steal)
+        await sent(stream, 100, near=0.3)
+        status = await stream.status()
+        assert status.samples >= 95
+        assert served.loop.snapshot().reference_position[0] == pytest.approx(0.3, abs=0.01)
+        group.cancel_scope.cancel()
+
+
+async def test_a_client_cannot_pass_for_that_of_another_person(
+    hand: Hand, library: ActionLibrary
+) -> None:
+    async with serving(hand, library) as served:
+        admitted = {HERE: identities.Admitted(identities.Role.OPERATOR, "ann.")}
+        served.server._identities._admitted = admitted.get
+        link = Intruder(served.server.endpoint, "peer")
+        for name in ("ann-b.gui-1", "ann.b.gui-1", "ann", "annb.x", "bob.x"):
+            with pytest.raises(RequestRejected, match=r"dot|begin"):
+                await anyio.to_thread.run_sync(hello, link, name)
+        link.session.close()
+
+
+def hello(link: Intruder, name: str) -> None:
+    from rtee.messages.requests import REQUESTS
+    from rtee.messages.schema import message_type
+
+    question = REQUESTS["hello"].question.encode({"client": name, "what": "0" * 32})
+    [answer] = link.session.get(f"rtee/small/hello/{HERE}", payload=question, timeout=5.0)
+    assert answer.err is not None
+    reply = message_type("rtee_msgs/msg/Reply").decode(answer.err.payload.to_bytes())
+    raise RequestRejected(reply["reason"])
