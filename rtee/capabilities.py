@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rtee.errors import foreign
 from rtee.sample import NOTHING
 from rtee.touch import TouchSensor
 
@@ -88,3 +89,8 @@ class Capabilities:
     grip: Mapping[str, GripForce] = field(default_factory=_nothing)
     unlimited: frozenset[str] = frozenset()
     touch: tuple[TouchSensor, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Escape what a device reports of itself: it goes to terminals, files and pages."""
+        identity = {foreign(name): foreign(value) for name, value in self.identity.items()}
+        object.__setattr__(self, "identity", identity)

@@ -42,7 +42,8 @@ The tree::
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
@@ -61,10 +62,24 @@ class RteeError(Exception):
         return self.text
 
 
-def printable(text: str) -> str:
-    """Return a text with line breaks and control characters escaped, for one line of output."""
+def foreign(text: str, refuse: Callable[[str], Exception] | None = None) -> str:
+    """Return a name or a line of text from outside, without characters that are not printable.
+
+    All readers of names from outside use this: of URDF, SRDF, MJCF, YAML, messages, recordings and
+    devices. Line breaks would turn a name into further lines of a file, and control characters,
+    marks of the writing direction and characters without width make a terminal or a person read
+    something else. Quotes and the syntax of YAML, XML and HTML are escaped where they are written.
+
+    Args:
+        text: The text.
+        refuse: Makes the error to raise from the reason; by default the characters are escaped.
+    """
     if text.isprintable():
         return text
+    if refuse is not None:
+        wrong = next(c for c in text if not c.isprintable())
+        name = unicodedata.name(wrong, "a control character").lower()
+        raise refuse(f"U+{ord(wrong):04X} ({name}) in '{foreign(text[:80])}' is not printable")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -83,7 +98,7 @@ class UserError(RteeError):
         self, message: str, *, path: Path | str | None = None, line: int | None = None
     ) -> None:
         # Files and names are quoted in it, and must not send control characters to a terminal.
-        message = printable(message)
+        message = foreign(message)
         super().__init__(message)
         self.message = message
         self.path = None if path is None else Path(path)

@@ -64,3 +64,9 @@ def test_one_module_asks_for_the_time(graph: grimp.ImportGraph) -> None:
     """All others ask it, so that simulated time is that of everything."""
     asking = [m for m in sorted(graph.modules) if "time.monotonic" in path_of(m).read_text()]
     assert asking == ["rtee.monotonic"]
+
+
+def test_one_module_starts_python_processes(graph: grimp.ImportGraph) -> None:
+    """Others would import from the working folder; ``deploy`` only looks where Python is."""
+    starting = [m for m in sorted(graph.modules) if "sys.executable" in path_of(m).read_text()]
+    assert starting == ["rtee.child", "rtee.deploy.files"]

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from anyio.abc import TaskStatus
 
     from rtee.remote.client import RemoteHand
-    from rtee.remote.goal import GoalOptions, RunningGoal
+    from rtee.remote.goal import GoalOptions
+    from rtee.remote.running_goal import RunningGoal
     from rtee.types import Feedback, Result
 
 

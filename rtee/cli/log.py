@@ -12,7 +12,7 @@ import typer
 from rtee.cli._common import JsonOption
 from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
-from rtee.errors import LogError, MissingExtra, needing_extra, printable
+from rtee.errors import LogError, MissingExtra, foreign, needing_extra
 
 if TYPE_CHECKING:
     from rtee.log.check import Check
@@ -83,7 +83,7 @@ def _show(summary: Info) -> None:
 
 def _print_safely(line: str) -> None:
     # A recording may come from anywhere: escape control characters for the terminal.
-    print(printable(line))
+    print(foreign(line))
 
 
 def _show_topics(summary: Info) -> None:
@@ -94,7 +94,7 @@ def _show_topics(summary: Info) -> None:
         Column("rate [Hz]", right=True, whole=True),
     )
     topics = (
-        Row((*map(printable, (each.topic, each.kind)), str(each.messages), f"{each.rate:.1f}"))
+        Row((*map(foreign, (each.topic, each.kind)), str(each.messages), f"{each.rate:.1f}"))
         for each in summary.topics
     )
     Table(columns, tuple(topics)).show()
@@ -108,7 +108,7 @@ def _show_goals(recording: Recording) -> None:
         Column("outcome"),
     )
     spans = (
-        Row((f"{s.start:.2f}", printable(s.name), f"{s.end - s.start:.2f}", s.outcome))
+        Row((f"{s.start:.2f}", foreign(s.name), f"{s.end - s.start:.2f}", s.outcome))
         for s in recording.spans
     )
     Table(columns, tuple(spans)).show()

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from rtee import child
 from rtee.errors import ConfigError, ModelError, needing_extra
 from rtee.hand.files import MAX_SIZE, read_bytes
 from rtee.hand.meshes import find_package
@@ -77,16 +78,14 @@ def expand(
         "arguments": dict(arguments),
         "package_dirs": [str(Path(folder).absolute()) for folder in package_dirs],
     }
-    root = str(Path(__file__).parents[2])
-    search = os.pathsep.join([root, *filter(None, [os.environ.get("PYTHONPATH")])])
     # A new session, so that processes started by the file end with it. Its output is dropped, since
     # expressions may print anything.
     process = subprocess.Popen(
-        [sys.executable, "-m", __name__],
+        child.python("-m", __name__),
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": search},
+        env=child.environment(),
         start_new_session=True,
     )
     try:

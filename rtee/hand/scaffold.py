@@ -279,7 +279,7 @@ def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]
 
 def _hand_yaml(settled: _Settled) -> str:
     hand = settled.hand
-    example = hand.actuators[0].name
+    example = emit_scalar(hand.actuators[0].name)
     chosen = ""
     if settled.rest:
         chosen += f"""

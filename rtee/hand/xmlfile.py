@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 from xml.parsers import expat
 
-from rtee.errors import ModelError
+from rtee.errors import ModelError, foreign
 from rtee.hand.files import read_bytes
 
 MAX_DEPTH: Final = 100
@@ -128,6 +128,10 @@ class _Builder:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         element = Element(tag, attributes, self.parser.CurrentLineNumber, self.path)
+        # Here, since attributes become names, lines of other files and words on terminals.
+        for attribute, value in attributes.items():
+            if not value.isprintable():
+                foreign(f"{attribute}: {value}", element.error)
         # Checked here, since later steps may recurse over the tree.
         if len(self.open) >= MAX_DEPTH:
             raise element.error(f"elements are nested deeper than {MAX_DEPTH}")

@@ -7,11 +7,11 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final
 
-from rtee.errors import ConfigError, UserError
+from rtee.errors import ConfigError, UserError, foreign
 from rtee.hand.files import read_bytes
 from rtee.hand.yamlwrite import emit
 
@@ -297,6 +297,10 @@ def read_emitted(text: str) -> dict[str, Any] | None:
 
 _UNDER_WAY: Final = object()
 
+_CONTROL: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""Characters in a value that change lines or the order of what is read: other line breaks, control
+characters, and embedded writing directions."""
+
 
 class _Reader:
     """Turns YAML nodes into plain data and remembers their lines."""
@@ -348,6 +352,8 @@ class _Reader:
                 key = tuple(str(item.value) for item in key)
             elif not isinstance(key, str):
                 raise self._error(line, "a key should be a word")
+            elif not self.foreign:
+                foreign(key, partial(self._error, line))
             if key in data:
                 first = self.lines[(*location, key)]
                 raise self._error(line, f"'{str(key)[:80]}' occurs twice, first in line {first}")
@@ -359,6 +365,9 @@ class _Reader:
         match kind:
             # A date stays text: hand.yaml has none, and other programs' files are only shown.
             case "str" | "timestamp":
+                # Descriptions may have several lines, and any characters of a person's language.
+                for part in () if self.foreign else _CONTROL.findall(text):
+                    foreign(part, partial(self._error, line))
                 return text
             case "null":
                 return None

@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
+from rtee.errors import foreign
+
 DECIMALS: Final = 9
 """Decimal places of stored numbers: a nanometre or nanoradian, far below the accuracy of hands."""
 
@@ -99,7 +101,7 @@ def emit(data: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
             scalars.
         comments: Comment lines at the top, without the ``#``.
     """
-    head = [f"# {line}".rstrip() for line in comments]
+    head = [f"# {foreign(line)}".rstrip() for line in comments]
     return "\n".join([*head, *_lines(data, "")]) + "\n"
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 
 import anyio
+
+from rtee import child
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +79,9 @@ async def companion(command: Sequence[str], cpus: Collection[int] = ()) -> None:
         cpus: The CPUs it may run on; none: those of the calling thread.
     """
     try:
-        process = await anyio.open_process(command, stdin=None, stdout=None, stderr=None)
+        process = await anyio.open_process(
+            command, stdin=None, stdout=None, stderr=None, env=child.environment()
+        )
     except OSError as error:
         log.error("%s cannot be started: %s", command[0], error)
         return
@@ -109,7 +112,7 @@ def beside_this_run(*words: str) -> tuple[str, ...]:
         words: The command and its arguments; it must have the option ``--beside``; see
             `work_beside`.
     """
-    return (sys.executable, "-m", "rtee", *words, "--beside", str(os.getpid()))
+    return (*child.python("-m", "rtee", *words), "--beside", str(os.getpid()))
 
 
 async def work_beside(run: int | None, work: Callable[[], Awaitable[object]]) -> None:

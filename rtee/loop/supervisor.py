@@ -15,7 +15,7 @@ import anyio
 from rtee import monotonic
 from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
-from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError
+from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError, foreign
 from rtee.loop.connection import ACTIVATE_WITHIN, Connection
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
@@ -120,16 +120,16 @@ class Supervisor:
             reconnects=counters.reconnects,
             counters=self.driver.counters(),
             fault_code=0 if fault is None else fault.code,
-            fault_name="" if fault is None else fault.name,
+            fault_name="" if fault is None else foreign(fault.name),
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
-            message=self.driver.doing or link.message,
+            message=foreign(self.driver.doing or link.message),
             gains=gains,
             gain_values=tuple(known.get(name, math.nan) for name in gains),
         )
 
     def _report(self, kind: str, text: str, severity: str) -> None:
-        text = f"device '{self.name}' {text}"
+        text = f"device '{self.name}' {foreign(text)}"
         self._on_event(Event(kind, self.name, text, self._now(), severity))
 
     # --- at a tick ---------------------------------------------------------------------------

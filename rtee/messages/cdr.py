@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import MessageError
+from rtee.errors import MessageError, foreign
 
 HEADER = b"\x00\x01\x00\x00"
 """Encapsulation header: CDR, little-endian, no options."""
@@ -180,9 +180,9 @@ class Reader:
         return value
 
     def strings(self) -> list[str]:
-        """Return a sequence of strings."""
+        """Return a sequence of strings, which are names in all messages of rtee."""
         # A string takes at least five bytes: its length and the NUL.
-        return [self.string() for _ in range(self.length(5))]
+        return [foreign(self.string()) for _ in range(self.length(5))]
 
     def string(self) -> str:
         """Return a string."""

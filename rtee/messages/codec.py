@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.errors import MessageError
+from rtee.errors import MessageError, foreign
 from rtee.messages.cdr import HEADER, SCALARS, Reader, Writer
 from rtee.messages.schema import Field, message_type, reader_of, writer_of
 from rtee.sample import FloatArray
@@ -188,6 +188,9 @@ class Codec(Generic[T]):
 
     def _value(self, fields: Mapping[str, Any]) -> T:
         values = {name: fields[name] for name in self._same}
+        for name, value in values.items():
+            if isinstance(value, str) and not value.isprintable():
+                values[name] = foreign(value)
         for attribute, (names, unpack) in self._unpackers.items():
             values[attribute] = unpack(*[fields[name] for name in names])
         return self._cls(**values)

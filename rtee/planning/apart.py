@@ -7,13 +7,13 @@ import json
 import math
 import os
 import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rtee import child
 from rtee.errors import ConfigError, RequestRejected
 from rtee.hand.meshes import FORMATS
 
@@ -178,15 +178,12 @@ def ask(
     """
     question.check()
     words = {**question.words(), "hand": str(folder)}
-    # With -P, Python does not look for modules in the working folder, where anything may be,
-    # so the folder of rtee is named.
-    paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "rtee.planning"],
+        child.python("-m", "rtee.planning"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        env=child.environment(),
         text=True,
     )
     _make_ordinary(process.pid)

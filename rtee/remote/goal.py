@@ -5,44 +5,25 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypedDict, Unpack
 
 import anyio
 
-from rtee.errors import (
-    GoalRejected,
-    NoHand,
-    RemoteError,
-    RequestRejected,
-    RteeError,
-    TooManyRequests,
-    suggestion,
-)
-from rtee.messages import decode_feedback, decode_result, encode_goal, topics
-from rtee.messages.convert import RESULT
+from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
+from rtee.messages import encode_goal
 from rtee.remote.goal_values import QUANTITIES, check_types, reactions
 from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.remote.planner import HandInfo
+from rtee.remote.running_goal import RunningGoal, RunningGoals
 from rtee.types import Feedback, Goal, OnContact, Result, Stage
 from rtee.units import FORCE, LENGTH, SPEED, quantity
-
-_SILENT = 0.5
-"""Time without a message about an accepted goal after which the client asks for its result [s]:
-feedback comes 50 times a second unless configured otherwise."""
 
 _ACCEPTED_WITHIN = ANSWER_WITHIN - 1.0
 """Time to wait for the answer to a goal before asking whether it runs [s]: both together take at
 most a second longer than any other request."""
-
-_ASK_WITHIN = 2.0
-"""Time to wait for the answer to such a question [s]: a hand on a busy computer answers within
-some tenths."""
-
-_ASKED_FOR = ANSWER_WITHIN
-"""Time without an answer to such questions after which the hand counts as lost [s]."""
 
 OnContactWords = Mapping[str, OnContact | str] | OnContact | str
 """One reaction for all fingers, or reactions by finger, "" for all others."""
@@ -82,80 +63,6 @@ class GoalOptions(TypedDict, total=False):
     max_force: float | str
 
 
-class RunningGoal:
-    """A goal that the hand has accepted.
-
-    ``async for feedback in running`` ends with the goal; ``await running.result()`` returns its
-    result.
-
-    Args:
-        cancel: Requests the hand to cancel the goal.
-
-    Attributes:
-        goal: The goal.
-        heard: When the hand was last heard of it, by the event loop's clock [s]; ``inf``: before
-            it is accepted.
-    """
-
-    def __init__(self, goal: Goal, cancel: Callable[[], Awaitable[None]]) -> None:
-        self.goal = goal
-        self._cancel = cancel
-        self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
-        self.heard = math.inf
-        self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        # Without this, asyncio would log an unretrieved error when the hand has gone.
-        self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
-
-    @property
-    def done(self) -> bool:
-        """Whether the goal has ended."""
-        return self._result.done()
-
-    def __aiter__(self) -> AsyncIterator[Feedback]:
-        """Iterate over the feedback until the goal has ended."""
-        return self._iterate()
-
-    async def _iterate(self) -> AsyncIterator[Feedback]:
-        while (feedback := await self._feedback.get()) is not None:
-            yield feedback
-        self._feedback.put_nowait(None)  # for the next iterator
-
-    async def result(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
-        """Wait until the goal has ended, and return its result.
-
-        Args:
-            on_feedback: Called with the feedback meanwhile.
-
-        Raises:
-            NoHand: if the hand has gone.
-        """
-        if on_feedback is not None:
-            async for feedback in self:
-                on_feedback(feedback)
-        # Cancelling one waiting task must not cancel the result for the others.
-        return await asyncio.shield(self._result)
-
-    async def cancel(self) -> None:
-        """Cancel the goal: the hand brakes and holds, and the result says so.
-
-        Does nothing once the goal has ended.
-        """
-        if not self.done:
-            await self._cancel()
-
-    def deliver(self, what: Feedback | Result | Exception) -> None:
-        """Deliver feedback, the result, or the error that ends the goal."""
-        if isinstance(what, Feedback):
-            self._feedback.put_nowait(what)
-            return
-        if not self._result.done():
-            if isinstance(what, Result):
-                self._result.set_result(what)
-            else:
-                self._result.set_exception(what)
-        self._feedback.put_nowait(None)
-
-
 class GoalClient:
     """Sends goals to the hand, and delivers feedback and results to the running ones.
 
@@ -166,99 +73,8 @@ class GoalClient:
 
     def __init__(self, link: Link, info: Callable[[], Awaitable[HandInfo]]) -> None:
         self._link, self._info = link, info
-        self._running: dict[str, RunningGoal] = {}
+        self._running = RunningGoals(link)
         self._efforts: dict[str, float] | None = None
-        self._loop = asyncio.get_running_loop()
-        self._watch: asyncio.Task[None] | None = None
-        self._cancelling: set[asyncio.Task[None]] = set()
-        link.subscribe(topics.FEEDBACK, self._on_feedback)
-        link.subscribe(topics.RESULTS, self._on_result)
-        link.on_gone(self._on_gone)
-
-    def _on_feedback(self, data: bytes) -> None:
-        if self._running:  # without goals of this client, messages need not be decoded
-            feedback = decode_feedback(data)
-            running = self._running.get(feedback.goal_id)
-            if running is not None:
-                running.heard = self._loop.time()
-                running.deliver(feedback)
-
-    def _on_result(self, data: bytes) -> None:
-        if self._running:
-            result = decode_result(data)
-            self._end(result.goal_id, result)
-
-    def _end(self, goal_id: str, how: Result | Exception) -> None:
-        running = self._running.pop(goal_id, None)
-        if running is not None:
-            running.deliver(how)
-
-    def _on_gone(self) -> None:
-        if self._watch is not None:
-            self._watch.cancel()
-        for goal_id in tuple(self._running):
-            self._end(goal_id, self._link.lost())
-
-    async def _watch_silent(self) -> None:
-        """Ask for the results of goals of which nothing was heard for a while; ends with them.
-
-        A result is published once, and may be lost if the connection is congested.
-        """
-        while self._running:
-            await asyncio.sleep(_SILENT / 2.0)
-            since = self._loop.time() - _SILENT
-            silent = [item for item in self._running.items() if item[1].heard < since]
-            await asyncio.gather(*(self._ask_for(*item) for item in silent))
-
-    async def _ask_for(self, goal_id: str, running: RunningGoal) -> None:
-        try:
-            status = await self._status(goal_id)
-        except NoHand as error:
-            if self._loop.time() - running.heard > _ASKED_FOR:
-                self._end(goal_id, error)
-                self._give_up(goal_id)
-            return
-        # A hand of an earlier version does not know the request, but publishes the result.
-        except RteeError:
-            status = True
-        if status is None:
-            text = f"the hand '{self._link.hand}' does not know the goal any more"
-            self._end(goal_id, RequestRejected(text))
-        elif isinstance(status, Result):
-            self._end(goal_id, status)
-        else:
-            running.heard = self._loop.time()
-
-    async def _status(self, goal_id: str) -> Result | bool | None:
-        """Return the result of a goal, ``True`` if it runs, ``None`` if the hand knows neither."""
-        fields = {"goal_id": goal_id, "client": self._link.client}
-        status = await self._link.ask("goal", fields, within=_ASK_WITHIN)
-        if status["result"]:
-            return RESULT.of(status["result"][0])
-        return True if status["running"] else None
-
-    async def _check_taken(self, goal_id: str) -> None:
-        """Raise `RemoteError` unless the hand knows a goal whose answer has not arrived."""
-        try:
-            if await self._status(goal_id) is not None:
-                return
-        except RteeError:
-            self._give_up(goal_id)
-            raise
-        raise TooManyRequests(
-            f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
-        )
-
-    def _give_up(self, goal_id: str) -> None:
-        """Cancel a goal for which nobody waits any more, if the hand still hears it."""
-
-        async def cancel() -> None:
-            with contextlib.suppress(RemoteError):
-                await self.cancel(goal_id)
-
-        task = self._loop.create_task(cancel())
-        self._cancelling.add(task)  # the event loop itself keeps only a weak reference
-        task.add_done_callback(self._cancelling.discard)
 
     async def start(
         self, action: str, *elements: str, **options: Unpack[GoalOptions]
@@ -293,9 +109,7 @@ class GoalClient:
         if goal.goal_id in self._running:
             raise GoalRejected(f"a goal '{goal.goal_id}' of this client runs already")
         answer = self._link.send("do", encode_goal(goal), within=_ACCEPTED_WITHIN)
-        running = self._running[goal.goal_id] = RunningGoal(
-            goal, partial(self.cancel, goal.goal_id)
-        )
+        running = self._running.add(RunningGoal(goal, partial(self.cancel, goal.goal_id)))
         try:
             try:
                 await asyncio.shield(answer)
@@ -303,7 +117,7 @@ class GoalClient:
                 # The answer may be lost, and the goal run.
                 if self._link.gone:
                     raise
-                await self._check_taken(goal.goal_id)
+                await self._running.check_taken(goal.goal_id)
         except anyio.get_cancelled_exc_class():
             # The goal was sent, and the caller has given it up, so it is cancelled here. The answer
             # comes first, since a goal that has not arrived cannot be cancelled.
@@ -311,15 +125,13 @@ class GoalClient:
                 with contextlib.suppress(NoHand):
                     await answer
                 await running.cancel()
-            self._running.pop(goal.goal_id, None)
+            self._running.discard(goal.goal_id)
             raise
         # A refused goal must not stay registered.
         except BaseException:
-            self._running.pop(goal.goal_id, None)
+            self._running.discard(goal.goal_id)
             raise
-        running.heard = self._loop.time()
-        if self._watch is None or self._watch.done():
-            self._watch = self._loop.create_task(self._watch_silent())
+        self._running.watch(running)
         return running
 
     async def do(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rtee.remote.goal import RunningGoal
+from rtee.remote.running_goal import RunningGoal
 from rtee.ros2.action_server import ActionServer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome
 from rtee.ros2.face import Part

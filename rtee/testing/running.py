@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 import rtee
-from rtee import monotonic
+from rtee import child, monotonic
 from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, NoHand, RteeError
@@ -105,11 +104,17 @@ def running_hand(
     printed = folder / f"{config.name}.txt"
     words = [str(hand), "--log", str(folder / "logs"), *_driven(config, driver)]
     words += [] if object is None else ["--object", object]
-    command = [sys.executable, "-c", _PROGRAM, "run", *words]
+    command = child.python("-c", _PROGRAM, "run", *words)
     with printed.open("wb") as output:
         # The pipe ends the hand when it is closed, which happens even if this process is killed.
         # The file may be closed: the hand has its own descriptor.
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output)
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=output,
+            env=child.environment(),
+        )
     try:
         with _connected(config.name, process, printed, timeout) as remote:
             yield remote

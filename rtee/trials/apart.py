@@ -10,12 +10,11 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
-import os
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from rtee import child
 from rtee.errors import ConfigError, MissingExtra
 
 MESHES: Final = (".stl", ".obj")
@@ -95,11 +94,7 @@ class Job:
 
 def command() -> tuple[list[str], dict[str, str]]:
     """Return the command line of the process, and its environment."""
-    # The process runs the same rtee as this one, installed or not.
-    paths = [_PACKAGES, *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    # -P: a module in the current folder must not take the place of one of rtee's.
-    return [sys.executable, "-P", "-m", "rtee.trials"], environment
+    return child.python("-m", "rtee.trials"), child.environment()
 
 
 def check_installed(*, planning: bool) -> None:

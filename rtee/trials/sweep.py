@@ -17,6 +17,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from rtee import child
 from rtee.actions.library import ActionLibrary
 from rtee.errors import ConfigError, RteeError, WorkerLost, needing_extra
 from rtee.hand.load import hand_folder, load_configured
@@ -129,7 +130,8 @@ def sweep(name: str, trials: Sequence[Trial], jobs: int) -> Generator[TrialResul
             # Ctrl-C, which a terminal sends to all processes, is left to this one: the others are
             # born with it blocked.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            futures = [pool.submit(_attempt_apart, name, trial) for trial in trials]
+            with child.spawning():
+                futures = [pool.submit(_attempt_apart, name, trial) for trial in trials]
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             # All processes are started by now; each has its own copy of this end.
             leash.close()

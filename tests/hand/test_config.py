@@ -104,7 +104,7 @@ WRONG = [
     ("name: gripper", "nam: gripper", "nam: unknown key; did you mean 'name'?", None),
     ("urdf: gripper.urdf\n", "", "urdf: is missing", None),
     ("urdf: gripper.urdf", "urdf: no.urdf", "the file 'no.urdf' does not exist beside", "no.urdf"),
-    ("urdf: gripper.urdf", 'urdf: "a\\0b"', "does not exist beside", "a\\0b"),
+    ("urdf: gripper.urdf", 'urdf: "a\\0b"', "is not printable", "a\\0b"),
     ("actuators: all", "actuators: [left]", "no device drives the actuator 'right'", None),
     ("actuators: all", "actuators: [x]", "devices.both.actuators.0: unknown actuator 'x'", None),
     ("actuators: all", "actuators: 3", "devices.both.actuators: should be", "actuators: 3"),

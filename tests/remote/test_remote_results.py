@@ -96,7 +96,8 @@ async def test_a_goal_that_the_hand_has_forgotten_ends_with_an_error(
         goals = GoalClient(Deaf(remote._link, topics.RESULTS), remote.info)  # type: ignore[arg-type]
         running = await goals.start("Trig", "index")
         # As after a minute without a connection: the hand knows nothing under this name.
-        goals._running["forgotten"] = goals._running.pop(running.goal.goal_id)
+        known = goals._running._running
+        known["forgotten"] = known.pop(running.goal.goal_id)
         with pytest.raises(RequestRejected, match="does not know the goal any more"):
             await running.result()
 

@@ -1,0 +1,47 @@
+"""How rtee starts Python processes: the same rtee, and never a module of the working folder.
+
+Python puts the working folder, or with ``-m`` the folder it is started in, first on its path. A
+``typer.py`` in a folder of downloads would run instead of the library.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+_ROOT: Final = str(Path(__file__).parents[1])
+"""The folder of the package, from which a child runs the same rtee, installed or not."""
+
+_SAFE: Final = "PYTHONSAFEPATH"
+"""Variable of the environment with the effect of ``-P``, for the children of a child, too."""
+
+
+def python(*words: str) -> list[str]:
+    """Return the command line of a Python process; start it with `environment`."""
+    return [sys.executable, "-P", *words]
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a Python process that imports rtee."""
+    # An empty or relative entry of PYTHONPATH means the working folder, too.
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    paths = [_ROOT, *(path for path in given if os.path.isabs(path))]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), _SAFE: "1"}
+
+
+@contextlib.contextmanager
+def spawning() -> Iterator[None]:
+    """Keep the processes that `multiprocessing` starts in the context from the working folder."""
+    before = os.environ.get(_SAFE)
+    os.environ[_SAFE] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE]
+        else:
+            os.environ[_SAFE] = before

@@ -1,0 +1,223 @@
+"""The goals of a client that run in the hand: their feedback and results, and who misses one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Literal
+
+from rtee.errors import NoHand, RemoteError, RequestRejected, RteeError, TooManyRequests
+from rtee.messages import decode_feedback, decode_result, topics
+from rtee.messages.convert import RESULT
+from rtee.remote.link import ANSWER_WITHIN, Link
+from rtee.types import Feedback, Goal, Result
+
+_SILENT = 0.5
+"""Time without a message about an accepted goal after which the client asks for its result [s]:
+feedback comes 50 times a second unless configured otherwise."""
+
+_ASK_WITHIN = 2.0
+"""Time to wait for the answer to such a question [s]: a hand on a busy computer answers within
+some tenths."""
+
+_ASKED_FOR = ANSWER_WITHIN
+"""Time without an answer to such questions after which the hand counts as lost [s]."""
+
+
+class RunningGoal:
+    """A goal that the hand has accepted.
+
+    ``async for feedback in running`` ends with the goal; ``await running.result()`` returns its
+    result.
+
+    Args:
+        cancel: Requests the hand to cancel the goal.
+
+    Attributes:
+        goal: The goal.
+        heard: When the hand was last heard of it, by the event loop's clock [s]; ``inf``: before
+            it is accepted.
+    """
+
+    def __init__(self, goal: Goal, cancel: Callable[[], Awaitable[None]]) -> None:
+        self.goal = goal
+        self._cancel = cancel
+        self._feedback: asyncio.Queue[Feedback | None] = asyncio.Queue()
+        self.heard = math.inf
+        self._result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        # Without this, asyncio would log an unretrieved error when the hand has gone.
+        self._result.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    @property
+    def done(self) -> bool:
+        """Whether the goal has ended."""
+        return self._result.done()
+
+    def __aiter__(self) -> AsyncIterator[Feedback]:
+        """Iterate over the feedback until the goal has ended."""
+        return self._iterate()
+
+    async def _iterate(self) -> AsyncIterator[Feedback]:
+        while (feedback := await self._feedback.get()) is not None:
+            yield feedback
+        self._feedback.put_nowait(None)  # for the next iterator
+
+    async def result(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:
+        """Wait until the goal has ended, and return its result.
+
+        Args:
+            on_feedback: Called with the feedback meanwhile.
+
+        Raises:
+            NoHand: if the hand has gone.
+        """
+        if on_feedback is not None:
+            async for feedback in self:
+                on_feedback(feedback)
+        # Cancelling one waiting task must not cancel the result for the others.
+        return await asyncio.shield(self._result)
+
+    async def cancel(self) -> None:
+        """Cancel the goal: the hand brakes and holds, and the result says so.
+
+        Does nothing once the goal has ended.
+        """
+        if not self.done:
+            await self._cancel()
+
+    def deliver(self, what: Feedback | Result | Exception) -> None:
+        """Deliver feedback, the result, or the error that ends the goal."""
+        if isinstance(what, Feedback):
+            self._feedback.put_nowait(what)
+            return
+        if not self._result.done():
+            if isinstance(what, Result):
+                self._result.set_result(what)
+            else:
+                self._result.set_exception(what)
+        self._feedback.put_nowait(None)
+
+
+class RunningGoals:
+    """The running goals of a client, by their identifiers; delivers what the hand says of them.
+
+    Args:
+        link: The connection to the hand.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._running: dict[str, RunningGoal] = {}
+        self._loop = asyncio.get_running_loop()
+        self._watch: asyncio.Task[None] | None = None
+        self._cancelling: set[asyncio.Task[None]] = set()
+        link.subscribe(topics.FEEDBACK, self._on_feedback)
+        link.subscribe(topics.RESULTS, self._on_result)
+        link.on_gone(self._on_gone)
+
+    def __contains__(self, goal_id: str) -> bool:
+        """Return whether a goal runs."""
+        return goal_id in self._running
+
+    def add(self, running: RunningGoal) -> RunningGoal:
+        """Deliver to a goal from now on; return it."""
+        self._running[running.goal.goal_id] = running
+        return running
+
+    def discard(self, goal_id: str) -> None:
+        """Deliver nothing more to a goal, such as one that was refused."""
+        self._running.pop(goal_id, None)
+
+    def watch(self, running: RunningGoal) -> None:
+        """Ask for the result of an accepted goal if nothing is heard of it."""
+        running.heard = self._loop.time()
+        if self._watch is None or self._watch.done():
+            self._watch = self._loop.create_task(self._watch_silent())
+
+    def _on_feedback(self, data: bytes) -> None:
+        if self._running:  # without goals of this client, messages need not be decoded
+            feedback = decode_feedback(data)
+            running = self._running.get(feedback.goal_id)
+            if running is not None:
+                running.heard = self._loop.time()
+                running.deliver(feedback)
+
+    def _on_result(self, data: bytes) -> None:
+        if self._running:
+            result = decode_result(data)
+            self._end(result.goal_id, result)
+
+    def _end(self, goal_id: str, how: Result | Exception) -> None:
+        running = self._running.pop(goal_id, None)
+        if running is not None:
+            running.deliver(how)
+
+    def _on_gone(self) -> None:
+        if self._watch is not None:
+            self._watch.cancel()
+        for goal_id in tuple(self._running):
+            self._end(goal_id, self._link.lost())
+
+    async def _watch_silent(self) -> None:
+        """Ask for the results of goals of which nothing was heard for a while; ends with them.
+
+        A result is published once, and may be lost if the connection is congested.
+        """
+        while self._running:
+            await asyncio.sleep(_SILENT / 2.0)
+            since = self._loop.time() - _SILENT
+            silent = [item for item in self._running.items() if item[1].heard < since]
+            await asyncio.gather(*(self._ask_for(*item) for item in silent))
+
+    async def _ask_for(self, goal_id: str, running: RunningGoal) -> None:
+        try:
+            status = await self._status(goal_id)
+        except NoHand as error:
+            if self._loop.time() - running.heard > _ASKED_FOR:
+                self._end(goal_id, error)
+                self._give_up(goal_id)
+            return
+        # A hand of an earlier version does not know the request, but publishes the result.
+        except RteeError:
+            status = True
+        if status is None:
+            text = f"the hand '{self._link.hand}' does not know the goal any more"
+            self._end(goal_id, RequestRejected(text))
+        elif isinstance(status, Result):
+            self._end(goal_id, status)
+        else:
+            running.heard = self._loop.time()
+
+    async def _status(self, goal_id: str) -> Result | Literal[True] | None:
+        """Return the result of a goal, ``True`` if it runs, ``None`` if the hand knows neither."""
+        fields = {"goal_id": goal_id, "client": self._link.client}
+        status = await self._link.ask("goal", fields, within=_ASK_WITHIN)
+        if status["result"]:
+            return RESULT.of(status["result"][0])
+        return True if status["running"] else None
+
+    async def check_taken(self, goal_id: str) -> None:
+        """Raise `RemoteError` unless the hand knows a goal whose answer has not arrived."""
+        try:
+            if await self._status(goal_id) is not None:
+                return
+        except RteeError:
+            self._give_up(goal_id)
+            raise
+        raise TooManyRequests(
+            f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
+        )
+
+    def _give_up(self, goal_id: str) -> None:
+        """Cancel a goal for which nobody waits any more, if the hand still hears it."""
+
+        async def cancel() -> None:
+            with contextlib.suppress(RemoteError):
+                fields = {"goal_id": goal_id, "client": self._link.client}
+                await self._link.ask("cancel", fields)
+
+        task = self._loop.create_task(cancel())
+        self._cancelling.add(task)  # the event loop itself keeps only a weak reference
+        task.add_done_callback(self._cancelling.discard)
