@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rtee.deploy.needs import SECURE, Needs, Port, checked_path
 from rtee.errors import ConfigError
-from rtee.hand.files import make_folder, write_atomically
+from rtee.hand.files import files_below, make_folder, write_atomically
 
 PROGRAM = "/opt/rtee/bin/rtee"
 """Path of the program in the shipped unit."""
@@ -156,18 +156,10 @@ def hand_files(needs: Needs, root: Path) -> dict[str, bytes]:
     inside = Path(__file__).resolve().parents[1] / "_config"
     if folder.is_relative_to(inside) or folder == (root / HANDS[1:] / needs.hand).resolve():
         return {}
-    contents: dict[str, bytes] = {}
-    for path in sorted(needs.folder.rglob("*")):
-        name = path.relative_to(needs.folder)
-        hidden = any(part.startswith((".", "__")) for part in name.parts)
-        # A link may lead to a file that other users must not read.
-        if hidden or path.is_symlink() or not path.is_file():
-            continue
-        try:
-            contents[f"{HANDS}/{needs.hand}/{name.as_posix()}"] = path.read_bytes()
-        except OSError as error:
-            raise ConfigError(f"cannot be read: {error.strerror}", path=path) from error
-    return contents
+    # A link may lead to a file that other users must not read, and be made while this runs.
+    return {
+        f"{HANDS}/{needs.hand}/{name.as_posix()}": content for name, content in files_below(folder)
+    }
 
 
 def _rules(needs: Needs) -> str:

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -211,6 +212,60 @@ def read_bytes(path: Path | str, what: str, error: type[UserError] | None = None
     if len(data) > MAX_SIZE:
         raise raised(f"{what} is larger than {MAX_SIZE // 1_000_000} MB", path=file)
     return data
+
+
+def is_trusted(status: os.stat_result, *owners: int) -> bool:
+    """Return whether a file or folder belongs to one of some users, and nobody else can write it.
+
+    Only then, no other user of this computer has made it.
+    """
+    others = stat.S_IWGRP | stat.S_IWOTH
+    return status.st_uid in owners and not status.st_mode & others
+
+
+def files_below(folder: Path, limit: int = MAX_SIZE) -> Iterator[tuple[Path, bytes]]:
+    """Yield the regular files below a folder, with their paths in it and contents, in order.
+
+    For a program with more rights than the folder's owner, who may change it meanwhile: links are
+    not followed, whether to files or to folders, and what is read is what was checked. Hidden files
+    and folders, and those that begin with two underscores, are left out.
+
+    Raises:
+        ConfigError: A file cannot be read, is larger than ``limit`` [bytes], or belongs to another
+            user than the folder, as a hard link to somebody's file does.
+    """
+    for root, folders, names, descriptor in os.fwalk(folder):  # does not follow links
+        folders[:] = sorted(each for each in folders if not each.startswith((".", "__")))
+        owner = os.fstat(descriptor).st_uid
+        for name in sorted(each for each in names if not each.startswith((".", "__"))):
+            path = Path(root, name)
+            content = _regular(path, descriptor, owner, limit)
+            if content is not None:
+                yield path.relative_to(folder), content
+
+
+def _regular(path: Path, folder: int, owner: int, limit: int) -> bytes | None:
+    """Return the content of a file in an open folder; ``None`` if it is no regular file."""
+    try:
+        # Without blocking, since a named pipe may have taken the file's place.
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        descriptor = os.open(path.name, flags, dir_fd=folder)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO, errno.EMLINK):  # a link, or a socket
+            return None
+        raise ConfigError(f"cannot be read: {reason(error)}", path=path) from None
+    with os.fdopen(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            return None
+        if status.st_uid != owner:
+            raise ConfigError(
+                "belongs to another user than its folder; give both the same owner", path=path
+            )
+        content = file.read(limit + 1)
+    if len(content) > limit:
+        raise ConfigError(f"is larger than {limit // 1_000_000} MB", path=path)
+    return content
 
 
 def reason(error: Exception) -> str:

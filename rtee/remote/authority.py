@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rtee.errors import ConfigError
-from rtee.hand.files import reason, sync_folder, write_atomically
+from rtee.hand.files import reason, sync_folder
 from rtee.messages.requests import Role
 from rtee.remote.credentials import (
     AUTHORITY,
@@ -72,7 +72,9 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
             path=folder / AUTHORITY_KEY,
         )
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Each by itself, since `parents` makes those above with whatever the umask leaves.
+        for place in (*reversed(folder.parents), folder):
+            place.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"cannot be made: {reason(error)}", path=folder) from None
     key = ec.generate_private_key(ec.SECP256R1())
@@ -83,7 +85,7 @@ def make_authority(folder: Path, hand: str, days: int = DAYS) -> None:
     builder = builder.add_extension(_usage(signs=True), critical=True)
     certificate = builder.sign(key, hashes.SHA256())
     write_private(folder / AUTHORITY_KEY, _key_text(key))
-    write_atomically(folder / AUTHORITY, _text(certificate))
+    write_private(folder / AUTHORITY, _text(certificate))
     _write(Credentials(folder, spare=_spare({})))
     renew(folder, hand, days)
 
@@ -93,7 +95,7 @@ def renew(folder: Path, hand: str, days: int = DAYS) -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(folder, hand, key, days, ExtendedKeyUsageOID.SERVER_AUTH)
     write_private(folder / HAND_KEY, _key_text(key))
-    write_atomically(folder / HAND, _text(certificate))
+    write_private(folder / HAND, _text(certificate))
     until = certificate.not_valid_after_utc.timestamp()
     _write(replace(_known(folder), until=until, spare=_spare({})))
 
@@ -275,4 +277,4 @@ def _write(known: Credentials) -> None:
     ]
     spare = {name: role.name.lower() for name, role in known.spare.items()}
     text = json.dumps({"until": known.until, "people": entries, "spare": spare}, indent=2)
-    write_atomically(known.folder / PEOPLE, text + "\n")
+    write_private(known.folder / PEOPLE, text + "\n")

@@ -9,16 +9,18 @@ the common names of later certificates when a hand starts.
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import re
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rtee.errors import ConfigError
-from rtee.hand.files import reason
+from rtee.hand.files import is_trusted, reason
 from rtee.hand.names import check_name
 from rtee.messages.requests import Role
 
@@ -33,6 +35,8 @@ PEOPLE = "people.json"
 
 AUTHORITY, AUTHORITY_KEY = "authority.crt", "authority.key"
 HAND, HAND_KEY = "hand.crt", "hand.key"
+
+_FILES = (PEOPLE, AUTHORITY, AUTHORITY_KEY, HAND, HAND_KEY)
 
 _LONGEST = 65536
 """Most bytes that are read of a client's file [bytes]: a valid one has two thousand."""
@@ -106,6 +110,7 @@ class Credentials:
         """
         path = self.folder / PEOPLE
         try:
+            self._check_owner()
             status = path.stat()
             # With the inode, since a new list may have the same time.
             stamp = (status.st_mtime_ns, status.st_ino)
@@ -119,6 +124,24 @@ class Credentials:
             raise ConfigError(
                 f"cannot be read: {reason(error)}; 'rtee secure init HAND' makes it", path=path
             ) from None
+
+    def _check_owner(self) -> None:
+        """Raise `ConfigError` if another user could have made the folder or what is in it.
+
+        Root may have made them for a service. The folder around this one matters, too: who can
+        write there puts another folder in its place.
+        """
+        for place in (self.folder.parent, self.folder, *map(self.folder.joinpath, _FILES)):
+            with contextlib.suppress(FileNotFoundError):
+                status = place.lstat()
+                # As in /tmp, nobody renames there what is not theirs.
+                sticky = place == self.folder.parent and status.st_mode & stat.S_ISVTX
+                if not (sticky or is_trusted(status, os.getuid(), 0)):
+                    raise ConfigError(
+                        "must belong to you or root, and nobody else may write there; remove it, or"
+                        f" type: chmod go-w {place}",
+                        path=place,
+                    )
 
     @property
     def hidden(self) -> bool:

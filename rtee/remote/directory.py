@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtee.errors import ConfigError
-from rtee.hand.files import reason
+from rtee.hand.files import is_trusted, reason
 from rtee.hand.names import check_name
 
 VARIABLE = "RTEE_RUNTIME_DIR"
@@ -83,11 +83,6 @@ def runtime_folder() -> Path:
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"
 
 
-def _is_trusted(status: os.stat_result, owner: int) -> bool:
-    others = stat.S_IWGRP | stat.S_IWOTH
-    return status.st_uid == owner and not status.st_mode & others
-
-
 def _own_folder(*, make: bool) -> int | None:
     """Return a descriptor of this user's folder; ``None`` if it doesn't exist and isn't made.
 
@@ -100,7 +95,7 @@ def _own_folder(*, make: bool) -> int | None:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | _OPEN)
         # Checks the open folder, not its path, which somebody could replace in between.
-        if _is_trusted(os.fstat(descriptor), os.getuid()):
+        if is_trusted(os.fstat(descriptor), os.getuid()):
             return descriptor
     except FileNotFoundError:
         return None
@@ -262,7 +257,7 @@ def _locked(path: Path, hand: str) -> int:
         except OSError as error:
             raise ConfigError(f"cannot be written: {reason(error)}", path=path) from None
         status = os.fstat(descriptor)
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, os.getuid()):
+        if not stat.S_ISREG(status.st_mode) or not is_trusted(status, os.getuid()):
             os.close(descriptor)
             raise ConfigError("must be a file that only you can write to; remove it", path=path)
         # The previous server may have removed the file between opening and locking it.
@@ -310,7 +305,7 @@ def _hand_in(folder: int, name: str) -> Running | None:
     try:
         status = os.fstat(descriptor)
         owner = os.fstat(folder).st_uid
-        if not stat.S_ISREG(status.st_mode) or not _is_trusted(status, owner):
+        if not stat.S_ISREG(status.st_mode) or not is_trusted(status, owner):
             return None
         entry = _read(descriptor)
         pid, endpoints = entry.get("pid"), entry.get("endpoints")

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -211,6 +212,44 @@ def test_links_among_the_files_of_a_hand_are_not_followed(
         "hand.yaml",
         "jaw.urdf",
     ]
+
+
+@pytest.mark.parametrize("what", ["a file", "a folder"])
+def test_what_becomes_a_link_meanwhile_is_not_followed(
+    root: Path, hand: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """Between the check and the reading, a file that only root may read took its place."""
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "notes.txt").write_text("secret")
+    (hand / "more").mkdir()
+    (hand / "more" / "notes.txt").write_text("mine")
+    opened = os.open
+
+    def swap(path: Any, flags: int, *args: Any, **more: Any) -> int:
+        target = {"a file": "notes.txt", "a folder": "more"}[what]
+        if Path(str(path)).name == target and not (hand / "kept").exists():
+            place = hand / "more" if what == "a folder" else hand / "more" / "notes.txt"
+            place.rename(hand / "kept")
+            place.symlink_to(secret if what == "a folder" else secret / "notes.txt")
+        return opened(path, flags, *args, **more)
+
+    monkeypatch.setattr(os, "open", swap)
+    install(root, hand)
+    monkeypatch.undo()
+    assert (hand / "kept").exists()
+    copied = root / "etc/rtee/hands/jaw"
+    assert "secret" not in [p.read_text() for p in copied.rglob("*") if p.is_file()]
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root makes files of other users")
+def test_files_of_others_are_not_copied(root: Path, hand: Path) -> None:
+    """A hard link leads to a file as a symbolic one does."""
+    (hand / "notes.txt").write_text("secret")
+    os.chown(hand / "notes.txt", 12345, -1)
+    with pytest.raises(ConfigError, match="belongs to another user than its folder"):
+        install(root, hand)
+    assert not (root / "etc/rtee/hands/jaw").exists()
 
 
 @pytest.mark.parametrize(

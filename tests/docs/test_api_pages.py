@@ -153,8 +153,8 @@ def test_every_type_in_a_public_signature_is_documented() -> None:
 def test_the_signatures_are_really_read() -> None:
     from rtee.drivers.base import Driver
     from rtee.remote.client import RemoteHand
-    from rtee.remote.running_goal import RunningGoal
     from rtee.remote.planner import HandInfo
+    from rtee.remote.running_goal import RunningGoal
 
     def of(thing: type) -> set[type]:
         return {k for owner, notes in _signatures(thing) for k in _spoken_of(owner, notes)}

@@ -315,6 +315,35 @@ async def test_keys_that_others_can_read_are_refused(
             pass
 
 
+@pytest.mark.parametrize("place", [".", "..", "people.json", "hand.key"])
+@pytest.mark.parametrize("wrong", ["open", "foreign"])
+def test_certificates_that_somebody_else_could_have_made_are_refused(
+    people: People, place: str, wrong: str
+) -> None:
+    """Made under a umask of 000, or by another user, they would admit whomever that user likes."""
+    if wrong == "open":
+        (people.folder / place).chmod(0o777)
+    elif os.getuid() == 0:
+        os.chown(people.folder / place, 12345, -1)
+    else:
+        pytest.skip("only root makes files of other users")
+    with pytest.raises(ConfigError, match="must belong to you or root"):
+        credentials.Credentials(people.folder).settings()
+
+
+def test_no_folder_of_certificates_is_open_to_others(tmp_path: Path) -> None:
+    from rtee.remote import authority
+
+    before = os.umask(0)
+    try:
+        authority.make_authority(tmp_path / "new" / "secure" / "small", "small")
+        authority.add_client(tmp_path / "new" / "secure" / "small", "one", Role.OPERATOR)
+    finally:
+        os.umask(before)
+    credentials.Credentials(tmp_path / "new" / "secure" / "small").settings()
+    assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
+
+
 @pytest.mark.parametrize(
     ("endpoint", "safe"),
     [
