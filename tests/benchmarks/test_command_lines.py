@@ -46,7 +46,6 @@ def documented(text: str) -> list[list[str]]:
     ]
 
 
-@pytest.mark.timeout(120)
 def test_documented_command_lines_are_understood(repository: Path) -> None:
     pytest.importorskip("mujoco")
     lines = documented((repository / "docs" / "benchmarks.md").read_text())

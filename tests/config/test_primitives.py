@@ -30,6 +30,10 @@ MEASURED = {
 }
 
 
+LARGE = ("allegro", "linkerhand_l10", "schunk_svh")
+"""Hands of a kind of which `leap_hand` is another, and that take seconds each."""
+
+
 def kinds(primitives: Iterable[Primitive]) -> set[tuple[str, tuple[str, ...]]]:
     return {(p.name, tuple(sorted(p.elements))) for p in primitives}
 
@@ -41,8 +45,13 @@ LEAST = 0.99
 """Elsewhere, depths are at least this share of the stored ones."""
 
 
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    return [pytest.mark.heavy] if name in LARGE else []
+
+
 @pytest.mark.parametrize(
-    ("name", "jobs"), [(name, 1 + i % 2) for i, name in enumerate(sorted(STORED))]
+    ("name", "jobs"),
+    [pytest.param(name, 1 + i % 2, marks=marks(name)) for i, name in enumerate(sorted(STORED))],
 )
 def test_found_again_they_are_the_same(
     name: str, jobs: int, tmp_path: Path, record_property: Callable[[str, object], None]
@@ -79,7 +88,10 @@ def assert_as_deep(hand: Hand, found: Iterable[Primitive], rule: str) -> None:
             assert after.depth >= LEAST * before.depth, (rule, key)
 
 
-@pytest.mark.parametrize(("name", "measured"), MEASURED.items())
+@pytest.mark.parametrize(
+    ("name", "measured"),
+    [pytest.param(name, measured, marks=marks(name)) for name, measured in MEASURED.items()],
+)
 def test_the_measured_hand_has_the_same(name: str, measured: str, shared: Path) -> None:
     stored = read_actions(load_hand(CONFIG / name), CONFIG / name / "actions")
     primitives = [action for action in stored if isinstance(action, Primitive)]

@@ -140,7 +140,6 @@ def without_network() -> list[str]:
     return []
 
 
-@pytest.mark.timeout(180)
 def test_it_installs_without_a_network_and_refuses_what_is_damaged(
     bundle: ModuleType, index: Path, tmp_path: Path
 ) -> None:
@@ -173,7 +172,8 @@ def test_it_installs_without_a_network_and_refuses_what_is_damaged(
     (folder / "SHA256SUMS").write_text(sums.stdout)
     done = install(folder, environment)
     assert done.returncode == 0, "what is installed already is not installed again"
-    shutil.rmtree(environment)
+    remove = [environment / "bin" / "python", "-m", "pip", "uninstall", "--quiet", "--yes", "fast"]
+    subprocess.run(remove, check=True)
     done = install(folder, environment)
     assert done.returncode != 0
     assert "HASH" in done.stderr.upper()

@@ -196,7 +196,6 @@ def test_the_table_holds_every_command() -> None:
     assert set(COMMANDS) <= tried
 
 
-@pytest.mark.timeout(180)
 def test_every_command_without_extras(tmp_path: Path, home: Path, repository: Path) -> None:
     write_hand(tmp_path)
     hidden = beyond(repository)
@@ -247,7 +246,6 @@ def test_the_online_half_imports_neither_pinocchio_nor_coal() -> None:
     assert int(done.stdout) > 200, "few modules were found"
 
 
-@pytest.mark.timeout(120)
 def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> None:
     write_hand(tmp_path)
     replay = Case("log replay --check logs", "the same, bit for bit")
@@ -265,7 +263,6 @@ def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> 
         shell.check([replay])
 
 
-@pytest.mark.timeout(120)
 def test_a_recording_of_ruckig_says_what_it_needs(tmp_path: Path, home: Path) -> None:
     pytest.importorskip("ruckig")
     write_hand(tmp_path)

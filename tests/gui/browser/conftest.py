@@ -75,9 +75,9 @@ GATE = "gate"
 """While a file of this name is in the hands' folder, trials and plans of the page wait to begin."""
 
 DRIVERS = {
-    GRIPPER: ("--driver", "kinematic", "--rate", "200"),
+    GRIPPER: ("--driver", "kinematic", "--rate", "100"),
     SQUEEZER: ("--driver", "mujoco", *BALL, "--rate", "100", "--no-log"),
-    MANY: ("--driver", "kinematic", "--rate", "100", "--no-log"),
+    MANY: ("--driver", "kinematic", "--rate", "50", "--no-log"),
 }
 
 
@@ -152,7 +152,11 @@ def proxy_port() -> int:
 def context(proxy_port: int) -> Iterator[BrowserContext]:
     rules = f"MAP {REBOUND} 127.0.0.1,MAP {PROXIED}:443 127.0.0.1:{proxy_port}"
     # Proxies have certificates of no authority that a browser knows.
-    arguments = (f"--host-resolver-rules={rules}", "--ignore-certificate-errors")
+    arguments = (
+        f"--host-resolver-rules={rules}",
+        "--ignore-certificate-errors",
+        "--disable-gpu-compositing",
+    )
     with browser(900, 700, scale=0.5, arguments=arguments) as opened:
         for script in (_SPARING, _NOTE_WHAT_IS_TOLD):
             opened.add_init_script(script)
