@@ -3,6 +3,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 TEST_PROCESSES ?= 3
 
+# Where it is set, each process of the tests would compile them anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo quick test tests times heavy ros2-peers device-peers wheels bundle checks lint types layers docs bench format clean
 
 # The stamp is older than the pins whenever these change, so a stale .venv is brought up to date.

@@ -38,31 +38,33 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 HEAVY, QUICK = "RTEE_HEAVY", "RTEE_QUICK"
 """Variables of the environment: run the tests marked as heavy, too; leave out `LONG` files."""
 
-LONG = {
-    name: float(seconds)
-    for seconds, name in map(str.split, (Path(__file__).with_name("long_files.txt")).open())
-}
+_LINES = Path(__file__).with_name("long_files.txt").read_text().splitlines()
+LONG = {name: float(seconds) for seconds, name in map(str.split, _LINES)}
 """How long the tests of a file take [s], where it is more than a moment (`make times`)."""
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Leave out, in a quick run, what takes long; files are not even imported then."""
+    quick = os.environ.get(QUICK) and collection_path.is_relative_to(REPOSITORY)
+    return True if quick and _name(collection_path) in LONG else None
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(REPOSITORY).as_posix()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Put files that take long first, and those in a browser before them; leave out some."""
-    items.sort(
-        key=lambda item: (item.get_closest_marker("browser") is None, -LONG.get(_file(item), 0.0))
-    )
-    left: list[pytest.Item] = []
-    if not os.environ.get(HEAVY):
-        left += [item for item in items if item.get_closest_marker("heavy")]
+    cost = {item: LONG.get(_name(item.path), 0.0) for item in items}
+    items.sort(key=lambda item: (item.get_closest_marker("browser") is None, -cost[item]))
+    wanted = os.environ.get(HEAVY) or "heavy" in config.option.markexpr
+    left = [] if wanted else [item for item in items if item.get_closest_marker("heavy")]
     if os.environ.get(QUICK):
-        left += [i for i in items if _file(i) in LONG or i.get_closest_marker("browser")]
+        left += [item for item in items if item.get_closest_marker("browser")]
     if left:
-        names = {item.nodeid for item in left}
-        items[:] = [item for item in items if item.nodeid not in names]
+        gone = set(left)
+        items[:] = [item for item in items if item not in gone]
         config.hook.pytest_deselected(items=left)
-
-
-def _file(item: pytest.Item) -> str:
-    return item.nodeid.partition("::")[0]
 
 
 @pytest.hookimpl(optionalhook=True)
