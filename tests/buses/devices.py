@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
+
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.modbus_slave import ILLEGAL_ADDRESS, Framing, ModbusEmulator, Refused
+
+in_real_time = pytest.mark.parametrize("anyio_backend", ["asyncio"])
+"""For tests of what is outside of this process or of real time itself."""
 
 
 class Echo(Emulator):

@@ -15,7 +15,7 @@ from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
 from rtee.errors import BusBroken, BusClosed, BusTimeout
-from tests.buses.devices import CanCounter
+from tests.buses.devices import CanCounter, in_real_time
 
 pytestmark = pytest.mark.anyio
 
@@ -128,6 +128,7 @@ async def test_udp_multicast_carries_frames_too() -> None:
         simulation.close()
 
 
+@in_real_time
 async def test_blocking_calls_have_a_deadline(pool: BusPool) -> None:
     import canopen
 

@@ -15,7 +15,7 @@ from rtee.buses.modbus_frames import rtu_frame
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.errors import BusBroken, BusTimeout, FrameError
-from tests.buses.devices import Registers
+from tests.buses.devices import Registers, in_real_time
 
 pytestmark = pytest.mark.anyio
 
@@ -110,6 +110,7 @@ async def test_a_late_answer_to_another_request_is_not_taken(pool: BusPool, url:
     assert bus.counters.retries == 0
 
 
+@in_real_time
 async def test_what_came_before_a_request_is_no_answer_to_it() -> None:
     """Noise that looks like the answer is thrown away when the request goes out after it."""
     with SimulatedLine([Registers()]) as simulated:

@@ -21,7 +21,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.serial import SerialBus
 from rtee.buses.simulated import SimulatedLine
 from rtee.errors import BusBroken, BusBusy, BusClosed, BusTimeout, ConfigError, FrameError
-from tests.buses.devices import Echo, StarParser, frame_of
+from tests.buses.devices import Echo, StarParser, frame_of, in_real_time
 
 pytestmark = pytest.mark.anyio
 
@@ -224,6 +224,7 @@ async def test_a_missing_port_is_named() -> None:
         assert pool.buses == ()
 
 
+@in_real_time
 async def test_a_port_that_nobody_serves_is_named() -> None:
     with SimulatedLine([], tcp=True) as line:
         address = line.address
@@ -262,6 +263,7 @@ async def test_a_cancelled_open_leaves_no_file_open() -> None:
                 await asyncio.sleep(0.01)
 
 
+@in_real_time
 @pytest.mark.filterwarnings("ignore:set.* is deprecated:DeprecationWarning")  # pyserial's own
 async def test_a_port_of_another_computer_by_rfc2217() -> None:
     with SimulatedLine([Echo()], tcp=True) as line, PortServer(line.address) as server:
@@ -363,6 +365,7 @@ async def test_a_request_waits_until_bytes_stop_coming(monkeypatch: pytest.Monke
         await bus.close()
 
 
+@in_real_time
 async def test_a_port_that_is_slow_to_close_holds_up_only_who_closes_it(
     pool: BusPool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

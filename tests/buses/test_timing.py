@@ -17,7 +17,7 @@ from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.buses.timing import SLICE, Pause
 from rtee.buses.worker import Worker
-from tests.buses.devices import Echo
+from tests.buses.devices import Echo, in_real_time
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="Linux only")
 
@@ -48,6 +48,7 @@ async def test_the_thread_of_a_blocking_library_asks_for_short_slices() -> None:
     await worker.close()
 
 
+@in_real_time
 @pytest.mark.anyio
 async def test_the_thread_that_reads_a_can_bus_asks_for_short_slices() -> None:
     async with BusPool() as pool:
@@ -59,6 +60,7 @@ async def test_the_thread_that_reads_a_can_bus_asks_for_short_slices() -> None:
             await asyncio.sleep(0.005)
 
 
+@in_real_time
 @pytest.mark.anyio
 async def test_a_pause_ends_after_its_time_and_can_be_used_again() -> None:
     before = len(os.listdir("/proc/self/fd"))

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from rtee.buses.worker import Worker
+from tests.buses.devices import in_real_time
 
 pytestmark = pytest.mark.anyio
 
@@ -31,6 +32,7 @@ async def test_calls_come_one_after_the_other_and_hand_back_what_they_return_or_
     await worker.close()
 
 
+@in_real_time
 async def test_a_late_call_is_given_up_and_the_next_waits_for_it() -> None:
     worker, go, order = Worker("test"), threading.Event(), list[str]()
 
@@ -48,6 +50,7 @@ async def test_a_late_call_is_given_up_and_the_next_waits_for_it() -> None:
     await worker.close()
 
 
+@in_real_time
 async def test_cancelling_leaves_it_usable_and_closing_waits_and_ends_what_has_not_begun() -> None:
     worker, begun = Worker("test"), threading.Event()
 
