@@ -14,7 +14,7 @@ import serial
 from rtee import monotonic
 from rtee.buses.bus import Bus
 from rtee.buses.direct_end import SIMULATED, DirectPort
-from rtee.buses.link import Line, explained
+from rtee.buses.link import Line, explained, refuse_on_simulated_time
 from rtee.buses.worker import Worker
 from rtee.errors import BusBroken, BusTimeout, RteeError
 
@@ -140,7 +140,10 @@ class DynamixelBus(Bus):
 
     async def _open(self) -> None:
         await self._close()
-        port = DynamixelPort(self, self._address())
+        address = self._address()
+        if not address.startswith(f"{SIMULATED}://"):
+            refuse_on_simulated_time(address)
+        port = DynamixelPort(self, address)
         try:
             opened = await self._worker.run(lambda: port.setBaudRate(self.line.baudrate), 3.0)
         except (OSError, ValueError) as error:

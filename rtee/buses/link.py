@@ -22,7 +22,8 @@ import serial
 import serial_asyncio
 
 from rtee.buses.direct_end import SIMULATED, simulated_end
-from rtee.errors import BusBroken, BusBusy, BusError, ConfigError
+from rtee.buses.simulated_time import on_simulated_time
+from rtee.errors import BusBroken, BusBusy, BusError, ConfigError, RteeError
 
 _PIECE = 4096
 """Most bytes to read at once, the size of the kernel's buffer of a tty [byte]."""
@@ -113,6 +114,7 @@ async def open_link(
     try:
         if scheme == SIMULATED:
             return simulated_end(url).connect(protocol(), line.baudrate)
+        refuse_on_simulated_time(url)
         if url.startswith(("socket://", "tcp://")):
             host, port = split_address(url, 502 if url.startswith("tcp://") else None)
             async with asyncio.timeout(timeout):
@@ -124,10 +126,19 @@ async def open_link(
         return SerialTransport(loop, connection, port_object), connection
     except TimeoutError as error:
         raise BusBroken(name, f"no connection within {timeout:.1f} s") from error
-    except ConfigError:
+    except RteeError:
         raise
     except (OSError, ValueError) as error:
         raise explained(name, error) from error
+
+
+def refuse_on_simulated_time(url: str) -> None:
+    """Raise `RteeError` on simulated time if there is such a port: nobody would wait for it."""
+    if on_simulated_time() is not None and ("://" in url or os.path.exists(url)):
+        raise RteeError(
+            f"'{url}' is a real port, for which simulated time does not wait; "
+            "make the simulated line in the same event loop, or test in real time"
+        )
 
 
 async def _opened(url: str, line: Line, timeout: float) -> Any:

@@ -48,8 +48,7 @@ class Session:
         self.case = case
         self.spec = case.spec(name)
         self._own = pool is None
-        # Without wire time, since the suite tests behaviour in tens of thousands of cycles.
-        self.pool = pool or BusPool(wire_time=False)
+        self.pool = pool or BusPool()
         self.driver: Driver = find_driver(case.driver)(self.spec, self.pool)
 
     async def __aenter__(self) -> Self:

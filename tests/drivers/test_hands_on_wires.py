@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
@@ -82,7 +81,7 @@ async def until(true: Callable[[], bool], within: float = 30.0) -> None:
 @asynccontextmanager
 async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
     """Run hands on one clock, active; options are those of all of them."""
-    async with BusPool(wire_time=False) as pool, AsyncExitStack() as stack:
+    async with BusPool() as pool, AsyncExitStack() as stack:
         found = []
         for name in names:
             ready = prepare(name, RunOptions(emulated=True, rate=RATE, **options))
@@ -246,12 +245,9 @@ async def test_opening_over_a_link_that_freezes_is_no_grasp(lost: bool) -> None:
             gripper.loop.submit(Goal("open"))
             reference = gripper.loop.controller.reference_position
             await until(lambda at=held + early, now=reference: now[0] < at)  # type: ignore[misc]
-            if lost:
-                gripper.wire.faults = Faults(drop=1.0)
-                await anyio.sleep(0.12)
-                gripper.wire.faults = Faults()
-            else:
-                await anyio.to_thread.run_sync(gripper.wire.call, lambda: time.sleep(0.12))
+            gripper.wire.faults = Faults(drop=1.0) if lost else Faults(delay=1.0, delay_time=0.12)
+            await anyio.sleep(0.12)
+            gripper.wire.faults = Faults()
             opened = await gripper.result()
             assert (opened.reached, opened.grasped, opened.stalled) == (True, False, False)
 

@@ -35,7 +35,7 @@ def svh(tmp_path: Path, *, home: bool) -> DeviceSpec:
 async def test_a_hand_is_homed_when_the_user_says_so(tmp_path: Path, home: bool) -> None:
     spec = svh(tmp_path, home=home)
     assert spec.options["home"] == ("on_connect" if home else "on_demand")
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         driver = find_driver(spec.driver)(spec, pool)
         await driver.configure()
         if not home:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from typing import Any, Literal
 
 import anyio
@@ -14,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee import monotonic
 from rtee.buses.emulator import CanFrame
 from rtee.buses.pool import BusPool
 from rtee.buses.retry import patiently
@@ -204,9 +204,9 @@ def hand(pool: BusPool) -> AllegroEmulator:
 
 
 async def until(check: Any, seconds: float = 5.0) -> None:
-    end = time.monotonic() + seconds
+    end = monotonic.now() + seconds
     while not check():
-        assert time.monotonic() < end
+        assert monotonic.now() < end
         await anyio.sleep(0.01)
 
 
@@ -423,8 +423,8 @@ def test_a_client_that_knows_only_the_sheet_talks_to_the_emulator() -> None:
     ):
 
         def wait(wanted: int) -> can.Message:
-            end = time.monotonic() + 2.0
-            while time.monotonic() < end:
+            end = monotonic.now() + 2.0
+            while monotonic.now() < end:
                 message = bus.recv(0.1)
                 if message is not None and message.arbitration_id == wanted:
                     return message

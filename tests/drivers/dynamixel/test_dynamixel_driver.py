@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import anyio
 import numpy as np
 import pytest
 
+from rtee import monotonic
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.drivers.dynamixel import table
@@ -70,11 +70,11 @@ def written(pool: BusPool) -> int:
 
 
 async def settle(made: DynamixelDriver, goal: list[float], **limits: Any) -> np.ndarray:
-    end = time.monotonic() + 5.0
+    end = monotonic.now() + 5.0
     while True:
         state = await made.sense()
         await made.move(Reference.at(goal, **limits))
-        if np.abs(state.position - goal).max() < 2e-3 or time.monotonic() > end:
+        if np.abs(state.position - goal).max() < 2e-3 or monotonic.now() > end:
             return state.position
         await anyio.sleep(0.002)
 
@@ -83,7 +83,7 @@ async def settle(made: DynamixelDriver, goal: list[float], **limits: Any) -> np.
 async def test_moves_and_senses_in_one_read_and_one_write(fast: str) -> None:
     servos = {"j0": {"id": 0}, "j1": {"id": 1, "direction": -1}}
     spec = device(fast=fast, servos=servos, health_every=100_000)
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         assert written(pool) == 0
         assert made.capabilities.identity["model"] == "2 x XL330-M288"
         await made.activate()
@@ -107,7 +107,7 @@ async def test_moves_and_senses_in_one_read_and_one_write(fast: str) -> None:
 
 async def test_servos_without_fast_read_are_read_the_plain_way() -> None:
     spec = device(emulator={"fast": False})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         assert made.capabilities.identity["read"] == "sync read"
         assert np.isfinite((await made.sense()).position).all()
 
@@ -118,7 +118,7 @@ async def test_activation_sets_up_and_powers_where_they_stand() -> None:
         servos={"j0": {"id": 0, "p": 450}, "j1": {"id": 1, "current": 0.2}},
         emulator={"servo": {"start": 2300.0}},
     )  # fmt: skip
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         for number, (p, current) in enumerate(((450, 350), (600, 200))):
             servo = line(pool).servos[number]
@@ -136,7 +136,7 @@ async def test_activation_sets_up_and_powers_where_they_stand() -> None:
 
 
 async def test_attaches_to_powered_servos_without_a_write_of_motion() -> None:
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with connected(pool, device()) as first:
             await first.activate()
             await settle(first, [0.4, 0.6])
@@ -150,7 +150,7 @@ async def test_attaches_to_powered_servos_without_a_write_of_motion() -> None:
 
 
 async def test_limits_are_written_before_the_position_and_only_when_they_change() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+    async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
         sent: list[bytes] = []
         pool.buses[0].trace = lambda _, way, data, __: sent.append(data) if way == "tx" else None
@@ -166,13 +166,13 @@ async def test_limits_are_written_before_the_position_and_only_when_they_change(
 
 
 async def test_an_object_is_held_with_the_effort_limit() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
+    async with BusPool() as pool, connected(pool, device(1)) as made:
         await made.activate()
         obstruct(line(pool).servos[0].axis, 2048 + 300, 5.0)
         limit = np.array([0.15])
-        end = time.monotonic() + 5.0
+        end = monotonic.now() + 5.0
         state = await made.sense()
-        while state.effort[0] < 0.98 * limit[0] and time.monotonic() < end:
+        while state.effort[0] < 0.98 * limit[0] and monotonic.now() < end:
             await made.move(Reference.at([1.2], max_effort=limit))
             await anyio.sleep(0.002)
             state = await made.sense()
@@ -183,7 +183,7 @@ async def test_an_object_is_held_with_the_effort_limit() -> None:
 
 async def test_a_joint_across_the_wrap_is_read_in_its_turn() -> None:
     spec = device(1, servos={"j0": {"id": 0, "zero": 4000}}, emulator={"servo": {"start": 4200.0}})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         # After power-up the servo reads 104, a turn less than where it stands.
         assert line(pool).servos[0].position == 104
         assert (await made.sense()).position[0] == pytest.approx(200 * table.RAD_PER_PULSE)
@@ -196,7 +196,7 @@ async def test_a_joint_across_the_wrap_is_read_in_its_turn() -> None:
 
 async def test_a_range_across_the_wrap_is_refused_in_position_mode() -> None:
     spec = device(1, mode="position", servos={"j0": {"id": 0, "zero": 4000}})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(ConfigError, match="crosses the turn"):
             async with connected(pool, spec):
                 pass
@@ -204,7 +204,7 @@ async def test_a_range_across_the_wrap_is_refused_in_position_mode() -> None:
 
 async def test_a_joint_far_outside_its_limits_is_a_wrong_calibration() -> None:
     spec = device(1, limits=(-0.2, 0.2), emulator={"servo": {"start": 3000.0}})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(CalibrationError, match="two ids are swapped"):
             async with connected(pool, spec):
                 pass
@@ -216,7 +216,7 @@ async def test_missing_and_wrong_servos_are_named() -> None:
         4, servos=servos,
         emulator={"ids": [0, 1, 3], "special": {1: {"model": 1240}}},
     )  # fmt: skip
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(HandshakeError) as told:
             async with connected(pool, spec):
                 pass
@@ -228,7 +228,7 @@ async def test_missing_and_wrong_servos_are_named() -> None:
 async def test_a_model_that_is_not_known_is_driven_with_the_units_given() -> None:
     servo = {"id": 0, "model": 1000, "current_unit": 0.00269, "torque_per_ampere": 2.0}
     spec = device(1, servos={"j0": servo}, emulator={"servo": {"model": 1000}})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         assert {"current", "effort"} <= made.capabilities.measures
         await made.activate()
         await made.move(Reference.at([0.1], max_effort=np.array([0.538])))
@@ -238,14 +238,14 @@ async def test_a_model_that_is_not_known_is_driven_with_the_units_given() -> Non
 
 async def test_a_reversed_drive_mode_is_named() -> None:
     spec = device(1, emulator={"servo": {"drive_mode": 1}})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(HandshakeError, match="drive mode 1; its sense of rotation"):
             async with connected(pool, spec):
                 pass
 
 
 async def test_a_silent_line_is_named() -> None:
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(NotConnected, match="none of 2 servos answers"):
             async with connected(pool, device(emulator={"ids": []}, retries=0, deadline=0.01)):
                 pass
@@ -253,7 +253,7 @@ async def test_a_silent_line_is_named() -> None:
 
 async def test_an_overload_is_named_and_a_reboot_recovers_without_motion() -> None:
     spec = device(2, emulator={"servo": {"reboot_time": 0.1}})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         where = await settle(made, [0.3, 0.3])
         line(pool).servos[1].fail(Hardware.OVERLOAD)
@@ -268,7 +268,7 @@ async def test_an_overload_is_named_and_a_reboot_recovers_without_motion() -> No
 
 async def test_lost_torque_and_a_tripped_watchdog_are_noticed() -> None:
     spec = device(1, health_every=1, watchdog=0.3)
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         assert made.capabilities.watchdog
         servo = line(pool).servos[0]
@@ -286,7 +286,7 @@ async def test_lost_torque_and_a_tripped_watchdog_are_noticed() -> None:
 
 
 async def test_stop_holds_and_release_lets_go() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device(1)) as made:
+    async with BusPool() as pool, connected(pool, device(1)) as made:
         await made.activate()
         slow = {"max_velocity": np.array([0.5])}
         await made.move(Reference.at([1.5], **slow))
@@ -302,14 +302,14 @@ async def test_stop_holds_and_release_lets_go() -> None:
 
 
 async def test_gains_reach_the_servos() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+    async with BusPool() as pool, connected(pool, device()) as made:
         await made.set_gains({"p": 321.4})
         await made.sense()
         assert line(pool).servos[1].get(table.POSITION_P) == 321
 
 
 async def test_lost_and_damaged_packets_are_retried() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device(retries=5)) as made:
+    async with BusPool() as pool, connected(pool, device(retries=5)) as made:
         await made.activate()
         simulation = pool.simulation("leap_hand/line")
         simulation.faults = Faults(drop=0.1, corrupt=0.1, noise=0.1, split=0.1, seed=3)
@@ -343,7 +343,7 @@ class AnswersForAnother(Faults):
 @pytest.mark.parametrize("fast", ["auto", "never"])
 async def test_a_group_in_which_a_servo_answers_for_another_is_refused(fast: str) -> None:
     spec = device(fast=fast, retries=1, deadline=0.1)
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         before = await made.sense()
         simulation = pool.simulation("leap_hand/line")
@@ -366,7 +366,7 @@ class DamagesRequests(Faults):
 
 
 async def test_what_a_servo_heard_damaged_is_said_again() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+    async with BusPool() as pool, connected(pool, device()) as made:
         simulation = pool.simulation("leap_hand/line")
         simulation.faults = damages = DamagesRequests()
         await made.close()
@@ -390,7 +390,7 @@ async def test_an_adapter_that_keeps_bytes_back_is_waited_for() -> None:
 async def test_calibration_is_taken_stored_and_compared(tmp_path: Path) -> None:
     path = tmp_path / "calibration" / "leap.json"
     plain = device(emulator={"servo": {"start": 1111.0}}, outside=10.0)
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with connected(pool, plain) as made:
             prompts: list[str] = []
 

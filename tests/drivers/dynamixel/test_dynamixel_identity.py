@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 
 import pytest
 
@@ -48,7 +48,7 @@ class OnlyAtItsRate(DynamixelEmulator):
 
 
 @pytest.fixture
-def at_its_rate(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[OnlyAtItsRate, str]]:
+async def at_its_rate(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[tuple[OnlyAtItsRate, str]]:
     """Return a servo that comes from the factory, and where it is."""
     from rtee.buses.dynamixel import DynamixelBus
 

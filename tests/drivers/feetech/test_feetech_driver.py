@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import math
@@ -261,6 +262,7 @@ async def test_a_restart_is_noticed_while_set_points_power_the_servo_again(famil
         # The set-point has powered it, without its settings: only the mark is missing.
         while second.get(table.TORQUE) != 1:
             await session.driver.move(goal)
+            await asyncio.sleep(0.001)
         with pytest.raises(DeviceFault, match=r"restarted: servo 2 \(j1\)") as found:
             await _sensed(session, 3)
         assert found.value.code == 512

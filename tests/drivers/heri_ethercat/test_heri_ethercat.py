@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -14,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee import monotonic
 from rtee.buses.ethercat import EthercatBus, PysoemRing, Ring, State
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
@@ -117,11 +117,11 @@ def hand(pool: BusPool) -> HeriEmulator:
 
 
 async def settle(made: HeriEthercatDriver, goal: list[float]) -> np.ndarray:
-    end = time.monotonic() + 5.0
+    end = monotonic.now() + 5.0
     while True:
         state = await made.sense()
         await made.move(Reference.at(goal))
-        if np.abs(state.position - goal).max() < 2e-3 or time.monotonic() > end:
+        if np.abs(state.position - goal).max() < 2e-3 or monotonic.now() > end:
             return state.position
         await anyio.sleep(0.002)
 
@@ -169,9 +169,9 @@ async def test_activation_does_not_jump_and_pressures_are_told() -> None:
         await anyio.sleep(0.05)
         assert (await made.sense()).position == pytest.approx([0.3] * 4, abs=1e-3)
         obstruct(hand(pool).boards[0].motors[1], 0.8, 10.0)
-        end = time.monotonic() + 5.0
+        end = monotonic.now() + 5.0
         state = await made.sense()
-        while state.current[1] < 0.995 and time.monotonic() < end:
+        while state.current[1] < 0.995 and monotonic.now() < end:
             await made.move(Reference.at([0.3, 1.6, 0.3, 0.3]))
             await anyio.sleep(0.002)
             state = await made.sense()

@@ -37,7 +37,7 @@ def spec(**options: Any) -> DeviceSpec:
 
 @asynccontextmanager
 async def reading(**options: Any) -> AsyncIterator[tuple[InspireRh56Driver, Any]]:
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         driver = InspireRh56Driver(spec(**options), pool)
         await driver.configure()
         yield driver, pool.played(owner_of(driver.spec)).memory

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import serial
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.qb_softhand.codec import Command, Frame
@@ -60,10 +61,10 @@ def hand(pool: BusPool, name: str = "qb") -> QbSoftHandEmulator:
 
 
 async def settle(made: QbSoftHandDriver, goal: list[float]) -> np.ndarray:
-    end = time.monotonic() + 5.0
+    end = monotonic.now() + 5.0
     while True:
         state = await made.sense()
-        if np.abs(state.position - goal).max() < 3e-4 or time.monotonic() > end:
+        if np.abs(state.position - goal).max() < 3e-4 or monotonic.now() > end:
             return state.position
         await made.move(Reference.at(goal))
         await anyio.sleep(0.002)
@@ -73,7 +74,7 @@ async def settle(made: QbSoftHandDriver, goal: list[float]) -> np.ndarray:
 @pytest.mark.parametrize("generation", ["legacy", "modern"])
 async def test_moves_and_senses(names: tuple[str, ...], goal: list[float], generation: str) -> None:
     spec = device(names, emulator={"generation": generation})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         assert made.capabilities.identity["parameters"] == "13"
         assert Command.ACTIVATE not in hand(pool).frames
         await made.activate()
@@ -91,7 +92,7 @@ async def test_moves_and_senses(names: tuple[str, ...], goal: list[float], gener
 
 
 async def test_attaches_to_an_active_hand_without_a_word_of_motion() -> None:
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with connected(pool, device()) as first:
             await first.activate()
             await settle(first, [0.4])
@@ -105,19 +106,19 @@ async def test_attaches_to_an_active_hand_without_a_word_of_motion() -> None:
 
 async def test_the_limit_the_hand_tells_is_its_scale() -> None:
     spec = device(emulator={"limit": 16_000})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         await settle(made, [0.5])
         assert hand(pool).axes[0].position == pytest.approx(8_000, abs=10)
 
 
 async def test_an_object_shows_in_current_and_effort() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device()) as made:
+    async with BusPool() as pool, connected(pool, device()) as made:
         await made.activate()
         obstruct(hand(pool).axes[0], 0.4 * hand(pool).options.limit, 3.0)
-        end = time.monotonic() + 5.0
+        end = monotonic.now() + 5.0
         state = await made.sense()
-        while state.current[0] < 1.495 and time.monotonic() < end:
+        while state.current[0] < 1.495 and monotonic.now() < end:
             await made.move(Reference.at([0.9]))
             await anyio.sleep(0.002)
             state = await made.sense()
@@ -127,7 +128,7 @@ async def test_an_object_shows_in_current_and_effort() -> None:
 
 
 async def test_masked_actuators_keep_their_reference() -> None:
-    async with BusPool(wire_time=False) as pool, connected(pool, device(TWO)) as made:
+    async with BusPool() as pool, connected(pool, device(TWO)) as made:
         await made.activate()
         await settle(made, [0.5, 0.2])
         await made.move(Reference.at([0.9, 0.0], mask=[False, True]))
@@ -136,7 +137,7 @@ async def test_masked_actuators_keep_their_reference() -> None:
 
 async def test_stop_holds_and_release_deactivates() -> None:
     spec = device(emulator={"speed": 5_000.0})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         await made.move(Reference.at([1.0]))
         await anyio.sleep(0.1)
@@ -155,7 +156,7 @@ async def test_stop_holds_and_release_deactivates() -> None:
 
 async def test_lost_activation_is_a_fault_that_recovers_where_it_stands() -> None:
     spec = device(status_every=1)
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         where = await settle(made, [0.3])
         hand(pool).inject("low_supply")
@@ -170,7 +171,7 @@ async def test_lost_activation_is_a_fault_that_recovers_where_it_stands() -> Non
 
 async def test_the_watchdog_of_firmware_that_has_one_is_armed() -> None:
     spec = device(watchdog=0.1, emulator={"watchdog": True})
-    async with BusPool(wire_time=False) as pool, connected(pool, spec) as made:
+    async with BusPool() as pool, connected(pool, spec) as made:
         await made.activate()
         assert made.capabilities.watchdog
         assert hand(pool).watchdog == pytest.approx(0.1)
@@ -181,7 +182,7 @@ async def test_the_watchdog_of_firmware_that_has_one_is_armed() -> None:
 
 async def test_two_hands_share_a_line() -> None:
     specs = [device(name="left"), device(name="right", device=2)]
-    async with BusPool(wire_time=False) as pool, contextlib.AsyncExitStack() as stack:
+    async with BusPool() as pool, contextlib.AsyncExitStack() as stack:
         drivers = [await stack.enter_async_context(connected(pool, spec)) for spec in specs]
         assert len(pool.buses) == 1
         for made, goal in zip(drivers, (0.2, 0.7), strict=True):
@@ -193,7 +194,7 @@ async def test_two_hands_share_a_line() -> None:
 
 async def test_another_number_is_named() -> None:
     spec = device(emulator={"device": 7})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(HandshakeError, match=r"number 7; set 'device: 7'"):
             async with connected(pool, spec):
                 pass
@@ -201,14 +202,14 @@ async def test_another_number_is_named() -> None:
 
 async def test_another_number_of_motors_is_named() -> None:
     spec = device(emulator={"motors": 2})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(HandshakeError, match="motors: 2"):
             async with connected(pool, spec):
                 pass
 
 
 async def test_silence_is_named() -> None:
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         with pytest.raises(NotConnected, match="no SoftHand answers"):
             async with connected(pool, device(emulator={"boot_time": 1e5})):
                 pass

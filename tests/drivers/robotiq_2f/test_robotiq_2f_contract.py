@@ -141,7 +141,7 @@ async def test_a_slow_network_is_bridged_where_the_deadline_allows_it() -> None:
 
 async def test_two_grippers_share_a_line() -> None:
     second = replace(RTU, options={**RTU.options, "unit": 10})
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with (
             Session(RTU, pool=pool, name="left") as left,
             Session(second, pool=pool, name="right") as right,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import anyio
 import numpy as np
 import pytest
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.schunk_svh import codec
 from rtee.drivers.schunk_svh.channels import CHANNELS
@@ -78,18 +78,18 @@ def hand(pool: BusPool) -> SchunkSvhEmulator:
 
 
 async def settle(made: SchunkSvhDriver, goal: np.ndarray) -> np.ndarray:
-    end = time.monotonic() + 5.0
+    end = monotonic.now() + 5.0
     while True:
         position = (await made.sense()).position
         await made.move(Reference.at(goal))
-        if np.abs(position - goal).max() < 1e-3 or time.monotonic() > end:
+        if np.abs(position - goal).max() < 1e-3 or monotonic.now() > end:
             return position
         await anyio.sleep(0.002)
 
 
 async def test_homes_moves_and_senses_all_channels_in_one_exchange() -> None:
     spec = device(emulator={"start": 0.03})
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         assert made.capabilities.identity["firmware"] == "1.2"
         assert not MOTION & set(hand(pool).packets)
@@ -111,7 +111,7 @@ async def test_homes_moves_and_senses_all_channels_in_one_exchange() -> None:
 
 async def test_does_not_home_unless_allowed() -> None:
     spec = device(["Pinky"], home="on_demand")
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         with pytest.raises(DeviceFault, match=r"not homed.*rtee run --home"):
             await made.activate()
@@ -126,7 +126,7 @@ async def test_does_not_home_unless_allowed() -> None:
 async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -> None:
     names = ["Pinky", "Ring_Finger"]
     spec = device(names, stops_file=str(tmp_path / "state" / "stops.json"))
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with driver(pool, spec) as first:
             await first.configure()
             await first.activate()
@@ -162,7 +162,7 @@ async def test_attaches_to_a_hand_that_holds_without_moving_it(tmp_path: Path) -
 
 async def test_stops_of_another_power_up_are_not_believed(tmp_path: Path) -> None:
     file = tmp_path / "stops.json"
-    async with BusPool(wire_time=False) as pool:
+    async with BusPool() as pool:
         async with driver(pool, device(["Pinky"], stops_file=str(file))) as first:
             await first.configure()
             await first.activate()
@@ -173,7 +173,7 @@ async def test_stops_of_another_power_up_are_not_believed(tmp_path: Path) -> Non
 
 
 async def test_a_power_cycle_costs_the_zero() -> None:
-    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+    async with BusPool() as pool, driver(pool, device(["Pinky"])) as made:
         await made.configure()
         await made.activate()
         assert made.stops
@@ -184,7 +184,7 @@ async def test_a_power_cycle_costs_the_zero() -> None:
 
 async def test_limits_are_sent_before_the_position() -> None:
     spec = device(["Thumb_Flexion", "Pinky", "Ring_Finger"])
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         await made.activate()
         sent: list[Packet] = []
@@ -223,13 +223,13 @@ async def test_limits_are_sent_before_the_position() -> None:
 
 
 async def test_feels_an_object_and_holds_it() -> None:
-    async with BusPool(wire_time=False) as pool, driver(pool, device(["Ring_Finger"])) as made:
+    async with BusPool() as pool, driver(pool, device(["Ring_Finger"])) as made:
         await made.configure()
         await made.activate()
         put(hand(pool), 6, 0.5, 2.0)
-        end = time.monotonic() + 5.0
+        end = monotonic.now() + 5.0
         state = await made.sense()
-        while state.current[0] > -0.299 and time.monotonic() < end:
+        while state.current[0] > -0.299 and monotonic.now() < end:
             await made.move(Reference.at(np.array([0.9])))
             await anyio.sleep(0.001)
             state = await made.sense()
@@ -239,7 +239,7 @@ async def test_feels_an_object_and_holds_it() -> None:
 
 
 async def test_stop_holds_the_measured_pose_and_release_lets_go() -> None:
-    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+    async with BusPool() as pool, driver(pool, device(["Pinky"])) as made:
         await made.configure()
         await made.activate()
         await made.move(Reference.at(np.array([0.9]), max_velocity=np.array([0.02])))
@@ -256,7 +256,7 @@ async def test_stop_holds_the_measured_pose_and_release_lets_go() -> None:
 @pytest.mark.parametrize("echo", [False, True])
 async def test_a_driver_fault_is_named_and_recovered_without_motion(echo: bool) -> None:
     spec = device(["Pinky", "Thumb_Flexion"], emulator={"latch_echo": echo}, status_every=1)
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         await made.activate()
         before = await made.sense()
@@ -278,7 +278,7 @@ async def test_a_driver_fault_is_named_and_recovered_without_motion(echo: bool) 
 
 async def test_a_cut_supply_is_a_fault_that_needs_homing() -> None:
     spec = device(["Pinky"], home="on_demand", status_every=1)
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         await made.recover()
         await made.activate()
@@ -291,7 +291,7 @@ async def test_a_cut_supply_is_a_fault_that_needs_homing() -> None:
 
 async def test_over_temperature_is_a_warning() -> None:
     spec = device(["Pinky"], status_every=1)
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         await made.activate()
         hand(pool).inject("over_temperature")
@@ -300,7 +300,7 @@ async def test_over_temperature_is_a_warning() -> None:
 
 async def test_homing_that_meets_no_stop_fails_and_switches_off() -> None:
     spec = device(["Pinky"], home_timeout=0.5)
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         hand(pool).inject("stuck")
         hand(pool).channels[7].axis.gain = 0.0
@@ -330,13 +330,13 @@ async def test_homing_that_meets_no_stop_fails_and_switches_off() -> None:
 
 async def test_another_device_is_refused() -> None:
     spec = device(["Pinky"], emulator={"name": "ABC"})
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         with pytest.raises(HandshakeError, match="expected an SVH, found 'ABC'"):
             await made.configure()
 
 
 async def test_a_silent_port_is_named() -> None:
-    async with BusPool(wire_time=False) as pool, driver(pool, device(["Pinky"])) as made:
+    async with BusPool() as pool, driver(pool, device(["Pinky"])) as made:
         await made.configure()
         hand(pool).inject("silent")
         with pytest.raises(NotConnected, match="24 V"):
@@ -345,7 +345,7 @@ async def test_a_silent_port_is_named() -> None:
 
 async def test_firmware_two_keeps_its_own_controllers() -> None:
     spec = device(["Pinky"], emulator={"firmware": (2, 3)})
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         assert hand(pool).packets[Command.GET_CURRENT_SETTINGS] == 1
         await made.activate()
@@ -354,7 +354,7 @@ async def test_firmware_two_keeps_its_own_controllers() -> None:
 
 async def test_natural_replies_without_echoed_index_are_understood() -> None:
     spec = device(["Pinky"], emulator={"padded": False, "echo_index": False})
-    async with BusPool(wire_time=False) as pool, driver(pool, spec) as made:
+    async with BusPool() as pool, driver(pool, spec) as made:
         await made.configure()
         await made.activate()
         assert math.isfinite((await made.sense()).position[0])

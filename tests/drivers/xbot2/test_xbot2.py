@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-import time
 from typing import Any
 
 import anyio
@@ -15,6 +14,7 @@ import zmq
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_zmq import SimulatedZmq
 from rtee.drivers.xbot2 import codec
@@ -315,9 +315,9 @@ def test_a_client_of_raw_bytes_talks_to_the_server() -> None:
             assert b"dagana_1_claw_joint" in service.recv()
             service.send(b"[no mapping")
             assert b"success: false" in service.recv()
-            end = time.monotonic() + 5.0
+            end = monotonic.now() + 5.0
             position = math.inf
-            while abs(position - 0.5) > 1e-3 and time.monotonic() < end:
+            while abs(position - 0.5) > 1e-3 and monotonic.now() < end:
                 commands.send(SHEET)
                 raw = states.recv()
                 at = raw.index(b"\x0a\x04") + 2
