@@ -19,6 +19,8 @@ from rtee.extract.extraction import extract
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 
+heavy = pytest.mark.heavy
+
 ROOT = Path(__file__).resolve().parents[2]
 
 KERNELS = {
@@ -64,7 +66,7 @@ def depths(primitives: list[Primitive]) -> dict[str, list[float]]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings are those of x86-64")
-@pytest.mark.parametrize("name", ["robotiq_3f", "leap_hand"])
+@pytest.mark.parametrize("name", ["robotiq_3f", pytest.param("leap_hand", marks=heavy)])
 def test_another_kernel_writes_the_same_files(name: str) -> None:
     command = [sys.executable, "-m", "rtee", "extract", str(ROOT / "config" / name), "--json"]
     running = [
@@ -95,7 +97,7 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     return replace(hand, urdf=replace(hand.urdf, joints=joints))
 
 
-@pytest.mark.parametrize("name", ["robotiq_3f", "qb_softhand"])
+@pytest.mark.parametrize("name", [pytest.param("robotiq_3f", marks=heavy), "qb_softhand"])
 def test_a_nanometre_does_not_decide_what_is_found(name: str) -> None:
     hand = load_hand(ROOT / "config" / name)
     before = {(p.name, p.elements): p for p in extract(hand).primitives if p.evidence}

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.model import Hand
+from rtee.testing import simulated_time
 
 from .hands import make_hand, make_library
 
@@ -16,3 +19,9 @@ def hand(tmp_path_factory: pytest.TempPathFactory) -> Hand:
 @pytest.fixture
 def library(hand: Hand) -> ActionLibrary:
     return make_library(hand)
+
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    """Run on simulated time: what waits costs nothing, and every deadline is exact."""
+    return simulated_time()
