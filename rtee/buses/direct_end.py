@@ -39,17 +39,22 @@ class DirectEnd:
     Args:
         loop: The event loop of the host.
         take: Called with the bytes that the host sends.
-        network: Whether it takes the place of a TCP port.
+        cut: Called when the next host connects, and nothing may reach it that was for the last one;
+            ``None``: it takes the place of a tty instead of a TCP port.
     """
 
     def __init__(
-        self, loop: SimulatedTimeLoop, take: Callable[[bytes], None], *, network: bool
+        self,
+        loop: SimulatedTimeLoop,
+        take: Callable[[bytes], None],
+        cut: Callable[[], None] | None = None,
     ) -> None:
         self.address = f"{SIMULATED}://{next(_NUMBERS)}"
         self.loop = loop
         self.open = False
         self._take = take
-        self._network = network
+        self._cut = cut
+        self._network = cut is not None
         self._host: _Host | None = None
         _ENDS[self.address] = self
 
@@ -98,6 +103,8 @@ class DirectEnd:
         if self._host is not None:
             raise _os_error(errno.ECONNREFUSED if self._network else errno.EBUSY)
         self._host = host
+        if self._cut is not None:
+            self._cut()
 
     def leave(self, host: _Host) -> None:
         """Let a host use it no more; idempotent."""

@@ -246,7 +246,7 @@ class SimulatedLine(Simulation):
         self.emulators = self.wire.emulators
         self._end: Pty | Tcp | DirectEnd
         if self._loop is not None:
-            self._end = DirectEnd(self._loop, self._take, network=tcp)
+            self._end = DirectEnd(self._loop, self._take, self.wire.reset if tcp else None)
         else:
             self._end = Tcp(host, port, scheme) if tcp else Pty(link)
         self._late = 0.0

@@ -14,7 +14,7 @@ from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
 from rtee.buses.simulated import Simulation
-from rtee.buses.simulated_time import SimulatedTimeLoop
+from rtee.buses.simulated_time import SimulatedTimeLoop, on_simulated_time
 
 _POLL = 0.02
 """Longest wait for a frame [s], for calls of other threads: only virtual buses can be woken up."""
@@ -153,7 +153,10 @@ class DirectCan:
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame; may be called from any thread."""
-        self._loop.call_soon_threadsafe(self._simulation.hear, self, frame)
+        if on_simulated_time() is None:  # another thread
+            self._loop.call_soon_threadsafe(self._simulation.hear, self, frame)
+        else:
+            self._simulation.hear(self, frame)
 
     def shutdown(self) -> None:
         """Leave the bus; idempotent."""

