@@ -233,6 +233,7 @@ async def test_a_port_that_nobody_serves_is_named() -> None:
             await pool.serial(address, owner="a")
 
 
+@in_real_time
 async def test_an_address_without_a_port_is_a_mistake_of_the_user() -> None:
     async with BusPool() as pool:
         with pytest.raises(ConfigError, match="looks like 'socket://host:port'"):
