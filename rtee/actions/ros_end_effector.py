@@ -305,7 +305,7 @@ class _Reader:
     def _fingers(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return the fingers with these names, or with tip links of these names."""
         # A finger that is named itself is not also meant by its tip's link.
-        by_tip = {f.tip: f.name for f in self.hand.fingers if f.name not in names}
+        by_tip = {tip: name for tip, name in self.hand.tip_links.items() if name not in names}
         return tuple(self.hand.finger(by_tip.get(name, name)).name for name in names)
 
     def _states(self, source: _Source, what: str) -> list[Posture]:

@@ -137,17 +137,18 @@ def _limit_targets(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def _add_touch(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Add a touch sensor to each fingertip: the sum of the normal forces in a box around it [N]."""
+    """Add a touch sensor to each fingertip: the sum of the normal forces in a box around it [N].
+
+    MuJoCo's sensor counts the contacts of one body, so that each link of a fingertip has its own.
+    """
     # The bounding boxes of meshes are known only after compilation.
     model = spec.compile()
-    for finger in hand.fingers:
-        if finger.tip is None:
-            continue
-        own = np.flatnonzero(model.geom_bodyid == model.body(LINK + finger.tip).id).tolist()
+    for link, finger in hand.tip_links.items():
+        own = np.flatnonzero(model.geom_bodyid == model.body(LINK + link).id).tolist()
         corners = np.vstack([_corners(model, geom) for geom in own if model.geom_contype[geom]])
         lower, upper = corners.min(axis=0), corners.max(axis=0)
-        name = TOUCH + finger.name
-        spec.body(LINK + finger.tip).add_site(
+        name = TOUCH + (finger if link == hand.finger(finger).tip else f"{finger}/{link}")
+        spec.body(LINK + link).add_site(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=0.5 * (lower + upper),

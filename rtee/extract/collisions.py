@@ -16,6 +16,7 @@ from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
 from rtee.hand.linalg import norms, rotated
+from rtee.hand.pairs import Pairs
 from rtee.sample import FloatArray
 
 STEP: Final = 0.001
@@ -105,16 +106,16 @@ class Collisions:
         self.checked = tuple(sorted(remaining, key=lambda pair: pair.links in self._nested))
         self.narrow = self._narrow()
 
-    def _narrow(self) -> dict[tuple[str, str], float]:
+    def _narrow(self) -> Pairs[str, float]:
         scene, wanted = self._scene, self._scene.hand.clearance / _SHARE
         scene.place(scene.hand.rest)
         gaps = Spheres(scene, self.checked).gaps()
         near = [self.checked[c] for c in np.flatnonzero(gaps < wanted)]
-        return {
-            pair.links: COARSE.rounded_value(scene.exact_distance(pair))
+        return Pairs(
+            (pair.links, COARSE.rounded_value(scene.exact_distance(pair)))
             for pair in near
             if scene.nearer(pair, wanted)
-        }
+        )
 
     def margin(self, pair: LinkPair) -> float:
         """Return the distance that two links have to keep in a clear pose [m].
@@ -122,7 +123,7 @@ class Collisions:
         The hand's clearance, or four fifths of their distance at rest if that is less.
         """
         least = self._scene.hand.clearance
-        gap = self.narrow.get(pair.links, self.narrow.get(pair.links[::-1]))
+        gap = self.narrow.get(pair.links)
         return max(TOUCH, least if gap is None else min(least, _SHARE * gap))
 
     def checker(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> CollisionChecker:

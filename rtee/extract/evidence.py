@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -71,7 +72,11 @@ class Inspector:
         hand = self.scene.hand
         # Including actuators shared with other fingers, which move in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}
-        return self.collisions.checker(moving, [frozenset(pair.links) for pair in tips])
+        links = [
+            [hand.finger(hand.tip_links[tip]).tip_links for tip in pair.links] for pair in tips
+        ]
+        meeting = (frozenset(pair) for both in links for pair in product(*both))
+        return self.collisions.checker(moving, meeting)
 
     def pinch(self, u: FloatArray, tips: LinkPair, checker: CollisionChecker) -> Candidate:
         """Return a pinch with its evidence.

@@ -23,6 +23,7 @@ from rtee.extract.jobs import Progress
 from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.linalg import dot, matmul, matvec, norm, norms, vecmat
 from rtee.hand.model import Hand
+from rtee.hand.pairs import Pairs
 from rtee.sample import FloatArray
 from rtee.types import from_rest, readonly
 
@@ -49,6 +50,10 @@ which approach each other a little, have less."""
 _PARTS: Final = 0.9
 """Approach of two shapes of tips relative to that of the two that close most, below which they are
 ignored: hinges and levers on the tips' links stay near each other all the time."""
+
+_LINKS: Final = 0.75
+"""The same for the links of tips that several links form: where a marker stands back on a pad, the
+markers come from farther apart, but the pads are what touches."""
 
 _BUMP: Final = 1e-4
 """Largest growth of an opening that still counts as falling [m]."""
@@ -164,16 +169,19 @@ class _Way:
         self._kinematics = geometry.kinematics
         self.tips = {name: str(hand.finger(name).tip) for name in self.fingers}
         shapes = {
-            name: [geometry.shapes[i] for i in geometry.of_link(tip)]
-            for name, tip in self.tips.items()
+            name: [geometry.shapes[i] for i in geometry.of_links(*hand.finger(name).tip_links)]
+            for name in self.fingers
         }
-        self._couples = {
-            (one, other): list(product(shapes[one], shapes[other]))
-            for one, other in combinations(self.fingers, 2)
-        }
+        self._couples: Pairs[str, list[tuple[Shape, Shape]]] = Pairs(
+            (
+                ((one, other), list(product(shapes[one], shapes[other])))
+                for one, other in combinations(self.fingers, 2)
+            ),
+            turned=lambda couples: [(other, one) for one, other in couples],
+        )
         self._parts: dict[str, list[Shape]] = shapes
         self._slopes = np.zeros((0, 0))
-        self._normals: dict[tuple[str, str], FloatArray] = {}
+        self._normals: Pairs[str, FloatArray] = Pairs(turned=np.negative)
 
     def go(self, intensity: float) -> None:
         """Place the hand at an intensity."""
@@ -240,8 +248,17 @@ class _Way:
         least = max(_CLOSES, _SHARE * max(most.values()))
         opposed = [pair for pair, by in most.items() if by >= least]
         for pair in opposed:
-            couples = zip(self._couples[pair], closes[pair], strict=True)
-            self._couples[pair] = [couple for couple, by in couples if by >= _PARTS * most[pair]]
+            couples = list(zip(self._couples[pair], closes[pair], strict=True))
+            by_links: dict[tuple[str, str], float] = {}
+            for (one, other), by in couples:
+                links = one.link, other.link
+                by_links[links] = max(by, by_links.get(links, 0.0))
+            self._couples[pair] = [
+                (one, other)
+                for (one, other), by in couples
+                if by >= _PARTS * (reach := by_links[one.link, other.link])
+                and reach >= _LINKS * most[pair]
+            ]
         for finger in self.fingers:
             met = [c[p.index(finger)] for p in opposed if finger in p for c in self._couples[p]]
             self._parts[finger] = list(dict.fromkeys(met))

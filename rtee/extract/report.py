@@ -230,7 +230,7 @@ def _primitive(hand: Hand, primitive: Primitive) -> _Plan:
     tips: tuple[str, ...] = ()
     if evidence is not None and evidence.point is not None and evidence.normal is not None:
         contact = (evidence.point, evidence.normal)
-        tips = tuple(tip for f in fingers if (tip := hand.finger(f).tip) is not None)
+        tips = tuple(link for f in fingers for link in hand.finger(f).tip_links)
     view = _View(_position(hand, primitive.posture), fingers, contact=contact, tips=tips)
     title = " + ".join(primitive.elements)
     summary = sideways_words(hand, primitive, common_prefix(hand.actuator_names))

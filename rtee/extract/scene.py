@@ -22,6 +22,7 @@ from rtee.hand.geometry import HandGeometry, Shape
 from rtee.hand.kinematics import Kinematics
 from rtee.hand.linalg import matmul, matvec, norm, vecmat
 from rtee.hand.model import Hand
+from rtee.hand.pairs import Pairs
 from rtee.sample import FloatArray
 from rtee.types import JointKind
 
@@ -74,11 +75,11 @@ class Scene:
         self.geometry = HandGeometry(hand, self.kinematics)
         self.couplings = Couplings(hand)
         self.shapes: list[Shape] = list(self.geometry.shapes)
-        self.pairs: dict[tuple[str, str], LinkPair] = {}
+        self.pairs: Pairs[str, LinkPair] = Pairs(turned=LinkPair.reversed)
         self._couples = 0  # numbers the pairs
         links = list(dict.fromkeys(shape.link for shape in self.shapes))
         for first, second in combinations(links, 2):
-            shapes = (self.geometry.of_link(first), self.geometry.of_link(second))
+            shapes = (self.geometry.of_links(first), self.geometry.of_links(second))
             pair = self._couple((first, second), shapes)
             if pair is not None:
                 self.pairs[first, second] = pair
@@ -115,17 +116,26 @@ class Scene:
         self._couples += 1
         return LinkPair(links, bodies, shapes, self._couples, moved_by, actuators)
 
-    def _tip_pairs(self) -> dict[tuple[str, str], LinkPair]:
+    def _tip_pairs(self) -> Pairs[str, LinkPair]:
         """Return the pairs of fingertips, with joined ones clipped to parts that can pinch."""
-        tips = [finger.tip for finger in self.hand.fingers if finger.tip]
-        pairs: dict[tuple[str, str], LinkPair] = {}
-        for first, second in combinations(dict.fromkeys(tips), 2):
-            pair = self.pair(first, second)
+        tips = {f.tip: f.tip_links for f in self.hand.fingers if f.tip}
+        pairs: Pairs[str, LinkPair] = Pairs(turned=LinkPair.reversed)
+        for first, second in combinations(tips, 2):
+            pair = self._tip_pair((first, second), (tips[first], tips[second]))
             if pair is not None and self._joined(pair) and self.touching(pair):
                 pair = self._clipped(pair)
             if pair is not None and pair.actuators:
                 pairs[first, second] = pair
         return pairs
+
+    def _tip_pair(
+        self, tips: tuple[str, str], links: tuple[Sequence[str], Sequence[str]]
+    ) -> LinkPair | None:
+        """Return the pair of two fingertips, each with the shapes of all its links."""
+        if len(links[0]) == len(links[1]) == 1:
+            return self.pair(*tips)
+        of_links = self.geometry.of_links
+        return self._couple(tips, (of_links(*links[0]), of_links(*links[1])))
 
     def _joined(self, pair: LinkPair) -> bool:
         first, second = pair.bodies
@@ -158,10 +168,8 @@ class Scene:
 
     def pair(self, first: str, second: str) -> LinkPair | None:
         """Return a pair of links in this order; ``None`` if they do not move against each other."""
-        if (first, second) in self.pairs:
-            return self.pairs[first, second]
-        pair = self.pairs.get((second, first))
-        return pair.reversed() if pair else None
+        pair: LinkPair | None = self.pairs.get((first, second))
+        return pair
 
     def place(self, u: FloatArray) -> None:
         """Move all links to actuator positions ``(n,)`` [rad | m]."""

@@ -48,7 +48,7 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
     """
     geometry = HandGeometry(hand)
     kinematics = geometry.kinematics
-    parents, tips = kinematics.model.parents, {finger.tip for finger in hand.fingers}
+    parents, tips = kinematics.model.parents, hand.tip_links
     at_rest, spread = kinematics.placements(hand.rest), _spread(hand)
     pairs = []
     for links in combinations(dict.fromkeys(shape.link for shape in geometry.shapes), 2):
@@ -58,10 +58,14 @@ def allowed_collisions(hand: Hand) -> tuple[AllowedCollision, ...]:
             continue
         if parents[first] == second or parents[second] == first:
             pairs.append(AllowedCollision(*links, ADJACENT))
-        elif not tips.issuperset(links) and geometry.touching(links, at_rest):
+            continue
+        if links[0] in tips and links[1] in tips:
+            continue
+        sides = geometry.of_links(links[0]), geometry.of_links(links[1])
+        if geometry.touching(sides, at_rest):
             # Only pairs that touch at rest are checked at other postures, since each check of
             # meshes is expensive.
-            always = all(geometry.touching(links, kinematics.placements(u)) for u in spread)
+            always = all(geometry.touching(sides, kinematics.placements(u)) for u in spread)
             pairs.append(AllowedCollision(*links, ALWAYS if always else AT_REST))
     return tuple(pairs)
 
@@ -74,7 +78,8 @@ def touch_at_rest(hand: Hand) -> Callable[[str, str], bool]:
     """
     geometry = HandGeometry(hand)
     poses = geometry.kinematics.placements(hand.rest)
-    return lambda link1, link2: geometry.touching((link1, link2), poses)
+    of_links = geometry.of_links
+    return lambda link1, link2: geometry.touching((of_links(link1), of_links(link2)), poses)
 
 
 def _spread(hand: Hand) -> list[FloatArray]:

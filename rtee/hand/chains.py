@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 from rtee.errors import ModelError, UnknownJoint, UnknownLink, suggestion
@@ -33,6 +33,37 @@ class Chain:
         # The base is the palm, except for a finger of a single link.
         below = reversed(self.links[1:] or self.links)
         return next((link for link in below if urdf.links[link].collisions), None)
+
+
+def tip_links(chains: Sequence[Chain], urdf: Urdf) -> dict[str, tuple[str, ...]]:
+    """Return the links that form the fingertip of each finger, its `Chain.tip` first.
+
+    A fingertip is one rigid body, however many links it is modelled by: a pad, a marker or a sensor
+    that fixed joints weld to the distal link is a part of it. Neither the base, which may be the
+    palm of a fixed jaw, nor the links of other fingers belong to it.
+    """
+    return {
+        chain.name: _welded(
+            chain, urdf, {link for other in chains if other is not chain for link in other.links}
+        )
+        for chain in chains
+    }
+
+
+def _welded(chain: Chain, urdf: Urdf, others: Collection[str]) -> tuple[str, ...]:
+    tip = chain.tip(urdf)
+    if tip is None:
+        return ()
+    top, own = tip, [link for link in chain.links[1:] if link not in others]
+    while (above := urdf.joint_to.get(top)) is not None and not above.moving:
+        if above.parent not in own:
+            break
+        top = above.parent
+    welded = [top]
+    for link in welded:
+        below = urdf.joints_below[link]
+        welded += [j.child for j in below if not j.moving and j.child not in others]
+    return tip, *(link for link in welded if link != tip and urdf.links[link].collisions)
 
 
 def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:

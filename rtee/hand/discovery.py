@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from rtee.errors import ModelError
-from rtee.hand.chains import Chain, fingers_of
+from rtee.hand.chains import Chain, fingers_of, tip_links
 from rtee.hand.model import Finger
 from rtee.hand.names import check_name, safe_name, shared_length
 from rtee.hand.srdf import Srdf
@@ -63,11 +63,13 @@ def make_fingers(
     moving = {
         chain.name: _moving(urdf, tips[chain.name] or chain.links[-1], movers) for chain in chains
     }
+    welded = tip_links(chains, urdf)
     fingers = tuple(
         Finger(
             name=chain.name,
             base=chain.links[0],
             tip=tips[chain.name],
+            tip_links=welded[chain.name],
             links=chain.links,
             actuators=moving[chain.name],
             own=_own(chain.name, moving),

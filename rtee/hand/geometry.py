@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -26,6 +26,9 @@ from rtee.sample import FloatArray
 
 _FLAT: Final = 1e-4
 """Ratio of thickness to extent below which a mesh has no proper convex hull and is thickened."""
+
+Sides = tuple[Sequence[int], Sequence[int]]
+"""Two sets of shapes, by their indices."""
 
 _THICKNESS: Final = 1e-5
 """Half the thickness given to a flat mesh [m]: far below the accuracy of models."""
@@ -172,17 +175,17 @@ class HandGeometry:
             for source, exact in _of_link(hand.urdf.links[link], loader, visual=visual)
         )
 
-    def of_link(self, link: str) -> tuple[int, ...]:
-        """Return the indices of a link's shapes."""
-        return tuple(i for i, shape in enumerate(self.shapes) if shape.link == link)
+    def of_links(self, *links: str) -> tuple[int, ...]:
+        """Return the indices of the shapes of some links."""
+        return tuple(i for i, shape in enumerate(self.shapes) if shape.link in links)
 
     def closest(
-        self, links: tuple[str, str], poses: Mapping[str, FloatArray], *, convex: bool
+        self, sides: Sides, poses: Mapping[str, FloatArray], *, convex: bool
     ) -> tuple[float, FloatArray]:
-        """Return the distance between two links and the midpoint of their closest points.
+        """Return the distance between two sets of shapes and the midpoint of their closest points.
 
         Args:
-            links: The links.
+            sides: Indices of the shapes of both sides.
             poses: The pose ``(4, 4)`` of every link.
             convex: Whether to measure between the convex hulls, with negative distances if they
                 overlap, instead of the shapes of the URDF.
@@ -194,7 +197,7 @@ class HandGeometry:
         # Overlapping parts have a negative distance, the penetration depth.
         request.enable_signed_distance = True
         best, middle = np.inf, np.zeros(3)
-        for first, second in self._couples(links):
+        for first, second in self._couples(sides):
             bodies = [shape.convex if convex else shape.exact for shape in (first, second)]
             places = [shape.at(poses[shape.link]) for shape in (first, second)]
             result = coal.DistanceResult()
@@ -204,8 +207,8 @@ class HandGeometry:
                 best, middle = distance, (np.array(points[0]) + np.array(points[1])) / 2.0
         return float(best), middle
 
-    def touching(self, links: tuple[str, str], poses: Mapping[str, FloatArray]) -> bool:
-        """Return whether the shapes of two links touch; see `closest`."""
+    def touching(self, sides: Sides, poses: Mapping[str, FloatArray]) -> bool:
+        """Return whether two sets of shapes touch; see `closest`."""
         request = coal.CollisionRequest()
         return any(
             coal.collide(
@@ -216,12 +219,12 @@ class HandGeometry:
                 request,
                 coal.CollisionResult(),
             )
-            for first, second in self._couples(links)
+            for first, second in self._couples(sides)
         )
 
-    def _couples(self, links: tuple[str, str]) -> Iterator[tuple[Shape, Shape]]:
-        """Yield every shape of the first link with every shape of the second one."""
-        first, second = ([self.shapes[i] for i in self.of_link(link)] for link in links)
+    def _couples(self, sides: Sides) -> Iterator[tuple[Shape, Shape]]:
+        """Yield every shape of the first side with every shape of the second one."""
+        first, second = ([self.shapes[i] for i in side] for side in sides)
         return product(first, second)
 
     def triangles(self, link: str) -> Triangles:
@@ -232,7 +235,7 @@ class HandGeometry:
             counter-clockwise seen from outside, if they are so in the source.
         """
         vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], 0
-        for i in self.of_link(link):
+        for i in self.of_links(link):
             shape = self.shapes[i]
             points, triangles = shape.triangles
             vertices.append(rotated(points, shape.in_link.rotation) + shape.in_link.translation)

@@ -64,7 +64,10 @@ class Finger:
     Attributes:
         name: Its name (the SRDF group, or derived from its links).
         base: First link of the chain.
-        tip: The fingertip: last link of the chain with collision geometry; ``None`` if it has none.
+        tip: The fingertip's frame: last link of the chain with collision geometry; ``None`` if it
+            has none.
+        tip_links: The links that form the fingertip: ``tip`` and the links with collision geometry
+            that are welded to it; empty without a tip.
         links: Links of the chain from base to end.
         actuators: Names of the actuators that move the fingertip, nearest the palm first.
         own: The actuators that move no other fingertip, nearest the palm first.
@@ -74,6 +77,7 @@ class Finger:
     name: str
     base: str
     tip: str | None
+    tip_links: tuple[str, ...]
     links: tuple[str, ...]
     actuators: tuple[str, ...]
     own: tuple[str, ...]
@@ -150,6 +154,11 @@ class Hand:
     def finger_names(self) -> tuple[str, ...]:
         """Names of the fingers, in order."""
         return tuple(f.name for f in self.fingers)
+
+    @cached_property
+    def tip_links(self) -> Mapping[str, str]:
+        """The finger of each link that is part of a fingertip."""
+        return {link: finger.name for finger in self.fingers for link in finger.tip_links}
 
     def actuator(self, name: str) -> ActuatorSpec:
         """Return an actuator by name; raises `UnknownActuator`."""

@@ -15,7 +15,7 @@ from rtee.hand.yamlwrite import rest_line
 from rtee.sample import FloatArray
 
 if TYPE_CHECKING:
-    from rtee.hand.geometry import HandGeometry
+    from rtee.hand.geometry import HandGeometry, Sides
 
 NEAR: Final = 0.002
 """Gap below which two tips nearly touch [m]: the error of a model is about a millimetre per tip."""
@@ -130,7 +130,7 @@ class _Search:
         """Return the gap of each pair of tips at a posture [m]; 0 if they touch."""
         poses = self._geometry.kinematics.placements(u)
         closest = self._geometry.closest
-        return [max(0.0, closest(self._tips(p), poses, convex=False)[0]) for p in pairs]
+        return [max(0.0, closest(self._sides(p), poses, convex=False)[0]) for p in pairs]
 
     def opened(self, pairs: Sequence[Pair]) -> FloatArray:
         """Return the rest posture ``(n,)`` with actuators that open tips at their best limit."""
@@ -158,23 +158,24 @@ class _Search:
 
     def _near(self, pair: Pair) -> bool:
         poses = self._geometry.kinematics.placements(self._hand.rest)
-        tips = self._tips(pair)
-        (first, reach), (second, other) = (self._ball(tip, poses) for tip in tips)
+        sides = self._sides(pair)
+        (first, reach), (second, other) = (self._ball(side, poses) for side in sides)
         between = float(np.linalg.norm(first - second)) - reach - other
         # The spheres first, since distances of meshes are expensive.
-        return between <= NEAR and self._geometry.closest(tips, poses, convex=False)[0] <= NEAR
+        return between <= NEAR and self._geometry.closest(sides, poses, convex=False)[0] <= NEAR
 
-    def _ball(self, tip: str, poses: Mapping[str, FloatArray]) -> tuple[FloatArray, float]:
-        """Return the centre ``(3,)`` and radius of a sphere around a fingertip [m]."""
-        shapes = [self._geometry.shapes[i] for i in self._geometry.of_link(tip)]
-        centres = [s.in_link.rotation @ s.ball[0] + s.in_link.translation for s in shapes]
+    def _ball(
+        self, side: Sequence[int], poses: Mapping[str, FloatArray]
+    ) -> tuple[FloatArray, float]:
+        """Return the centre ``(3,)`` and radius of a sphere around a fingertip's shapes [m]."""
+        shapes = [self._geometry.shapes[i] for i in side]
+        centres = [(poses[s.link] @ s.in_link.homogeneous @ [*s.ball[0], 1.0])[:3] for s in shapes]
         middle = np.mean(centres, axis=0)
         radius = max(
             float(np.linalg.norm(c - middle)) + s.ball[1]
             for c, s in zip(centres, shapes, strict=True)
         )
-        pose = poses[tip]
-        return pose[:3, :3] @ middle + pose[:3, 3], radius
+        return middle, radius
 
     def _steps(self, pair: Pair) -> list[tuple[int, float]]:
         """Return the motions of the tips to test: indices of actuators, each with a limit."""
@@ -212,21 +213,25 @@ class _Search:
         Both in metres. The distance of convex parts is signed, so that it changes for overlapping
         tips, too.
         """
-        kinematics, tips = self._geometry.kinematics, self._tips(pair)
+        kinematics, tips, sides = self._geometry.kinematics, self._tips(pair), self._sides(pair)
         u = np.array(self._hand.rest)
         before = kinematics.placements(u)
-        distance, point = self._geometry.closest(tips, before, convex=True)
+        distance, point = self._geometry.closest(sides, before, convex=True)
         u[actuator] += _STEP * (bound - u[actuator])
         after = kinematics.placements(u)
         # Where each tip carries the point that was in the middle of the gap before.
         first, second = (
             (after[tip] @ np.linalg.inv(before[tip]) @ np.append(point, 1.0))[:3] for tip in tips
         )
-        apart = self._geometry.closest(tips, after, convex=True)[0]
+        apart = self._geometry.closest(sides, after, convex=True)[0]
         return float(np.linalg.norm(second - first)), apart - distance
 
     def _tips(self, pair: Pair) -> tuple[str, str]:
         return str(self._hand.fingers[pair[0]].tip), str(self._hand.fingers[pair[1]].tip)
+
+    def _sides(self, pair: Pair) -> Sides:
+        first, second = (self._hand.fingers[i].tip_links for i in pair)
+        return self._geometry.of_links(*first), self._geometry.of_links(*second)
 
 
 def closed_rest_of(hand: Hand) -> ClosedRest | None:

@@ -80,6 +80,12 @@ class TipLevers:
 
 def _point(hand: Hand, finger: Finger) -> FloatArray:
     """Return the point of a fingertip that is likely to touch, in its link's frame ``(3,)`` [m]."""
-    middles = [np.array(shape.xyz) for shape in hand.urdf.links[str(finger.tip)].collisions]
+    tip = np.linalg.inv(tip_pose_and_jacobian(hand, str(finger.tip), hand.rest)[0])
+    middles = []
+    for link in finger.tip_links:
+        # Welded to the tip, so that any posture gives the same pose.
+        in_tip = tip @ tip_pose_and_jacobian(hand, link, hand.rest)[0]
+        shapes = hand.urdf.links[link].collisions
+        middles += [(in_tip @ [*shape.xyz, 1.0])[:3] for shape in shapes]
     farthest: FloatArray = max(middles, key=lambda middle: float(np.linalg.norm(middle)))
     return farthest

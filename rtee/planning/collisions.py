@@ -61,7 +61,7 @@ class Collisions:
             adjacent = first == second or second == parents[first] or first == parents[second]
             if not adjacent and frozenset(links) not in disabled:
                 self._pairs.append(links)
-        self._tips = {str(finger.tip): finger.name for finger in hand.fingers}
+        self._tips = hand.tip_links
         self._at_rest = kinematics.placements(np.array(hand.rest))
         self._scene = None if thing is None else GraspScene(hand, thing, geometry)
         self._pose = np.eye(4) if pose is None else pose
@@ -83,13 +83,14 @@ class Collisions:
         geometry = self._geometry
         poses, found = geometry.kinematics.placements(u), []
         for links in self._pairs:
-            depth = -geometry.closest(links, poses, convex=True)[0]
+            sides = geometry.of_links(links[0]), geometry.of_links(links[1])
+            depth = -geometry.closest(sides, poses, convex=True)[0]
             if depth <= (_PRESSED if self._tips.keys() >= set(links) else _DEPTH):
                 continue
-            before = -geometry.closest(links, self._at_rest, convex=True)[0]
-            if depth <= before + _DEPTH or geometry.touching(links, self._at_rest):
+            before = -geometry.closest(sides, self._at_rest, convex=True)[0]
+            if depth <= before + _DEPTH or geometry.touching(sides, self._at_rest):
                 continue
-            if geometry.touching(links, poses):
+            if geometry.touching(sides, poses):
                 found.append(Collision(links, depth, posture))
         return found
 

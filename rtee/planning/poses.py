@@ -86,8 +86,7 @@ _OUTLOOK: Final = np.array([d for d in itertools.product((-1, 0, 1), repeat=3) i
 
 def outward(scene: GraspScene) -> FloatArray:
     """Return the axis ``(3,)`` of the base frame along which the hand reaches out."""
-    tips = {finger.tip for finger in scene.hand.fingers}
-    shapes = [i for i, shape in enumerate(scene.geometry.shapes) if shape.link in tips]
+    shapes = list(scene.geometry.of_links(*scene.hand.tip_links))
     middles = scene.posed(np.array(scene.hand.rest)).middles[shapes]
     centre = middles.mean(axis=0) if shapes else np.array([0.0, 0.0, 1.0])
     axis = np.zeros(3)
@@ -126,10 +125,9 @@ class Poses:
         """Look at how the action's fingertips move; the hand reaches out along ``out``."""
         self._scene, self._closing, self._out = scene, closing, out
         self._fingers = self._involved(action)
-        names = {name: scene.hand.finger(name).tip for name in self._fingers}
-        shapes = scene.geometry.shapes
+        of_links = scene.geometry.of_links
         self._tips = [
-            self._outermost([i for i, shape in enumerate(shapes) if shape.link == names[name]])
+            self._outermost(list(of_links(*scene.hand.finger(name).tip_links)))
             for name in self._fingers
         ]
         middles = np.array([at.middles for at in closing.table])

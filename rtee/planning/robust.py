@@ -88,8 +88,9 @@ def robust_poses(
     closed = [(c, k) for c, k in zip(candidates, closures, strict=True) if k is not None]
     between = _two_tips(planner.hand, action, closing)
     if between:  # a gripper holds with its tips, though its linkage might hold more firmly
+        tips = planner.hand.tip_links
         closed = [
-            pair for pair in closed if between <= {c.link for c in pair[1].contacts}
+            pair for pair in closed if between <= {tips.get(c.link) for c in pair[1].contacts}
         ] or closed
     # Judging nearby takes 13 closings for each: only the most promising are judged.
     closed.sort(key=lambda pair: -planner.promise(pair[1]))
@@ -124,12 +125,12 @@ def too_wide(planner: Planner, action: Action, groups: Sequence[Action] = ()) ->
 
 
 def _two_tips(hand: Hand, action: Action, closing: Closing) -> frozenset[str]:
-    """Return the fingertips between which an action grasps, if they are two; else nothing."""
+    """Return the fingers between whose tips an action grasps, if they are two; else nothing."""
     moved = {
         name for name, moves in zip(hand.actuator_names, closing.way.moving, strict=True) if moves
     }
     tips = [
-        str(finger.tip)
+        finger.name
         for finger in hand.fingers
         if finger.tip
         and (not action.fingers or finger.name in action.fingers)

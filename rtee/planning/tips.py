@@ -37,7 +37,7 @@ class Fingertips:
         self.geometry = geometry or HandGeometry(hand)
         self._shapes: dict[str, list[Shape]] = {}
         for finger in hand.fingers:
-            found = [self.geometry.shapes[i] for i in self.geometry.of_link(str(finger.tip))]
+            found = [self.geometry.shapes[i] for i in self.geometry.of_links(*finger.tip_links)]
             if found:
                 self._shapes[finger.name] = found
         self.fingers = tuple(self._shapes)

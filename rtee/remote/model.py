@@ -7,18 +7,23 @@ from dataclasses import replace
 from pathlib import Path
 
 from rtee.errors import RteeError
+from rtee.hand.chains import Chain, tip_links
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Finger, Hand
+from rtee.hand.urdf import Urdf
 from rtee.remote.client import RemoteHand
 from rtee.remote.planner import HandInfo
 
 
-def _fingers(info: HandInfo) -> tuple[Finger, ...]:
+def _fingers(info: HandInfo, urdf: Urdf) -> tuple[Finger, ...]:
+    chains = {f.name: Chain(f.name, tuple(f.links), "") for f in info.fingers}
+    tips = tip_links(tuple(chains.values()), urdf)
     return tuple(
         Finger(
             name=f.name,
             base=f.base,
             tip=f.tip or None,
+            tip_links=tips[f.name] if f.tip else (),
             links=f.links,
             actuators=f.actuators,
             own=tuple(
@@ -43,7 +48,7 @@ def from_info(info: HandInfo) -> Hand:
         path.write_text(info.urdf, encoding="utf-8")
         rest = {a.name: a.rest for a in info.actuators}
         hand = load_model(path, name=info.name, rest=rest, actuators=info.actuator_names)
-        return replace(hand, fingers=_fingers(info))
+        return replace(hand, fingers=_fingers(info, hand.urdf))
 
 
 async def model_of(remote: RemoteHand, configured: Hand | None = None) -> Hand:

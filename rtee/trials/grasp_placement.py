@@ -94,9 +94,9 @@ class Places:
         self._model = simulation.model
         self._data = mujoco.MjData(self._model)
         self._goal = ActionWay.of(hand, action).end
-        fingers = [hand.finger(name) for name in fingers_of(hand, action)]
-        tips = [self._model.body(LINK + f.tip).id for f in fingers if f.tip is not None]
-        self._geoms = [np.flatnonzero(self._model.geom_bodyid == tip) for tip in tips]
+        tips = [hand.finger(name).tip_links for name in fingers_of(hand, action)]
+        bodies = [[self._model.body(LINK + link).id for link in tip] for tip in tips if tip]
+        self._geoms = [np.flatnonzero(np.isin(self._model.geom_bodyid, tip)) for tip in bodies]
         self._shift = self._contact_point(action)
 
     def find(self, most: int) -> list[Place]:

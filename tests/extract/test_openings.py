@@ -30,8 +30,8 @@ def library(name: str) -> ActionLibrary:
 def test_parallel_grippers_are_exact_to_a_tenth_of_a_millimetre(name: str) -> None:
     known = library(name)
     hand = known.hand
-    tips = (str(hand.fingers[0].tip), str(hand.fingers[1].tip))
     geometry = HandGeometry(hand)
+    tips = tuple(geometry.of_links(*finger.tip_links) for finger in hand.fingers[:2])
     opening = known.openings.of(known.find("Grasp"))
     goal = known.find("Grasp").waypoints[-1].position[hand.actuator_names[0]]
     for intensity in np.linspace(0.0, opening.intensity[-1], 301):

@@ -20,27 +20,28 @@ class FingerForces:
     """
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
-        tips = [finger.tip for finger in hand.fingers]
+        tips = [finger.tip_links for finger in hand.fingers]
         owners: dict[str, set[int]] = {}
         for index, finger in enumerate(hand.fingers):
             for link in finger.links:
                 owners.setdefault(link, set()).add(index)
-        felt = [tip for tip in dict.fromkeys(tips) if tip is not None]
+        felt = [tip for tip in dict.fromkeys(tips) if tip]
         self._tips = len(felt)
         # A link that several fingers share, such as the palm, belongs to none.
-        felt += [n for n, own in owners.items() if len(own) == 1 and n not in felt]
+        felt += [(n,) for n, own in owners.items() if len(own) == 1 and n not in hand.tip_links]
         row_of_geom = np.full(model.ngeom, -1, dtype=np.intp)
-        for row, link in enumerate(felt):
-            row_of_geom[model.geom_bodyid == model.body(LINK + link).id] = row
+        for row, links in enumerate(felt):
+            for link in links:
+                row_of_geom[model.geom_bodyid == model.body(LINK + link).id] = row
         self._row_of_geom: list[int] = row_of_geom.tolist()
         bodies = [model.body(int(body)).name for body in model.geom_bodyid]
         self._of_hand = [name.startswith(LINK) for name in bodies]
         self._rows = len(felt)
         self._belongs = np.zeros((len(hand.fingers), len(felt)))
         for index, tip in enumerate(tips):
-            for row, link in enumerate(felt):
-                alone = owners.get(link) == {index}
-                self._belongs[index, row] = link == tip or (row >= self._tips and alone)
+            for row, links in enumerate(felt):
+                alone = owners.get(links[0]) == {index}
+                self._belongs[index, row] = links == tip or (row >= self._tips and alone)
 
     def read(self, data: mujoco.MjData) -> FloatArray:
         """Return the sum of the forces on the links of each finger ``(fingers,)`` [N]."""

@@ -254,7 +254,6 @@ def _add_links(
 ) -> list[str]:
     """Add every link below ``mount``; returns the assumptions made."""
     urdf = hand.urdf
-    tips = {finger.tip for finger in hand.fingers}
     bodies: dict[str, mujoco.MjsBody] = {}
     without_mass: list[str] = []
     without_inertia: list[str] = []
@@ -282,7 +281,7 @@ def _add_links(
                 meshes_done = True
             geom = add_shape(spec, body, shape, f"{name}/{index}", lambda n=name: triangles(n))  # type: ignore[misc]
             geom.density = options.density
-            make_hard(geom, hand_friction(options.friction, tip=name in tips))
+            make_hard(geom, hand_friction(options.friction, tip=name in hand.tip_links))
             # The group that MuJoCo's viewers hide by default: collision shapes.
             geom.group = 3
             geoms.append(geom)
@@ -350,10 +349,9 @@ def compiled(
 def copied(built: Built, hand: Hand, friction: float | None) -> Built:
     """Return a copy of a hand's model, with another friction, as in the options."""
     spec = built.spec.copy()
-    tips = {finger.tip for finger in hand.fingers}
     for link in hand.urdf.links:
         for geom in spec.body(LINK + link).geoms:
-            make_hard(geom, hand_friction(friction, tip=link in tips))
+            make_hard(geom, hand_friction(friction, tip=link in hand.tip_links))
     for pair in spec.pairs:
         make_pair_hard(pair, pair_friction(spec, pair.geomname1, pair.geomname2))
     return replace(built, spec=spec)

@@ -77,8 +77,7 @@ def _adjacent(hand: Hand) -> list[tuple[str, str]]:
 
     Two fingertips are checked: a claw that turns on its fixed jaw closes against it.
     """
-    tips = {finger.tip for finger in hand.fingers}
-    return [pair for pair in _joined(hand) if not set(pair) <= tips]
+    return [pair for pair in _joined(hand) if not set(pair) <= hand.tip_links.keys()]
 
 
 def _add_jaws(spec: mujoco.MjSpec, data: mujoco.MjData, first: str, second: str) -> None:

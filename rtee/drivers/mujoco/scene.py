@@ -202,7 +202,7 @@ def _clear_of_palm(
     postures = [
         rest_position(model, hand, from_rest(hand.rest, closed(hand), share)) for share in shares
     ]
-    free = {f"{LINK}{finger.tip}" for finger in hand.fingers}
+    free = {f"{LINK}{tip}" for tip in hand.tip_links}
     for out in np.arange(0.0, _FARTHEST_OUT, _OUT_STEP).tolist():
         for posture in postures:
             data.qpos[:] = posture

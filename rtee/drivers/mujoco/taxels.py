@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import mujoco
@@ -124,17 +125,20 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
     rows, columns = map(int, which.split("x"))
     found: list[TouchSensor] = []
     for finger in hand.fingers:
-        if finger.tip is None or any(sensor.link == finger.tip for sensor in found):
+        if any(sensor.link in finger.tip_links for sensor in found):
             continue
-        corners = _surface_of(model, LINK + finger.tip)
-        if not len(corners):
+        surfaces = {link: _surface_of(model, LINK + link) for link in finger.tip_links}
+        # The pad of a tip of several links is the largest of them; the others may be markers.
+        pad = max(surfaces, key=lambda link: _extent(surfaces[link]), default=None)
+        if pad is None or not len(surfaces[pad]):
             continue
-        position, normal = _on_pad(corners, hand, finger, (rows, columns))
+        on_pad = replace(finger, tip=pad)
+        position, normal = _on_pad(surfaces[pad], hand, on_pad, (rows, columns))
         found.append(
             TouchSensor(
                 f"{finger.name}_tip",
                 rows * columns,
-                link=finger.tip,
+                link=pad,
                 finger=finger.name,
                 grid=(rows, columns),
                 position=position,
@@ -142,6 +146,12 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
             )
         )
     return tuple(found)
+
+
+def _extent(corners: FloatArray) -> float:
+    """Return the diagonal of the bounding box of triangles ``(t, 3, 3)`` [m]."""
+    points = corners.reshape(-1, 3)
+    return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
 
 
 def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
