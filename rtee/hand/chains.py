@@ -78,7 +78,7 @@ def check_srdf(srdf: Srdf, urdf: Urdf) -> list[str]:
     """
     for group in srdf.groups.values():
         _check_group(srdf, group, urdf)
-    notes = _check_passive(srdf, urdf)
+    notes = [*srdf.unread, *_check_passive(srdf, urdf)]
     for state in srdf.states:
         for name in state.values:
             if name not in urdf.joints:

@@ -74,6 +74,15 @@ class Behaviour(Word):
     """Take the drive power away, so that the actuators are limp."""
 
 
+class PositionRange(Word):
+    """Which position limits of a URDF hold."""
+
+    SOFT = "soft"
+    """Those of ``<safety_controller>``, where it gives any."""
+    HARD = "hard"
+    """Those of ``<limit>``."""
+
+
 @dataclass(frozen=True, slots=True)
 class DefaultLimits(Section):
     """Limits of all actuators that have none of their own here."""
@@ -81,11 +90,16 @@ class DefaultLimits(Section):
     velocity: Positive | None = None
     """Velocity limit [rad/s | m/s]; lowers the URDF's where that is higher."""
     acceleration: Positive | None = None
-    """Acceleration limit [rad/s² | m/s²]; unless given, the velocity limit in 0.1 s."""
+    """Acceleration limit [rad/s² | m/s²]; lowers the URDF's where that is higher. Without either,
+    the velocity limit in 0.1 s."""
     jerk: Positive | None = None
-    """Jerk limit [rad/s³ | m/s³]; unless given, the acceleration limit in 0.05 s."""
+    """Jerk limit [rad/s³ | m/s³]; lowers the URDF's where that is higher. Without either, the
+    acceleration limit in 0.05 s."""
     effort: Positive | None = None
     """Effort limit [N·m | N]; lowers the URDF's where that is higher."""
+    range: PositionRange | None = None
+    """Which position limits of the URDF hold: ``soft``, those of ``<safety_controller>`` where it
+    gives any, unless given; or ``hard``, those of ``<limit>``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rtee.errors import ModelError, UserError
-from rtee.hand.config_schema import ActuatorDynamics, ActuatorLimits, DefaultLimits, TouchSection
+from rtee.hand.config_schema import (
+    ActuatorDynamics,
+    ActuatorLimits,
+    DefaultLimits,
+    PositionRange,
+    TouchSection,
+)
 from rtee.hand.model import CLEARANCE, Joint, JointRole
 from rtee.hand.srdf import Srdf
 from rtee.hand.transmission import Transmission, sample
@@ -120,8 +126,14 @@ def actuator_spec(
             f"actuator '{joint.name}' goes from {lower:g} to {upper:g} rad, "
             f"{(upper - lower) / math.tau:.1f} turns; are its limits in degrees? URDFs have radians"
         )
-    acceleration = reader.configured("acceleration") or velocity / ACCELERATION_TIME
+    acceleration = reader.tighter("acceleration") or velocity / ACCELERATION_TIME
     rest = reader.rest(state, lower, upper)
+    if rest is not None and rest != clamped(rest, lower, upper):
+        notes.append(
+            f"actuator '{joint.name}': the SRDF's rest position {rest:g} lies beyond the soft "
+            f"limits {lower:g} … {upper:g}; it rests at {clamped(rest, lower, upper):g}"
+        )
+        rest = clamped(rest, lower, upper)
     if rest is None:
         rest = clamped(0.0, lower, upper)
         if rest:
@@ -136,7 +148,7 @@ def actuator_spec(
         upper=upper,
         velocity=velocity,
         acceleration=acceleration,
-        jerk=reader.configured("jerk") or acceleration / JERK_TIME,
+        jerk=reader.tighter("jerk") or acceleration / JERK_TIME,
         # 0 means "not given", as above; without a limit, only that of the device applies.
         effort=effort if effort > 0 else math.inf,
         rest=rest,
@@ -153,10 +165,14 @@ class _Reader:
         self.overrides = overrides
         self.own = overrides.limits.get(joint.name, ActuatorLimits())
 
-    def configured(self, key: str) -> float | None:
-        own: float | None = getattr(self.own, key)
-        common: float | None = getattr(self.overrides.default_limits, key)
+    def configured(self, key: str) -> Any:
+        own, common = getattr(self.own, key), getattr(self.overrides.default_limits, key)
         return common if own is None else own
+
+    def soft(self) -> tuple[float, float] | None:
+        """Return the soft position limits if they hold [rad | m]."""
+        hard = self.configured("range") is PositionRange.HARD
+        return None if hard else self.joint.soft
 
     def range(self) -> tuple[float, float]:
         """Return the position limits [rad | m]."""
@@ -168,15 +184,17 @@ class _Reader:
                 path=self.urdf.path,
                 line=joint.line,
             )
-        lower, upper = joint.lower, joint.upper
+        lower, upper = least, most = self.soft() or (joint.lower, joint.upper)
         for key in ("lower", "upper"):
             value: float | None = getattr(self.own, key)
             if value is None:
                 continue
-            if not joint.lower <= value <= joint.upper:
+            if not least <= value <= most:
+                soft = joint.lower <= value <= joint.upper
                 raise self.error(
                     ("limits", joint.name, key),
-                    f"{value:g} is outside the URDF's limits {joint.lower:g} … {joint.upper:g}",
+                    f"{value:g} is outside the URDF's {'soft ' if soft else ''}limits "
+                    f"{least:g} … {most:g}" + ("; `range: hard` takes the hard ones" * soft),
                 )
             lower, upper = (value, upper) if key == "lower" else (lower, value)
         if lower >= upper:
@@ -184,7 +202,7 @@ class _Reader:
         return lower, upper
 
     def tighter(self, key: str) -> float:
-        """Return the velocity or effort limit; 0 if neither URDF nor configuration has one."""
+        """Return the limit of a quantity; 0 if neither URDF nor configuration has one."""
         model: float = getattr(self.joint, key)
         own: float | None = getattr(self.own, key)
         # Only the value for this actuator is refused; a default for all is lowered.
@@ -193,17 +211,22 @@ class _Reader:
                 ("limits", self.joint.name, key),
                 f"{own:g} is above the URDF's {key} limit {model:g}",
             )
-        value = self.configured(key)
+        value: float | None = self.configured(key)
         if value is None:
             return model
         return min(value, model) if model > 0 else value
 
     def rest(self, state: Mapping[str, float], lower: float, upper: float) -> float | None:
-        """Return the rest position given for the actuator, if there is one [rad | m]."""
+        """Return the rest position given for the actuator, if there is one [rad | m].
+
+        The SRDF's may lie between the soft and the hard limits.
+        """
         name = self.joint.name
         configured = self.overrides.rest.get(name)
         value = state.get(name) if configured is None else configured
         if value is None or lower <= value <= upper:
+            return value
+        if configured is None and self.soft() and self.joint.lower <= value <= self.joint.upper:
             return value
         message = f"rest position {value:g} lies outside the limits {lower:g} … {upper:g}"
         # The SRDF is wrong, not hand.yaml, so the error names the model's file.
@@ -235,6 +258,22 @@ def standing_position(
             return rest
     # Without a motor, springs and weight determine its position; rest is the best guess.
     return clamped(state.get(joint.name, 0.0), joint.lower, joint.upper)
+
+
+def soft_notes(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) -> list[str]:
+    """Return a note on the actuators whose soft limits hold."""
+    soft = {joint.name: _Reader(joint, urdf, overrides).soft() for joint in joints}
+    held = [
+        f"'{joint.name}' {limits[0]:g} … {limits[1]:g} within {joint.lower:g} … {joint.upper:g}"
+        for joint in joints
+        if (limits := soft[joint.name]) is not None
+    ]
+    if not held:
+        return []
+    return [
+        f"the soft limits of <safety_controller> hold: {', '.join(held)}; "
+        "'limits: {defaults: {range: hard}}' in hand.yaml takes the hard ones"
+    ]
 
 
 def rest_note(

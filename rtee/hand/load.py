@@ -21,6 +21,7 @@ from rtee.hand.limits import (
     images_outside,
     rest_note,
     rest_state,
+    soft_notes,
     standing_position,
 )
 from rtee.hand.model import Finger, Hand, Joint, JointRole
@@ -211,7 +212,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         ConfigError: A name or a configured value is not allowed.
     """
     # First, since what follows looks up the names in the SRDF unchecked.
-    notes = check_srdf(srdf, urdf) if srdf else []
+    notes = [*urdf.unread, *(check_srdf(srdf, urdf) if srdf else [])]
     unknown = next((n for n in overrides.passive if n not in urdf.joints), None)
     if unknown is not None:
         raise ModelError(
@@ -237,6 +238,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     _check_actuators(driven, overrides, urdf)
     state_name, state = rest_state(srdf)
     notes += rest_note(state_name, state, driven, overrides)
+    notes += soft_notes([urdf.joints[name] for name in driven], urdf, overrides)
     specs = []
     for name in driven:
         spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)

@@ -232,8 +232,8 @@ def without_linkages(
                 f"'{link}' of '{other.name}'"
                 for other in hand.fingers
                 for link in other.links[1:]
-                if other is not finger and link not in other.tip_links
-                if any(frozenset((tip, link)) in always for tip in finger.tip_links)
+                if other is not finger and link != other.tip
+                if frozenset((finger.tip, link)) in always
             ),
             None,
         )

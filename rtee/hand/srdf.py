@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
+from rtee.hand.vocabulary import SRDF, unread
 from rtee.hand.xmlfile import Element, read_xml
 
 
@@ -88,6 +89,7 @@ class Srdf:
         passive: Lines of the passive joints, by name.
         states: Named postures.
         disabled: Pairs of links that are never checked for collision.
+        unread: What the file says that is not read, one sentence each.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Srdf:
     passive: Mapping[str, int] = field(default_factory=dict)
     states: tuple[SrdfState, ...] = ()
     disabled: tuple[SrdfDisabled, ...] = ()
+    unread: tuple[str, ...] = ()
 
 
 def read_srdf(path: Path | str) -> Srdf:
@@ -130,6 +133,7 @@ def read_srdf(path: Path | str) -> Srdf:
         passive=_named(root, "passive_joint"),
         states=tuple(_state(element) for element in root.all("group_state")),
         disabled=tuple(_disabled(element) for element in root.all("disable_collisions")),
+        unread=tuple(unread(root, SRDF)),
     )
 
 

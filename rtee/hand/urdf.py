@@ -119,7 +119,10 @@ class UrdfJoint:
         axis: Unit axis in the joint's frame.
         lower: Lower limit [rad | m]; ``-inf`` if continuous, 0 if fixed.
         upper: Upper limit [rad | m]; ``inf`` if continuous, 0 if fixed.
+        soft: Limits of ``<safety_controller>`` within these [rad | m]; ``None`` when not given.
         velocity: Velocity limit [rad/s | m/s]; 0 when not given.
+        acceleration: Acceleration limit [rad/s² | m/s²] of URDF 1.2; 0 when not given.
+        jerk: Jerk limit [rad/s³ | m/s³] of URDF 1.2; 0 when not given.
         effort: Effort limit [N·m | N]; 0 when not given.
         mimic: Its coupling, if it has one.
         line: Line in the URDF.
@@ -134,7 +137,10 @@ class UrdfJoint:
     axis: Triple = (1.0, 0.0, 0.0)
     lower: float = 0.0
     upper: float = 0.0
+    soft: tuple[float, float] | None = None
     velocity: float = 0.0
+    acceleration: float = 0.0
+    jerk: float = 0.0
     effort: float = 0.0
     mimic: UrdfMimic | None = None
     line: int = 0
@@ -159,6 +165,7 @@ class Urdf:
         root: The root link.
         joint_to: The joint above a link, by the link's name; the root has none.
         joints_below: The joints whose parent is a link, by the link's name.
+        unread: What the file says that is not read, one sentence each.
     """
 
     name: str
@@ -169,6 +176,7 @@ class Urdf:
     root: str
     joint_to: Mapping[str, UrdfJoint]
     joints_below: Mapping[str, tuple[UrdfJoint, ...]]
+    unread: tuple[str, ...] = ()
 
     def path_to(self, link: str) -> tuple[UrdfJoint, ...]:
         """Return the joints from the root to a link, nearest the root first.

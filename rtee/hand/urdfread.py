@@ -20,6 +20,7 @@ from rtee.hand.urdf import (
     UrdfLink,
     UrdfMimic,
 )
+from rtee.hand.vocabulary import URDF, unread
 from rtee.hand.xmlfile import Element, read_xml
 
 FARTHEST: Final = 1e3
@@ -59,6 +60,7 @@ def read_urdf(path: Path | str) -> Urdf:
         root=base,
         joint_to=MappingProxyType(joint_to),
         joints_below=MappingProxyType(below),
+        unread=tuple(unread(root, URDF)),
     )
 
 
@@ -89,8 +91,8 @@ def _links(root: Element) -> dict[str, UrdfLink]:
         links[name] = UrdfLink(
             name=name,
             line=element.line,
-            collisions=tuple(_geometry(shape, name) for shape in element.all("collision")),
-            visuals=tuple(_geometry(shape, name) for shape in element.all("visual")),
+            collisions=_shapes(element, "collision", name),
+            visuals=_shapes(element, "visual", name),
             has_inertial=inertial is not None,
             mass=_mass(mass) if mass else 0.0,
             inertia=None if inertial is None else _inertia(inertial),
@@ -135,31 +137,46 @@ def _inertia(inertial: Element) -> UrdfInertia | None:
     return UrdfInertia(xyz, rpy, (xx, xy, xz, yy, yz, zz))
 
 
-def _geometry(element: Element, link: str) -> UrdfGeometry:
+def _shapes(element: Element, tag: str, link: str) -> tuple[UrdfGeometry, ...]:
+    return tuple(shape for each in element.all(tag) for shape in _geometry(each, link))
+
+
+def _geometry(element: Element, link: str) -> tuple[UrdfGeometry, ...]:
+    """Return the shapes of a ``<visual>`` or ``<collision>``: one, or three for a capsule."""
     geometry = element.first("geometry")
     shape = geometry.children[0] if geometry and geometry.children else None
     if shape is None:
         raise element.error(f"<{element.tag}> of link '{link}' has no geometry")
     xyz, rpy = _origin(element)
     made = partial(UrdfGeometry, xyz=xyz, rpy=rpy, line=shape.line)
-    match shape.tag:
+    # A program's prefix: drake:capsule was there before the capsule of URDF 1.1.
+    match shape.tag.rpartition(":")[2]:
         case "mesh":
-            return made("mesh", mesh=shape.required("filename"), scale=_scale(shape))
+            return (made("mesh", mesh=shape.required("filename"), scale=_scale(shape)),)
         case "box":
             size = _triple(shape.numbers("size", 3, most=FARTHEST))
             _positive(shape, min(size))
-            return made("box", size=size)
+            return (made("box", size=size),)
         case "sphere":
             radius = _positive(shape, shape.number("radius", most=FARTHEST))
-            return made("sphere", radius=radius)
+            return (made("sphere", radius=radius),)
         case "cylinder":
             radius = _positive(shape, shape.number("radius", most=FARTHEST))
             length = _positive(shape, shape.number("length", most=FARTHEST))
-            return made("cylinder", radius=radius, length=length)
+            return (made("cylinder", radius=radius, length=length),)
+        case "capsule":
+            radius = _positive(shape, shape.number("radius", most=FARTHEST))
+            length = _positive(shape, shape.number("length", most=FARTHEST))
+            # The cylinder's length counts, as in Pinocchio and urdfdom; the caps stand out of it.
+            caps = (
+                made("sphere", radius=radius, xyz=_along_z(xyz, rpy, end * length))
+                for end in (-0.5, 0.5)
+            )
+            return made("cylinder", radius=radius, length=length), *caps
         case other:
             raise shape.error(
-                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere and "
-                "cylinder"
+                f"unknown geometry <{other}> of link '{link}'; there are mesh, box, sphere, "
+                "cylinder and capsule"
             )
 
 
@@ -180,8 +197,35 @@ def _origin(element: Element) -> tuple[Triple, Triple]:
     origin = element.first("origin")
     if origin is None:
         return _ZERO, _ZERO
-    xyz = origin.numbers("xyz", 3, _ZERO, most=FARTHEST)
-    return _triple(xyz), _triple(origin.numbers("rpy", 3, _ZERO, most=MOST))
+    xyz = _triple(origin.numbers("xyz", 3, _ZERO, most=FARTHEST))
+    if "quat_xyzw" not in origin.attributes:
+        return xyz, _triple(origin.numbers("rpy", 3, _ZERO, most=MOST))
+    if "rpy" in origin.attributes:
+        raise origin.error("has both rpy and quat_xyzw; one of them gives the orientation")
+    x, y, z, w = origin.numbers("quat_xyzw", 4, most=MOST)
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if norm < _NO_AXIS:
+        raise origin.error("quat_xyzw is zero, and gives no orientation")
+    return xyz, _roll_pitch_yaw(x / norm, y / norm, z / norm, w / norm)
+
+
+def _roll_pitch_yaw(x: float, y: float, z: float, w: float) -> Triple:
+    """Return the angles about fixed axes [rad] of a unit quaternion."""
+    # The sine and cosine of the pitch from the first column of the rotation matrix, where an
+    # arcsine would lose half of the digits near a quarter turn.
+    forward, side = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    pitch = math.atan2(2.0 * (w * y - x * z), math.hypot(forward, side))
+    if math.hypot(forward, side) < _NO_AXIS:  # a quarter turn: roll and yaw turn about one axis
+        return 2.0 * math.atan2(x, w), pitch, 0.0
+    roll = math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    return roll, pitch, math.atan2(side, forward)
+
+
+def _along_z(xyz: Triple, rpy: Triple, way: float) -> Triple:
+    """Return the point ``way`` [m] along the z axis of a frame with a pose ``xyz``, ``rpy``."""
+    (cr, cp, cy), (sr, sp, sy) = map(math.cos, rpy), map(math.sin, rpy)
+    axis = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
+    return _triple(tuple(at + way * part for at, part in zip(xyz, axis, strict=True)))
 
 
 def _triple(values: tuple[float, ...]) -> Triple:
@@ -203,7 +247,7 @@ def _joints(root: Element, links: Mapping[str, UrdfLink]) -> dict[str, UrdfJoint
 def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
     name = element.required("name")
     kind = _kind(element, name)
-    lower, upper, velocity, effort = _limits(element, name, kind)
+    lower, upper = _limits(element, name, kind)
     xyz, rpy = _origin(element)
     return UrdfJoint(
         name=name,
@@ -215,8 +259,14 @@ def _joint(element: Element, links: Mapping[str, UrdfLink]) -> UrdfJoint:
         axis=_axis(element, name) if kind != "fixed" else (1.0, 0.0, 0.0),
         lower=lower,
         upper=upper,
-        velocity=velocity,
-        effort=effort,
+        soft=_soft_limits(element, lower, upper) if kind in _LIMITED else None,
+        velocity=_greatest(element, name, "velocity"),
+        # URDF 1.2 tells braking from speeding up; the smaller one holds for both.
+        acceleration=_smaller(
+            _greatest(element, name, "acceleration"), _greatest(element, name, "deceleration")
+        ),
+        jerk=_greatest(element, name, "jerk"),
+        effort=_greatest(element, name, "effort"),
         mimic=_mimic(element) if kind != "fixed" else None,
         line=element.line,
     )
@@ -255,25 +305,53 @@ def _axis(element: Element, name: str) -> Triple:
     return x / norm, y / norm, z / norm
 
 
-def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, float, float, float]:
-    """Return lower, upper, velocity and effort limits."""
+def _limits(element: Element, name: str, kind: UrdfJointKind) -> tuple[float, float]:
+    """Return the position limits."""
     limit = element.first("limit")
-    if limit is None:
-        if kind in _LIMITED:
-            raise element.error(f"joint '{name}' is {kind} but has no <limit>")
-        return (-math.inf, math.inf, 0.0, 0.0) if kind == "continuous" else (0.0, 0.0, 0.0, 0.0)
-    velocity, effort = limit.number("velocity", 0.0), limit.number("effort", 0.0)
-    if velocity < 0 or effort < 0:
-        raise limit.error(f"joint '{name}' has a negative velocity or effort limit")
+    if limit is None and kind in _LIMITED:
+        raise element.error(f"joint '{name}' is {kind} but has no <limit>")
     if kind == "continuous":
         # Some files give a continuous joint position limits, which have no meaning.
-        return -math.inf, math.inf, velocity, effort
-    if kind == "fixed":
-        return 0.0, 0.0, velocity, effort
+        return -math.inf, math.inf
+    if limit is None or kind == "fixed":
+        return 0.0, 0.0
     lower, upper = (limit.number(end, 0.0, most=MOST) for end in ("lower", "upper"))
     if lower > upper:
         raise limit.error(f"joint '{name}' has its lower limit {lower:g} above its upper {upper:g}")
-    return lower, upper, velocity, effort
+    return lower, upper
+
+
+def _greatest(element: Element, name: str, quantity: str) -> float:
+    """Return the limit of a quantity that has no sign; 0 when it is not given."""
+    limit = element.first("limit")
+    value = 0.0 if limit is None else limit.number(quantity, 0.0)
+    if limit is not None and value < 0.0:
+        raise limit.error(f"joint '{name}' has a negative {quantity} limit")
+    return value
+
+
+def _smaller(first: float, second: float) -> float:
+    """Return the smaller limit; 0 stands for none."""
+    return min(first or second, second or first)
+
+
+def _soft_limits(element: Element, lower: float, upper: float) -> tuple[float, float] | None:
+    """Return the limits of a ``<safety_controller>`` if they are tighter than the hard ones."""
+    controller = element.first("safety_controller")
+    if controller is None:
+        return None
+    low, high = (
+        controller.number(f"soft_{end}_limit", 0.0, most=MOST) for end in ("lower", "upper")
+    )
+    # Both are 0 unless given, as in urdfdom.
+    if low == high == 0.0:
+        return None
+    soft = max(low, lower), min(high, upper)
+    if soft[0] >= soft[1]:
+        raise controller.error(
+            f"the soft limits {low:g} … {high:g} leave nothing of {lower:g} … {upper:g}"
+        )
+    return None if soft == (lower, upper) else soft
 
 
 def _mimic(element: Element) -> UrdfMimic | None:

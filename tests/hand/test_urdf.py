@@ -104,7 +104,7 @@ WRONG = [
     ('xyz="-0.04 0 0.01"', 'xyz="-4e3 0 0"', 'xyz="-4e3" is beyond 1000', 'xyz="-4e3'),
     ('"0.1 0.1 0.02"', '"1e20 1 1"', 'size="1e20" is beyond 1000, too much', '"1e20'),
     ('upper="0.8"', 'upper="wide"', 'upper="wide" is not a finite number', 'upper="wide"'),
-    ('velocity="2"', 'velocity="-2"', "negative velocity or effort", 'velocity="-2"'),
+    ('velocity="2"', 'velocity="-2"', "negative velocity limit", 'velocity="-2"'),
     ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "axis of joint 'left' is zero", '"0 0 0"'),
     ('xyz="-0.04 0 0.01"', 'xyz="-0.04 0"', "should be 3 numbers", 'xyz="-0.04 0"'),
     ('<child link="left_jaw"/>', "", "joint 'left' has no <child>", '<joint name="left"'),
