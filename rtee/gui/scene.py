@@ -124,7 +124,7 @@ class HandScene:
             if strength == self._strained.get(finger.name, 0.0):
                 continue
             self._strained[finger.name] = strength
-            for link in finger.links:
+            for link in finger.body:
                 own = self._colours[link]
                 # A link in the palm's colour belongs to no single finger with an effort to show.
                 if own != PALM:

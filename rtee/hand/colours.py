@@ -27,7 +27,7 @@ def finger_of_link(hand: Hand) -> dict[str, str]:
     """
     owners: dict[str, set[str]] = {}
     for finger in hand.fingers:
-        for link in finger.links[1:] or finger.links:
+        for link in finger.body[1:] or finger.body:
             owners.setdefault(link, set()).add(finger.name)
     found: dict[str, str] = {}
     for joint in hand.urdf.joints.values():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from rtee.errors import ModelError
 from rtee.hand.chains import Chain, fingers_of, tip_links
+from rtee.hand.linkages import Linked, Mover, join_linkages
 from rtee.hand.model import Finger
 from rtee.hand.names import check_name, safe_name, shared_length
 from rtee.hand.srdf import Srdf
@@ -23,19 +25,21 @@ _PREFIX: Final = re.compile(
     r"|base|hub|link|joint|j[0-9])"
 )
 
+_WORD: Final = re.compile(rf"(?<![a-z])({'|'.join(WORDS)})")
+
 _NUMBER: Final = re.compile(r"(?<![a-z0-9])f(?:inger)?_?([0-9]+)")
 """``finger_1``, ``finger1``, ``f1``."""
 
 
 def make_fingers(
-    urdf: Urdf, srdf: Srdf | None, movers: Mapping[str, str]
+    urdf: Urdf, srdf: Srdf | None, movers: Mapping[str, Mover]
 ) -> tuple[tuple[Finger, ...], list[str]]:
     """Return the fingers that the SRDF names, or else those found from the tree.
 
     Args:
         urdf: The hand's URDF.
         srdf: Its SRDF, if it has one.
-        movers: The actuator that moves each joint; joints that no actuator moves are missing.
+        movers: What moves each joint; joints that no actuator moves are missing.
 
     Returns:
         The fingers, and notes of one sentence each.
@@ -44,16 +48,27 @@ def make_fingers(
         ModelError: Two fingers share a fingertip, or a group of fingers is not well defined.
         ConfigError: A finger's name is not allowed.
     """
-    chains, notes = fingers_of(srdf, urdf) if srdf else (), []
-    if not chains:
-        chains = discover_fingers(urdf, frozenset(movers))
-        given = "no SRDF was given" if srdf is None else "the SRDF names no finger"
+    given, notes = fingers_of(srdf, urdf) if srdf else (), []
+    ends = _ends(urdf, frozenset(movers))
+    inside = {link for chain in given for link in chain.links}
+    branches = [Chain("", _branch(end, ends, urdf), "") for end in ends if end not in inside]
+    if given:
+        linked = join_linkages(given, branches, urdf, movers)
+        notes += [
+            f"'{chain.name}' is a bar of a linkage, and no finger of its own"
+            for chain in given
+            if all(chain is not each.chain for each in linked)
+        ]
+    else:
+        linked = _named(join_linkages(branches, (), urdf, movers), urdf, movers)
+        said = "no SRDF was given" if srdf is None else "the SRDF names no finger"
         notes.append(
-            f"{given}; the fingers were found from the tree"
-            if chains
-            else f"{given}, and none was found: a finger is a branch that an actuator moves and "
+            f"{said}; the fingers were found from the tree"
+            if linked
+            else f"{said}, and none was found: a finger is a branch that an actuator moves and "
             "whose end has collision geometry"
         )
+    chains = [each.chain for each in linked]
     tips = _tips(chains, urdf, srdf)
     notes += [
         f"finger '{name}' has no collision geometry: no pinches for it"
@@ -74,8 +89,9 @@ def make_fingers(
             actuators=moving[chain.name],
             own=_own(chain.name, moving),
             reason=chain.reason,
+            bars=bars,
         )
-        for chain in chains
+        for chain, bars in linked
     )
     return fingers, notes
 
@@ -97,7 +113,7 @@ def _tips(chains: Sequence[Chain], urdf: Urdf, srdf: Srdf | None) -> dict[str, s
     return tips
 
 
-def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]:
+def _moving(urdf: Urdf, link: str, movers: Mapping[str, Mover]) -> tuple[str, ...]:
     """Return the actuators that move a link, nearest the root first.
 
     The place of an actuator is that of its joint on the path to the link, or else that of the first
@@ -105,10 +121,13 @@ def _moving(urdf: Urdf, link: str, movers: Mapping[str, str]) -> tuple[str, ...]
     """
     place: dict[str, int] = {}
     for position, joint in enumerate(urdf.path_to(link)):
-        actuator = movers.get(joint.name)
+        mover = movers.get(joint.name)
+        if mover is None:
+            continue
+        actuator = mover.actuator
         if actuator == joint.name:
             place[actuator] = position
-        elif actuator is not None:
+        else:
             # An actuator that is not on the path, such as in the forearm, gets the place of the
             # first joint that follows it.
             place.setdefault(actuator, position)
@@ -120,27 +139,26 @@ def _own(name: str, moving: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     return tuple(actuator for actuator in moving[name] if actuator not in shared)
 
 
-def discover_fingers(urdf: Urdf, moved: frozenset[str]) -> tuple[Chain, ...]:
-    """Find the fingers of a hand without an SRDF, in the tree's order.
+def _named(found: Sequence[Linked], urdf: Urdf, movers: Mapping[str, Mover]) -> list[Linked]:
+    """Return the fingers that were found in the tree with their names and the reasons for them.
 
     A finger is a branch of the tree that carries a joint moved by an actuator and ends in a link
     with collision geometry; its base is the link where it separates from the other branches. Ends
     that are fixed to one another are one finger.
     """
-    ends = _ends(urdf, moved)
-    chains = []
-    for (name, why), end in zip(name_fingers(ends, urdf), ends, strict=True):
-        links = _branch(end, ends, urdf)
-        moving = [j.name for j in urdf.path_to(end) if j.name in moved and j.child in links[1:]]
-        chains.append(
-            Chain(
-                name,
-                links,
-                f"branch from '{links[0]}' to '{end}', its last link with geometry, carries "
-                f"{len(moving)} moved joint{'s' if len(moving) > 1 else ''}; {why}",
-            )
+    ends = [each.chain.links[-1] for each in found]
+    named = []
+    for (name, why), (chain, bars) in zip(name_fingers(ends, urdf), found, strict=True):
+        links, end = chain.links, chain.links[-1]
+        moving = [j.name for j in urdf.path_to(end) if j.name in movers and j.child in links[1:]]
+        reason = (
+            f"branch from '{links[0]}' to '{end}', its last link with geometry, carries "
+            f"{len(moving)} moved joint{'s' if len(moving) > 1 else ''}"
         )
-    return tuple(chains)
+        if bars:
+            reason += f", in a linkage with {', '.join(repr(bar) for bar in bars)}"
+        named.append(Linked(Chain(name, links, f"{reason}; {why}"), bars))
+    return named
 
 
 def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
@@ -187,27 +205,37 @@ def name_fingers(ends: Sequence[str], urdf: Urdf) -> list[tuple[str, str]]:
     """Name fingers after words in their links and joints, or after the distinct part of their ends.
 
     The words are the usual ones (``index``), the prefixes of the Shadow Hand (``ff``), or numbers
-    (``finger_1``, ``f1``). They are used only if every finger has one and all are different.
+    (``finger_1``, ``f1``). Fingers that have none, or the same one, are named after the distinct
+    part of the names of their ends.
 
     Returns:
         The name of each finger, and the reason for it.
     """
     called = [_called(end, ends, urdf) for end in ends]
-    names = [name for name, _ in filter(None, called)]
-    if len(names) == len(set(names)) == len(ends):
-        return [found for found in called if found]
-    distinct = _unique([safe_name(name, "finger") for name in _distinct_parts(ends)])
-    return [(name, "named after the distinct part of its end's name") for name in distinct]
+    count = Counter(name for name, _ in filter(None, called))
+    parts = [safe_name(name, "finger") for name in _distinct_parts(ends)]
+    found = []
+    for part, each in zip(parts, called, strict=True):
+        if each is not None and count[each[0]] == 1:
+            found.append(each)
+        else:
+            why = "named after the distinct part of its end's name"
+            shared = "" if each is None else f", as another finger is called '{each[0]}', too"
+            found.append((part, why + shared))
+    names = _unique([name for name, _ in found])
+    return [(name, why) for name, (_, why) in zip(names, found, strict=True)]
 
 
 def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None:
     """Return the usual name of a finger, and the reason; ``None`` if its links do not agree."""
     links = _branch(end, ends, urdf)[1:]
-    text = " ".join([*links, *(urdf.joint_to[link].name for link in links)]).lower()
-    # Only at the beginning of a word, since "spring" contains "ring".
-    words = [word for word in WORDS if re.search(rf"(?<![a-z]){word}", text)]
+    texts = [text.lower() for link in links for text in (link, urdf.joint_to[link].name)]
+    # The first word of a name: `index_middle` is the middle phalanx of the index finger. Only at
+    # the beginning of a word, since "spring" contains "ring".
+    words = {found[1] for text in texts if (found := _WORD.search(text))}
     if len(words) == 1:
-        return words[0], "named after the word in its links and joints"
+        return words.pop(), "named after the word in its links and joints"
+    text = " ".join(texts)
     prefixes = set(_PREFIX.findall(text))
     if len(prefixes) == 1:
         prefix = prefixes.pop()

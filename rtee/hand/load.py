@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf
@@ -24,13 +26,14 @@ from rtee.hand.limits import (
     soft_notes,
     standing_position,
 )
+from rtee.hand.linkages import Mover
 from rtee.hand.model import Finger, Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
-from rtee.hand.transmission import check_mimics, make_transmission
+from rtee.hand.transmission import Transmission, check_mimics, make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.hand.urdfread import read_urdf
-from rtee.types import JointKind, readonly
+from rtee.types import ActuatorSpec, JointKind, readonly
 
 if TYPE_CHECKING:
     from rtee.hand.config import HandConfig
@@ -253,10 +256,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     transmission = make_transmission(urdf, driven, standing)
     notes += images_outside(joints, specs, transmission)
     # Fingers are known by what moves them, so the transmission comes first.
-    moves = {joint.name: transmission.moves(i) for i, joint in enumerate(joints)}
-    fingers, found = make_fingers(
-        urdf, srdf, {joint: driven[i] for joint, i in moves.items() if i is not None}
-    )
+    fingers, found = make_fingers(urdf, srdf, _movers(joints, specs, transmission))
     return Hand(
         name=check_name(overrides.name or safe_name(urdf.name), "hand"),
         base=urdf.root,
@@ -290,6 +290,20 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         tip_friction=_tip_friction(fingers, overrides, urdf),
         touch=_touch(overrides, urdf),
     )
+
+
+def _movers(
+    joints: Sequence[Joint], specs: Sequence[ActuatorSpec], transmission: Transmission
+) -> dict[str, Mover]:
+    """Return what moves each joint, at mid-range; joints that nothing moves are missing."""
+    middle = [0.5 * (s.lower + s.upper) if math.isfinite(s.upper - s.lower) else 0.0 for s in specs]
+    slopes = transmission.jacobian(np.array(middle))
+    moves = [transmission.moves(i) for i in range(len(joints))]
+    return {
+        joint.name: Mover(specs[index].name, float(slopes[row, index]))
+        for row, (joint, index) in enumerate(zip(joints, moves, strict=True))
+        if index is not None
+    }
 
 
 def _touch(overrides: Overrides, urdf: Urdf) -> Mapping[str, TouchSection]:

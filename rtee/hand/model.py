@@ -69,6 +69,7 @@ class Finger:
         tip_links: The links that form the fingertip: ``tip`` and the links with collision geometry
             that are welded to it; empty without a tip.
         links: Links of the chain from base to end.
+        bars: Links beside the chain that belong to the finger: the bars of its linkage.
         actuators: Names of the actuators that move the fingertip, nearest the palm first.
         own: The actuators that move no other fingertip, nearest the palm first.
         reason: Why the chain is a finger.
@@ -82,6 +83,12 @@ class Finger:
     actuators: tuple[str, ...]
     own: tuple[str, ...]
     reason: str = ""
+    bars: tuple[str, ...] = ()
+
+    @property
+    def body(self) -> tuple[str, ...]:
+        """All links that belong to the finger: its chain from the base on, tip and bars."""
+        return tuple(dict.fromkeys((*self.links, *self.tip_links, *self.bars)))
 
 
 @dataclass(frozen=True)

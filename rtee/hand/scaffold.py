@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from rtee.errors import ConfigError, ModelError
-from rtee.hand.allowed_collisions import ALWAYS, AllowedCollision, allowed_collisions
+from rtee.hand.allowed_collisions import AllowedCollision, allowed_collisions
 from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
 from rtee.hand.catalog import FILE_NAME
-from rtee.hand.discovery import name_fingers
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.local_meshes import as_utf8, with_local_meshes
-from rtee.hand.model import Finger, Hand, JointRole
+from rtee.hand.model import Hand, JointRole
 from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
@@ -159,21 +158,16 @@ def _settle(
         hand = load(**chosen)
     # These depend on the rest posture, and are computed again if it changes below.
     pairs = allowed_collisions(hand)
-    fingers, left_out = without_linkages(hand, pairs) if searched else (hand.fingers, [])
-    # The closed rest is judged without the linkages, whose ends always touch something.
-    hand = replace(hand, fingers=fingers)
     closed = closed_rest_of(hand)
     if closed is not None:
-        hand = replace(load(**chosen, rest=closed.opened), fingers=fingers)
+        hand = load(**chosen, rest=closed.opened)
         pairs = allowed_collisions(hand)
         notes.append(
             f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
             f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
         )
     rest = {} if closed is None else closed.opened
-    return _Settled(
-        hand, pairs, ignored, rest, [*hand.notes, *double_limits(hand), *left_out, *notes]
-    )
+    return _Settled(hand, pairs, ignored, rest, [*hand.notes, *double_limits(hand), *notes])
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
@@ -213,45 +207,6 @@ def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
         return (), []
     line = ignore_line(found)
     return found, [f"{why}, so hand.yaml ignores {them} by '{line}'"]
-
-
-def without_linkages(
-    hand: Hand, pairs: Sequence[AllowedCollision]
-) -> tuple[tuple[Finger, ...], list[str]]:
-    """Leave out the fingers whose tip always touches another finger: they are parts of a linkage.
-
-    Returns:
-        The remaining fingers, with new names, and a sentence for each one left out.
-    """
-    # The base, which fingers share, and other tips, which pinches touch, are no linkages.
-    always = {frozenset((p.link1, p.link2)) for p in pairs if p.reason == ALWAYS}
-    kept, notes = [], []
-    for finger in hand.fingers:
-        held = next(
-            (
-                f"'{link}' of '{other.name}'"
-                for other in hand.fingers
-                for link in other.links[1:]
-                if other is not finger and link != other.tip
-                if frozenset((finger.tip, link)) in always
-            ),
-            None,
-        )
-        if held is None:
-            kept.append(finger)
-        else:
-            notes.append(
-                f"branch '{finger.name}' is left out: its end '{finger.tip}' always touches "
-                f"{held}, so it is part of a linkage"
-            )
-    if not kept or not notes:
-        return hand.fingers, []
-    names = name_fingers([finger.links[-1] for finger in kept], hand.urdf)
-    # The last part of a reason is that of the name, which may have changed.
-    return tuple(
-        replace(f, name=name, reason=f"{f.reason.rpartition('; ')[0]}; {why}")
-        for f, (name, why) in zip(kept, names, strict=True)
-    ), notes
 
 
 def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:

@@ -238,5 +238,5 @@ def _box_gaps(between: FloatArray, reach: FloatArray) -> tuple[FloatArray, Float
 
 
 def _finger_of(hand: Hand, link: str) -> str:
-    names = [finger.name for finger in hand.fingers if link in finger.links]
+    names = [finger.name for finger in hand.fingers if link in finger.body]
     return names[0] if len(names) == 1 else ""

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rtee.hand.allowed_collisions import allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.hand.scaffold import without_linkages
 
 Load = Callable[..., Hand]
 
@@ -35,20 +33,9 @@ def test_the_tips_are_those_of_the_srdf(real: Path, real_hand: Hand) -> None:
         # A jaw that does not move cannot be told from the palm.
         assert in_tree == named - {"dagana_gripper_top_link"}
     else:
-        # The inner knuckles of the parallel linkages move and end in geometry, too.
-        assert in_tree == named | {"left_inner_knuckle", "right_inner_knuckle"}
-
-
-@pytest.mark.parametrize("name", ["robotiq_2f_85", "robotiq_2f_140"])
-def test_linkages_are_told_by_their_contact(shared: Path, name: str) -> None:
-    hand = load_model(shared / "hands" / name / f"{name}.urdf")
-    fingers, notes = without_linkages(hand, allowed_collisions(hand))
-    assert {finger.name: finger.tip for finger in fingers} == {
-        "left": "left_inner_finger_pad",
-        "right": "right_inner_finger_pad",
-    }
-    assert len(notes) == 2
-    assert all("it is part of a linkage" in note for note in notes)
+        assert in_tree == named
+        bars = {finger.bars for finger in found.fingers}
+        assert bars == {("left_inner_knuckle",), ("right_inner_knuckle",)}
 
 
 @pytest.mark.parametrize("name", ["schunk", "qbhand"])

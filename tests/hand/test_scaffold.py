@@ -54,7 +54,8 @@ def test_linkages_stay_out_of_the_srdf(shared: Path, tmp_path: Path) -> None:
     urdf = shared / "hands" / "robotiq_2f_85" / "robotiq_2f_85.urdf"
     made = make_hand("gripper", urdf, into=tmp_path)
     assert made.hand.finger_names == ("left", "right")
-    assert [note for note in made.notes if "part of a linkage" in note]
+    assert made.hand.finger("left").bars == ("left_inner_knuckle",)
+    assert "in a linkage with" in made.reasons[0]
 
 
 def test_a_given_srdf_is_kept_and_completed(tmp_path: Path) -> None:

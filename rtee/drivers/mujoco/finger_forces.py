@@ -23,7 +23,7 @@ class FingerForces:
         tips = [finger.tip_links for finger in hand.fingers]
         owners: dict[str, set[int]] = {}
         for index, finger in enumerate(hand.fingers):
-            for link in finger.links:
+            for link in finger.body:
                 owners.setdefault(link, set()).add(index)
         felt = [tip for tip in dict.fromkeys(tips) if tip]
         self._tips = len(felt)

@@ -49,7 +49,7 @@ def _finger_of(hand: Hand) -> dict[str, str]:
     """Return the finger of each link that belongs to exactly one."""
     found: dict[str, set[str]] = {}
     for finger in hand.fingers:
-        for link in finger.links:
+        for link in finger.body:
             found.setdefault(link, set()).add(finger.name)
     return {link: next(iter(names)) for link, names in found.items() if len(names) == 1}
 
