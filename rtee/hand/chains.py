@@ -138,50 +138,98 @@ def _check_passive(srdf: Srdf, urdf: Urdf) -> list[str]:
 
 
 def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
-    """Return the fingers that an SRDF names; none if it has no chains.
+    """Return the fingers that an SRDF names; none if it names no chains for them.
 
     If there are groups of groups, the fingers are the members of one of them: the group of the
-    ``<end_effector>``, or ``end_effector_fingers``, or the largest one. Otherwise every group that
-    is a chain is a finger.
+    ``<end_effector>``, or ``end_effector_fingers``, or the largest one. If the group of the
+    ``<end_effector>`` holds links, joints or several chains, as MoveIt writes it, it names the hand
+    and not its fingers. Otherwise every group that is a chain is a finger, except chains that carry
+    others, as that of an arm.
 
     Raises:
         ModelError: A member of the group of fingers is not a single chain, or groups contain one
             another.
     """
-    collection, why = _group_of_fingers(srdf)
-    if collection is None:
-        chains = (_chain(srdf, group, urdf, "chain") for group in srdf.groups.values())
-        return tuple(chain for chain in chains if chain is not None)
+    chosen = _group_of_fingers(srdf)
+    if chosen is None:
+        chains = [_chain(srdf, each, urdf, "chain") for each in srdf.groups.values()]
+        found = [chain for chain in chains if chain is not None]
+        carried = {
+            link
+            for chain in found
+            for link in (urdf.root, *(joint.child for joint in urdf.path_to(chain.links[0])))
+        }
+        return tuple(chain for chain in found if chain.links[-1] not in carried)
+    group, why = chosen
+    if not group.subgroups:
+        inside = _joints_in(group, urdf)
+        others = [g for g in srdf.groups.values() if g is not group]
+        return tuple(
+            chain
+            for chain in (_chain(srdf, other, urdf, "chain") for other in others)
+            if chain is not None
+            and {urdf.joint_to[link].name for link in chain.links[1:]} <= inside
+        )
     fingers = []
-    for group in _members(srdf, collection, (), set()):
-        chain = _chain(srdf, group, urdf, why)
+    for member in _members(srdf, group, (), set()):
+        chain = _chain(srdf, member, urdf, why)
         if chain is None:
             raise ModelError(
-                f"group '{group.name}' is in the group of fingers '{collection.name}' but is not "
+                f"group '{member.name}' is in the group of fingers '{group.name}' but is not "
                 "one chain of links",
                 path=srdf.path,
-                line=group.line,
+                line=member.line,
             )
         fingers.append(chain)
     return tuple(fingers)
 
 
-def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup | None, str]:
-    """Return the group of groups that lists the fingers, and how it was chosen."""
+def joints_of_hand(srdf: Srdf, urdf: Urdf) -> frozenset[str] | None:
+    """Return the joints inside the groups of the hand; ``None`` if the SRDF names none.
+
+    Those are the joints of the group that `fingers_of` takes, of its subgroups, and those between
+    its links; or else those of the fingers.
+    """
+    group = _group_of_fingers(srdf)
+    if group is None:
+        chains = fingers_of(srdf, urdf)
+        found = {urdf.joint_to[link].name for chain in chains for link in chain.links[1:]}
+        return frozenset(found) if chains else None
+    members = (group[0], *_members(srdf, group[0], (), set()))
+    return frozenset(name for member in members for name in _joints_in(member, urdf))
+
+
+def _joints_in(group: SrdfGroup, urdf: Urdf) -> set[str]:
+    links = [urdf.chain(chain.base, chain.tip) or () for chain in group.chains]
+    found = {urdf.joint_to[link].name for chain in links for link in chain[1:]}
+    above = {name: urdf.joint_to[name] for name in group.links if name in urdf.joint_to}
+    # What moves the first of the links, as an arm does, is not of the group.
+    between = {joint.name for joint in above.values() if joint.parent in group.links}
+    found |= between | set(group.joints)
+    return found or {joint.name for joint in above.values()}
+
+
+def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup, str] | None:
+    """Return the group of the hand, and how it was chosen; ``None`` if there is none."""
     collections = [group for group in srdf.groups.values() if group.subgroups]
     for effector in srdf.end_effectors:
         group = srdf.groups.get(effector.group)
-        if group is not None and group.subgroups:
+        # A single chain is a finger like others, whatever else the end-effector has.
+        if group is not None and (group.subgroups or not _is_chain(group)):
             return group, f"end-effector '{effector.name}', group '{group.name}'"
     for group in collections:
         if group.name == GROUP_OF_FINGERS:
             return group, f"group '{group.name}'"
     if not collections:
-        return None, ""
+        return None
     # Otherwise, the group with the most members is the likeliest one to have all fingers.
     named = [group for group in collections if "finger" in group.name.lower()]
     group = max(named or collections, key=lambda g: len(g.subgroups))
     return group, f"group '{group.name}'"
+
+
+def _is_chain(group: SrdfGroup) -> bool:
+    return len(group.chains) == 1 and not group.links and not group.joints
 
 
 def _members(
@@ -205,7 +253,7 @@ def _members(
 
 def _chain(srdf: Srdf, group: SrdfGroup, urdf: Urdf, why: str) -> Chain | None:
     """Return the chain of a group, or ``None`` if the group is not a single chain."""
-    if len(group.chains) == 1 and not group.links and not group.joints:
+    if _is_chain(group):
         links = urdf.chain(group.chains[0].base, group.chains[0].tip)
         line = group.chains[0].line
     elif not group.chains and not group.subgroups:

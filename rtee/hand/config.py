@@ -19,6 +19,7 @@ from rtee.hand.config_schema import (
     DeviceSection,
     LogSection,
     LoopSection,
+    Outside,
     ProfileSettings,
     RealtimeSettings,
     RemoteSettings,
@@ -75,6 +76,12 @@ class HandConfig(Section):
     """Its name for people."""
     urdf: str
     """Its URDF, relative to this file."""
+    root: str | None = None
+    """The link below which the hand is, where the URDF describes a whole robot; its frame is the
+    hand's. Unless given, all of the URDF is the hand."""
+    outside: Outside = Outside.ABSENT
+    """What becomes of what is not below ``root``: ``absent``, or ``rigid``: it stays as an
+    obstacle, with all its joints at 0."""
     srdf: str | None = None
     """Its SRDF, relative to this file; without one the fingers are found from the tree."""
     package_dirs: list[str] = field(default_factory=list)

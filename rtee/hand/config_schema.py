@@ -74,6 +74,15 @@ class Behaviour(Word):
     """Take the drive power away, so that the actuators are limp."""
 
 
+class Outside(Word):
+    """What becomes of the parts of a robot that are not its hand."""
+
+    ABSENT = "absent"
+    """They are left out."""
+    RIGID = "rigid"
+    """They stay as obstacles, with all their joints at 0."""
+
+
 class PositionRange(Word):
     """Which position limits of a URDF hold."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Final
 
 from rtee.errors import ModelError
@@ -14,6 +14,7 @@ from rtee.hand.model import Finger
 from rtee.hand.names import check_name, safe_name, shared_length
 from rtee.hand.srdf import Srdf
 from rtee.hand.urdf import Urdf
+from rtee.hand.whole_robot import without_geometry
 
 WORDS: Final = ("thumb", "index", "middle", "ring", "little", "pinky")
 
@@ -49,9 +50,9 @@ def make_fingers(
         ConfigError: A finger's name is not allowed.
     """
     given, notes = fingers_of(srdf, urdf) if srdf else (), []
-    ends = _ends(urdf, frozenset(movers))
+    branches = find_branches(urdf, movers)
     inside = {link for chain in given for link in chain.links}
-    branches = [Chain("", _branch(end, ends, urdf), "") for end in ends if end not in inside]
+    branches = [branch for branch in branches if branch.links[-1] not in inside]
     if given:
         linked = join_linkages(given, branches, urdf, movers)
         notes += [
@@ -69,6 +70,10 @@ def make_fingers(
             "whose end has collision geometry"
         )
     chains = [each.chain for each in linked]
+    notes += [
+        f"link '{link}' moves, but it has no collision geometry, and so touches nothing"
+        for link in without_geometry(urdf, movers)
+    ]
     tips = _tips(chains, urdf, srdf)
     notes += [
         f"finger '{name}' has no collision geometry: no pinches for it"
@@ -161,7 +166,21 @@ def _named(found: Sequence[Linked], urdf: Urdf, movers: Mapping[str, Mover]) -> 
     return named
 
 
-def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
+def find_branches(urdf: Urdf, moved: Container[str]) -> list[Chain]:
+    """Return the branches of a tree that a joint moves and that end in collision geometry.
+
+    They have no names yet; their base is the link where they separate from the others, or where
+    the first joint moves a single one.
+    """
+    ends = _ends(urdf, moved)
+    if len(ends) == 1:
+        links = (urdf.root, *(joint.child for joint in urdf.path_to(ends[0])))
+        first = next(j for j in urdf.path_to(ends[0]) if j.name in moved)
+        return [Chain("", links[links.index(first.parent) :], "")]
+    return [Chain("", _branch(end, ends, urdf), "") for end in ends]
+
+
+def _ends(urdf: Urdf, moved: Container[str]) -> list[str]:
     """Return the last links with geometry of the branches that move, one per rigid body."""
     # A finger ends at a link with geometry below which no link has any.
     solid = {name for name, link in urdf.links.items() if link.collisions}
@@ -182,7 +201,7 @@ def _ends(urdf: Urdf, moved: frozenset[str]) -> list[str]:
     return sorted(bodies.values(), key=order.index)
 
 
-def _body(link: str, urdf: Urdf, moved: frozenset[str]) -> str | None:
+def _body(link: str, urdf: Urdf, moved: Container[str]) -> str | None:
     """Return the last moved joint above a link; ``None`` if the link does not move."""
     return next((j.name for j in reversed(urdf.path_to(link)) if j.name in moved), None)
 

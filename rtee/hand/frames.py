@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from rtee.hand.model import Hand
 from rtee.hand.urdf import Triple
 from rtee.object_description import BASE_POSE, OBJECT_POSE
 from rtee.sample import FloatArray
+
+_LEVEL: Final = 1e-9
+"""Cosine of a pitch below which it is a quarter turn, where roll and yaw turn about one axis."""
 
 
 def rotation(axis: Sequence[float], angle: float) -> FloatArray:
@@ -39,6 +43,16 @@ def origin(xyz: Triple, rpy: Triple) -> FloatArray:
         @ rotation((1.0, 0.0, 0.0), roll)
     )
     return homogeneous(turned, xyz)
+
+
+def angles(turn: FloatArray) -> Triple:
+    """Return roll, pitch and yaw about fixed axes [rad] of a rotation matrix ``(3, 3)``."""
+    level = math.hypot(turn[0, 0], turn[1, 0])
+    # From sine and cosine, as an arcsine would lose half of the digits near a quarter turn.
+    pitch = math.atan2(-turn[2, 0], level)
+    if level < _LEVEL:
+        return math.atan2(-turn[1, 2], turn[1, 1]), pitch, 0.0
+    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])
 
 
 def quaternion(rpy: Triple) -> FloatArray:

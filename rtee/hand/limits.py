@@ -252,7 +252,7 @@ def standing_position(
     Raises:
         UserError: Its configured rest position is outside its limits.
     """
-    if joint.name in overrides.ignore:
+    if joint.name in overrides.ignore or joint.name in overrides.rest:
         rest = _Reader(joint, urdf, overrides).rest(state, joint.lower, joint.upper)
         if rest is not None:
             return rest

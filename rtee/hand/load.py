@@ -13,9 +13,9 @@ import numpy as np
 
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
-from rtee.hand.chains import check_srdf
+from rtee.hand.chains import check_srdf, joints_of_hand
 from rtee.hand.config_schema import TouchSection
-from rtee.hand.discovery import make_fingers
+from rtee.hand.discovery import find_branches, make_fingers
 from rtee.hand.dynamics import make_dynamics
 from rtee.hand.limits import (
     Overrides,
@@ -30,9 +30,11 @@ from rtee.hand.linkages import Mover
 from rtee.hand.model import Finger, Hand, Joint, JointRole
 from rtee.hand.names import check_name, safe_name
 from rtee.hand.srdf import Srdf, read_srdf
+from rtee.hand.subtree import Subtree, srdf_within
 from rtee.hand.transmission import Transmission, check_mimics, make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint
 from rtee.hand.urdfread import read_urdf
+from rtee.hand.whole_robot import arm_joints
 from rtee.types import ActuatorSpec, JointKind, readonly
 
 if TYPE_CHECKING:
@@ -53,6 +55,7 @@ def load_model(
     ignore: Sequence[str] = (),
     passive: Collection[str] = (),
     actuators: Collection[str] | None = None,
+    subtree: Subtree | None = None,
 ) -> Hand:
     """Load a hand from its URDF.
 
@@ -65,12 +68,13 @@ def load_model(
         ignore: Actuators that stay at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         actuators: The actuators, where they are known; other joints that could be one stay fixed.
+        subtree: Which part of a whole robot is the hand; all of it unless given.
 
     Raises:
         ModelError: A file cannot be read or does not describe a hand.
         ConfigError: The name is not allowed.
     """
-    model, semantics = read_urdf(urdf), None if srdf is None else read_srdf(srdf)
+    model, semantics = read_both(urdf, srdf, subtree)
     if actuators is not None:
         settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
         free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
@@ -84,6 +88,17 @@ def load_model(
         passive=frozenset(passive),
     )
     return build_hand(model, semantics, overrides)
+
+
+def read_both(
+    urdf: Path | str, srdf: Path | str | None, subtree: Subtree | None
+) -> tuple[Urdf, Srdf | None]:
+    """Read a URDF and its SRDF; of a whole robot, what they say of the hand."""
+    model = read_urdf(urdf, subtree)
+    semantics = None if srdf is None else read_srdf(srdf)
+    if semantics is not None and subtree is not None:
+        semantics = srdf_within(semantics, model)
+    return model, semantics
 
 
 def load_hand(name_or_path: str | Path, *, config_dirs: Sequence[Path | str] = ()) -> Hand:
@@ -133,7 +148,8 @@ def load_configured(
         ignore=tuple(config.ignore),
         error=document.error,
     )
-    hand = build_hand(read_urdf(urdf), None if srdf is None else read_srdf(srdf), overrides)
+    subtree = None if config.root is None else Subtree(config.root, config.outside)
+    hand = build_hand(*read_both(urdf, srdf, subtree), overrides)
     _check_devices(hand, config, document)
     joint = config.ros2.gripper_joint
     if joint and joint not in hand.actuator_names:
@@ -229,6 +245,9 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     _check_ignored(roles, overrides, urdf)
     # After the check: only actuators can be ignored.
     roles |= dict.fromkeys(overrides.ignore, JointRole.IGNORED)
+    apart, why = _outside(urdf, srdf, roles)
+    roles |= dict.fromkeys(apart, JointRole.IGNORED)
+    notes += why
     joints = tuple(_joint(urdf.joints[name], role) for name, role in roles.items())
     driven = [joint.name for joint in joints if joint.role is JointRole.ACTUATOR]
     if not driven:
@@ -238,7 +257,7 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
             "none",
             path=urdf.path,
         )
-    _check_actuators(driven, overrides, urdf)
+    _check_actuators(driven, apart, overrides, urdf)
     state_name, state = rest_state(srdf)
     notes += rest_note(state_name, state, driven, overrides)
     notes += soft_notes([urdf.joints[name] for name in driven], urdf, overrides)
@@ -290,6 +309,41 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         tip_friction=_tip_friction(fingers, overrides, urdf),
         touch=_touch(overrides, urdf),
     )
+
+
+def _outside(
+    urdf: Urdf, srdf: Srdf | None, roles: Mapping[str, JointRole]
+) -> tuple[list[str], list[str]]:
+    """Return the actuators that are not the hand's, and a note about them."""
+    free = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
+    hand = joints_of_hand(srdf, urdf) if srdf else None
+    if hand is not None:
+        used = {_master(urdf, name) for name in hand}
+        apart = [name for name in free if name not in used]
+        what = "outside the SRDF's groups of the hand"
+    else:
+        movers = {
+            name: Mover(master, 1.0) for name in roles if (master := _master(urdf, name)) in free
+        }
+        apart = list(arm_joints(find_branches(urdf, movers), urdf, movers))
+        what = "those of an arm"
+    if not apart or len(apart) == len(free):
+        return [], []
+    names = ", ".join(f"'{name}'" for name in apart)
+    are = "is" if len(apart) == 1 else "are"
+    them = "it takes no part and stands" if len(apart) == 1 else "they take no part and stand"
+    return apart, [f"{names} {are} {what}: {them} at rest"]
+
+
+def _master(urdf: Urdf, name: str) -> str:
+    """Return the joint that a joint follows in the end; itself if it follows none."""
+    seen = [name]
+    while (joint := urdf.joints.get(seen[-1])) is not None and joint.mimic is not None:
+        # Loops of mimics are refused later, with their line.
+        if joint.mimic.of in seen:
+            break
+        seen.append(joint.mimic.of)
+    return seen[-1]
 
 
 def _movers(
@@ -352,11 +406,13 @@ def _check_ignored(roles: Mapping[str, JointRole], overrides: Overrides, urdf: U
         raise overrides.error(("ignore", i), what)
 
 
-def _check_actuators(actuators: list[str], overrides: Overrides, urdf: Urdf) -> None:
+def _check_actuators(
+    actuators: list[str], apart: Sequence[str], overrides: Overrides, urdf: Urdf
+) -> None:
     """Refuse a configuration of actuators that the hand does not have."""
     for section, names in (("rest", overrides.rest), ("limits", overrides.limits)):
         for name in names:
-            ignored = name in overrides.ignore
+            ignored = name in overrides.ignore or name in apart
             if name in actuators or (ignored and section == "rest"):
                 continue
             # Without a hand.yaml there is no line to point at.

@@ -9,7 +9,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
+
 from rtee.errors import ModelError, UnknownLink
+from rtee.hand.frames import angles, origin, pose_matrix
+from rtee.hand.subtree import Subtree
 from rtee.hand.urdf import (
     Triple,
     Urdf,
@@ -21,7 +25,7 @@ from rtee.hand.urdf import (
     UrdfMimic,
 )
 from rtee.hand.vocabulary import URDF, unread
-from rtee.hand.xmlfile import Element, read_xml
+from rtee.hand.xmlfile import Element, read_xml, to_text
 
 FARTHEST: Final = 1e3
 """Largest length accepted [m]: no hand is larger, and rounding errors would grow to micrometres."""
@@ -38,21 +42,30 @@ _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
 _LIMITED: Final = ("revolute", "prismatic")
 
 
-def read_urdf(path: Path | str) -> Urdf:
-    """Read a URDF.
+def read_urdf(path: Path | str, subtree: Subtree | None = None) -> Urdf:
+    """Read a URDF; of a whole robot, only the hand, if ``subtree`` says which part that is.
 
     Raises:
+        UnknownLink: There is no such subtree.
         ModelError: The file does not exist, is neither XML nor a URDF, or describes no tree of
             links with well-defined joints; the message names file and line.
     """
     root, text = read_xml(path, "URDF")
     _check_root(root)
+    whole = _urdf(root, text)
+    if subtree is None:
+        return whole
+    hand = subtree.of(root, whole)
+    return _urdf(hand, to_text(hand))
+
+
+def _urdf(root: Element, text: str) -> Urdf:
     links = _links(root)
     joints = _joints(root, links)
     base, joint_to, below = _tree(root, links, joints)
     return Urdf(
-        name=root.attributes.get("name", "").strip() or Path(path).stem,
-        path=Path(path),
+        name=root.attributes.get("name", "").strip() or root.path.stem,
+        path=root.path,
         text=text,
         # Read-only, since every part of the program uses the same description.
         links=MappingProxyType(links),
@@ -168,10 +181,8 @@ def _geometry(element: Element, link: str) -> tuple[UrdfGeometry, ...]:
             radius = _positive(shape, shape.number("radius", most=FARTHEST))
             length = _positive(shape, shape.number("length", most=FARTHEST))
             # The cylinder's length counts, as in Pinocchio and urdfdom; the caps stand out of it.
-            caps = (
-                made("sphere", radius=radius, xyz=_along_z(xyz, rpy, end * length))
-                for end in (-0.5, 0.5)
-            )
+            ends = ((origin(xyz, rpy) @ [0, 0, way, 1])[:3] for way in (-length / 2, length / 2))
+            caps = (made("sphere", radius=radius, xyz=_triple(tuple(end))) for end in ends)
             return made("cylinder", radius=radius, length=length), *caps
         case other:
             raise shape.error(
@@ -203,34 +214,15 @@ def _origin(element: Element) -> tuple[Triple, Triple]:
     if "rpy" in origin.attributes:
         raise origin.error("has both rpy and quat_xyzw; one of them gives the orientation")
     x, y, z, w = origin.numbers("quat_xyzw", 4, most=MOST)
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if norm < _NO_AXIS:
+    if math.hypot(x, y, z, w) < _NO_AXIS:
         raise origin.error("quat_xyzw is zero, and gives no orientation")
-    return xyz, _roll_pitch_yaw(x / norm, y / norm, z / norm, w / norm)
-
-
-def _roll_pitch_yaw(x: float, y: float, z: float, w: float) -> Triple:
-    """Return the angles about fixed axes [rad] of a unit quaternion."""
-    # The sine and cosine of the pitch from the first column of the rotation matrix, where an
-    # arcsine would lose half of the digits near a quarter turn.
-    forward, side = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
-    pitch = math.atan2(2.0 * (w * y - x * z), math.hypot(forward, side))
-    if math.hypot(forward, side) < _NO_AXIS:  # a quarter turn: roll and yaw turn about one axis
-        return 2.0 * math.atan2(x, w), pitch, 0.0
-    roll = math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
-    return roll, pitch, math.atan2(side, forward)
-
-
-def _along_z(xyz: Triple, rpy: Triple, way: float) -> Triple:
-    """Return the point ``way`` [m] along the z axis of a frame with a pose ``xyz``, ``rpy``."""
-    (cr, cp, cy), (sr, sp, sy) = map(math.cos, rpy), map(math.sin, rpy)
-    axis = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
-    return _triple(tuple(at + way * part for at, part in zip(xyz, axis, strict=True)))
+    pose = np.array([0.0, 0.0, 0.0, w, x, y, z])
+    return xyz, angles(pose_matrix(pose)[:3, :3])
 
 
 def _triple(values: tuple[float, ...]) -> Triple:
     x, y, z = values
-    return x, y, z
+    return float(x), float(y), float(z)
 
 
 def _joints(root: Element, links: Mapping[str, UrdfLink]) -> dict[str, UrdfJoint]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 from xml.parsers import expat
+from xml.sax.saxutils import escape, quoteattr
 
 from rtee.errors import ModelError, foreign
 from rtee.hand.files import read_bytes
@@ -115,6 +116,27 @@ class Element:
         if abs(value) > most:
             raise self.error(f'{attribute}="{text[:80]}" is beyond {most:g}, too much for a hand')
         return value
+
+
+def to_text(root: Element) -> str:
+    """Return an element as XML; comments and the place of text between elements are lost."""
+    lines: list[str] = []
+    # A stack of what is to be written, since elements may be nested deeply.
+    pending: list[tuple[int, Element | str]] = [(0, root)]
+    while pending:
+        depth, each = pending.pop()
+        if isinstance(each, str):
+            lines.append(each)
+            continue
+        attributes = "".join(f" {n}={quoteattr(value)}" for n, value in each.attributes.items())
+        start, indent = f"{'  ' * depth}<{each.tag}{attributes}", "  " * depth
+        if each.children:
+            lines.append(f"{start}>{escape(each.text)}")
+            pending.append((depth, f"{indent}</{each.tag}>"))
+            pending += [(depth + 1, child) for child in reversed(each.children)]
+        else:
+            lines.append(f"{start}>{escape(each.text)}</{each.tag}>" if each.text else f"{start}/>")
+    return "\n".join(lines) + "\n"
 
 
 class _Builder:

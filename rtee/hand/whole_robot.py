@@ -1,0 +1,179 @@
+"""Whole robots: which of their subtrees are hands, and which joints are those of an arm."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from rtee.hand.chains import Chain
+from rtee.hand.linkages import Mover
+from rtee.hand.names import shared_length
+from rtee.hand.urdf import Urdf, UrdfJoint
+
+_ARM_JOINTS: Final = 3
+"""Fewest joints in a row, before anything branches off, that are an arm and not a wrist or a fold
+of the palm, where several parts of a robot are compared."""
+
+_SURELY_ARM: Final = 4
+"""Fewest such joints that are an arm whatever they are called: a wrist has three at most."""
+
+_LIMB: Final = 6
+"""Fewest actuators of one branch that are an arm or a leg: a human-like thumb has five."""
+
+_ARM: Final = re.compile(
+    r"shoulder|elbow|forearm|waist|torso|(?<![a-z])(?:upper_?|lower_?)?arm(?![a-z])"
+)
+_FINGER: Final = re.compile(r"finger|thumb|jaw|claw|(?<![a-z])(?:index|middle|ring|little|pinky)")
+_HAND: Final = re.compile(r"hand|gripper|palm|eef|end_?effector")
+
+_SIDE: Final = re.compile(r"left|right|(?<![a-z])(?:l|r|lh|rh)(?![a-z])")
+"""Words for the two sides of a robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundHand:
+    """A hand in a robot.
+
+    Attributes:
+        link: The link below which it is.
+        ends: The last links of its fingers.
+        arm: The joints above it that carry nothing else.
+    """
+
+    link: str
+    ends: tuple[str, ...]
+    arm: tuple[str, ...]
+
+
+def find_hands(
+    branches: Sequence[Chain], urdf: Urdf, movers: Mapping[str, Mover]
+) -> tuple[FoundHand, ...]:
+    """Return the subtrees of a robot that end in several fingertips, in the tree's order.
+
+    Where a link carries several parts with several tips each, it is the body of a robot if arms
+    lead to them or if they are the left and the right one of a pair; otherwise it is a palm.
+    Branches of six actuators or more are arms or legs without a hand.
+    """
+    ends = [chain.links[-1] for chain in branches]
+    limbs = {
+        chain.links[-1]
+        for chain in branches
+        if len({movers[j.name].actuator for j in _own(chain, urdf) if j.name in movers}) >= _LIMB
+    }
+    return tuple(_below(urdf.root, [end for end in ends if end not in limbs], urdf, movers))
+
+
+def arm_joints(
+    branches: Sequence[Chain], urdf: Urdf, movers: Mapping[str, Mover]
+) -> tuple[str, ...]:
+    """Return the joints of the arm that carries the hand, nearest the root first.
+
+    An arm has four joints or more in a row, or names such as ``shoulder``. With a single finger,
+    such as one jaw, it ends where names begin that are those of a finger, or else before the last
+    joint that moves.
+    """
+    if len(branches) > 1:
+        hands = find_hands(branches, urdf, movers)
+        return hands[0].arm if len(hands) == 1 and _is_arm(hands[0].arm, urdf) else ()
+    if not branches:
+        return ()
+    end = branches[0].links[-1]
+    path = [joint for joint in urdf.path_to(end) if joint.name in movers]
+    # A jaw without geometry is no finger, but the links above it are those of the arm.
+    jaw = any(joint.name in movers for joint in _all_below(end, urdf))
+    fingers = (i for i, j in enumerate(path) if _FINGER.search(f"{j.name} {j.child}".lower()))
+    above = path if jaw else path[: next(fingers, len(path) - 1)]
+    arm = tuple(joint.name for joint in above)
+    return arm if _is_arm(arm, urdf) else ()
+
+
+def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
+    """Return the links that move and have no collision geometry, nor has anything below them."""
+    return [
+        joint.child
+        for joint in urdf.joints.values()
+        if joint.name in movers
+        and not any(
+            urdf.links[link].collisions
+            for link in (joint.child, *(j.child for j in _all_below(joint.child, urdf)))
+        )
+    ]
+
+
+def _is_arm(joints: Sequence[str], urdf: Urdf) -> bool:
+    texts = [f"{name} {urdf.joints[name].child}".lower() for name in joints]
+    return len(joints) >= _SURELY_ARM or any(_ARM.search(text) for text in texts)
+
+
+def _own(chain: Chain, urdf: Urdf) -> list[UrdfJoint]:
+    return [urdf.joint_to[link] for link in chain.links[1:]]
+
+
+def _all_below(link: str, urdf: Urdf) -> list[UrdfJoint]:
+    found = list(urdf.joints_below[link])
+    for joint in found:
+        found += urdf.joints_below[joint.child]
+    return found
+
+
+def _below(
+    link: str, ends: Sequence[str], urdf: Urdf, movers: Mapping[str, Mover]
+) -> list[FoundHand]:
+    arm: list[str] = []
+    paths = {end: [*(j.child for j in urdf.path_to(end))] for end in ends}
+    while len(ends) > 1:
+        parts: dict[str, list[str]] = {}
+        for end in ends:
+            path = paths[end]
+            inside = path[path.index(link) + 1 :] if link in path else path
+            parts.setdefault(inside[0] if inside else link, []).append(end)
+        if len(parts) > 1:
+            several = [part for part in parts if len(parts[part]) > 1]
+            found = {part: _below(part, parts[part], urdf, movers) for part in several}
+            if _is_body(found, urdf, movers):
+                return [hand for hands in found.values() for hand in hands]
+            return [FoundHand(_base(link, urdf), tuple(ends), tuple(arm))]
+        (link,) = parts
+        if urdf.joint_to[link].name in movers:
+            arm.append(urdf.joint_to[link].name)
+    return []
+
+
+def _is_body(
+    found: Mapping[str, Sequence[FoundHand]], urdf: Urdf, movers: Mapping[str, Mover]
+) -> bool:
+    """Return whether parts with several tips each are hands of their own, and not of one palm."""
+    if any(len(hands) > 1 for hands in found.values()):
+        return True
+    arms = [
+        (urdf.joint_to[part].name in movers) + len(hand.arm)
+        for part, hands in found.items()
+        for hand in hands
+    ]
+    if any(arm >= _ARM_JOINTS for arm in arms):
+        return True
+    shapes = [_plain(part, urdf) for part in found]
+    return len(shapes) > 1 and all(shape == shapes[0] for shape in shapes)
+
+
+def _plain(part: str, urdf: Urdf) -> list[str]:
+    """Return the names of a part's links without words for sides and the prefix of the part."""
+    links = [part, *(joint.child for joint in _all_below(part, urdf))]
+    names = [link.lower() for link in links]
+    sides = sorted(_SIDE.sub("#", name) for name in names)
+    if any("#" in name for name in sides):
+        return sides
+    prefix = shared_length(names)
+    return sorted(name[prefix:] for name in names)
+
+
+def _base(link: str, urdf: Urdf) -> str:
+    """Return the topmost link welded to a palm that is called like a hand, or else the palm."""
+    base = at = link
+    while (joint := urdf.joint_to.get(at)) is not None and not joint.moving:
+        at = joint.parent
+        if _HAND.search(at.lower()):
+            base = at
+    return base
