@@ -18,13 +18,17 @@ import typer
 from rtee import monotonic
 from rtee.cli._common import (
     JsonOption,
+    OutsideOption,
+    RootOption,
     XacroArguments,
     actions_of,
     complete_hand,
     hand_folder,
     owned,
+    subtree_of,
 )
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
+from rtee.hand.config_schema import Outside
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
     from rtee.extract.extraction import Extraction
     from rtee.extract.report import Tried
     from rtee.hand.model import Hand as HandModel
+    from rtee.hand.subtree import Subtree
 
 _BAR_AFTER = 1.0
 """Time after which a progress bar appears [s]; for shorter work it would only flicker."""
@@ -66,6 +71,8 @@ def extract(
     srdf: Annotated[
         Path | None, typer.Option(help="The model's SRDF; without it the fingers are found.")
     ] = None,
+    root: RootOption = None,
+    outside: OutsideOption = Outside.ABSENT,
     package_dir: Annotated[
         list[Path] | None, typer.Option(help="Folder to look packages up in; repeatable.")
     ] = None,
@@ -103,8 +110,9 @@ def extract(
         hand = None
     if sum(given is not None for given in (hand, urdf, mjcf)) != 1:
         raise ConfigError("give either a hand, --urdf or --mjcf")
-    if hand is not None and (srdf or package_dir or words):
-        raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
+    if hand is not None and (srdf or root or package_dir or words):
+        raise ConfigError("--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
+    subtree = subtree_of(root, outside)
     folder = hand_folder(hand) if hand is not None else None
     # Refuse all mistakes before the search, which may take minutes.
     if save and folder is None:
@@ -127,7 +135,7 @@ def extract(
                 model = load_hand(folder)
             else:
                 readable = as_urdf(urdf, mjcf, words, package_dir or [])
-                model = _hand_in(stack.enter_context(readable), srdf)
+                model = _hand_in(stack.enter_context(readable), srdf, subtree)
             with progress_bar() as progress:
                 extraction = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, extraction, folder, jobs)}
@@ -210,17 +218,28 @@ def _tried(folder: Path | None, library: ActionLibrary | None) -> tuple[list[Tri
     return tried, notes
 
 
-def _hand_in(model: ReadableModel, srdf: Path | None) -> HandModel:
+def _hand_in(model: ReadableModel, srdf: Path | None, subtree: Subtree | None) -> HandModel:
     """Load a hand from its model, with the notes and exclusions that are not in the URDF."""
     from rtee.hand.load import load_model
+    from rtee.hand.urdfread import read_urdf
+    from rtee.hand.whole_robot import check_one_hand
 
+    edits = [] if subtree is None else [subtree]
+    known = read_urdf(model.urdf, edits)
     hand = load_model(
-        model.urdf, srdf, package_dirs=model.package_dirs, passive=model.passive or ()
+        model.urdf,
+        srdf,
+        package_dirs=model.package_dirs,
+        passive=[joint for joint in model.passive or () if joint in known.joints],
+        edits=edits,
     )
+    if srdf is None:
+        check_one_hand(hand)
+    excluded = (pair for pair in model.excluded if {*pair[:2]} <= known.links.keys())
     return replace(
         hand,
         notes=(*model.notes, *hand.notes),
-        disabled_collisions=(*hand.disabled_collisions, *model.excluded),
+        disabled_collisions=(*hand.disabled_collisions, *excluded),
     )
 
 

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import XacroArguments, complete_hand, hand_folder
+from rtee.cli._common import (
+    OutsideOption,
+    RootOption,
+    XacroArguments,
+    complete_hand,
+    hand_folder,
+    subtree_of,
+)
 from rtee.errors import ConfigError, needing_extra
+from rtee.hand.config_schema import Outside
 
 if TYPE_CHECKING:
     from rtee.hand.scaffold import NewHand
@@ -30,6 +38,8 @@ def new(
     srdf: Annotated[
         Path | None, typer.Option("--srdf", help="Its SRDF; without one the fingers are found.")
     ] = None,
+    root: RootOption = None,
+    outside: OutsideOption = Outside.ABSENT,
     package_dir: Annotated[
         list[Path] | None,
         typer.Option("--package-dir", help="Folder to look packages up in; may be repeated."),
@@ -54,8 +64,10 @@ def new(
     if source is not None:
         from rtee.hand.names import check_name
 
-        if srdf or package_dir or arguments:
-            raise ConfigError("--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf")
+        if srdf or root or package_dir or arguments:
+            raise ConfigError(
+                "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf"
+            )
         # Checked, since it becomes a part of a path.
         _copy(hand_folder(source), into / check_name(name, "hand"))
         return
@@ -68,6 +80,7 @@ def new(
         new_hand = make_hand(
             name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
             ask=typer.confirm if ask else None, passive=model.passive, excluded=model.excluded,
+            subtree=subtree_of(root, outside),
         )  # fmt: skip
     _print(new_hand, model.notes)
 

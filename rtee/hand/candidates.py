@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from rtee.hand.chains import Chain
 from rtee.hand.frames import tip_pose_and_jacobian
 from rtee.hand.model import Finger, Hand
+from rtee.hand.urdf import Urdf
 from rtee.hand.xmlfile import Element, read_xml
 from rtee.types import JointKind
 
@@ -22,6 +26,9 @@ _SPRINGS: Final = ("springStiffness", "springReference", "spring_stiffness", "sp
 
 _PLAY: Final = 0.25
 """Range below which a joint is unlikely to have a motor [rad]: 14 degrees."""
+
+_SAME: Final = 0.01
+"""Difference of the limits of two jaws that mirror each other [fraction of the range]."""
 
 _PARALLEL: Final = 0.9
 """Least cosine of the angle between parallel axes: 26 degrees."""
@@ -132,22 +139,114 @@ def _pulled(hand: Hand) -> dict[str, str]:
 
 
 def _outer(hand: Hand) -> dict[str, str]:
-    """Return the outer one of two parallel joints, for fingers with no other joints."""
-    found = {}
+    """Return the outer ones of parallel joints in a row, which one tendon may bend together."""
+    found: dict[str, str] = {}
     for finger in hand.fingers:
-        if finger.tip is None or len(finger.own) != 2:
+        if finger.tip is None:
             continue
-        inner, outer = finger.own
         way = [joint.name for joint in hand.urdf.path_to(finger.tip)]
-        if not {inner, outer} <= set(way):
-            continue
         turning = tip_pose_and_jacobian(hand, finger.tip, hand.rest)[1][3:]
-        axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
-        lengths = [float(np.linalg.norm(axis)) for axis in axes]
-        # A prismatic joint has the angular velocity 0 here.
-        if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
-            found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
+        own = sorted((name for name in finger.own if name in way), key=way.index)
+        for inner, outer in pairwise(own):
+            axes = [turning[:, hand.actuator_index(name)] for name in (inner, outer)]
+            lengths = [float(np.linalg.norm(axis)) for axis in axes]
+            # A prismatic joint has the angular velocity 0 here.
+            if min(lengths) > 0.0 and abs(axes[0] @ axes[1]) >= _PARALLEL * lengths[0] * lengths[1]:
+                found[outer] = f"bends parallel to '{inner}', and one tendon may bend both"
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class OneMotor:
+    """Two jaws that one motor may drive.
+
+    Attributes:
+        joint: The joint that may follow.
+        master: The joint that it may follow.
+        factor: By which factor: 1 or -1.
+    """
+
+    joint: str
+    master: str
+    factor: int
+
+    @property
+    def element(self) -> str:
+        """The element of the URDF that says so, inside that of the joint."""
+        return f'<mimic joint={quoteattr(self.master)} multiplier="{self.factor}"/>'
+
+    def of(self, robot: Element, _whole: Urdf) -> Element:
+        """Return a robot in which the joint follows the other one."""
+
+        def coupled(each: Element) -> Element:
+            if each.tag != "joint" or each.attributes.get("name", "").strip() != self.joint:
+                return each
+            values = {"joint": self.master, "multiplier": str(self.factor)}
+            mimic = Element("mimic", values, each.line, each.path)
+            return replace(each, children=[*each.children, mimic])
+
+        return replace(robot, children=[coupled(each) for each in robot.children])
+
+
+def one_motor(hand: Hand) -> OneMotor | None:
+    """Return how the two jaws of a gripper may be driven by one motor, if they mirror each other.
+
+    Each has one actuator; both have the same limits, or opposite ones, and move the tips towards
+    each other.
+    """
+    if len(hand.fingers) != 2 or len(hand.actuators) != 2:
+        return None
+    first, second = hand.fingers
+    if first.tip is None or second.tip is None or len(first.own) != 1 or len(second.own) != 1:
+        return None
+    a, b = hand.actuator(first.own[0]), hand.actuator(second.own[0])
+    if (a.kind, a.velocity, a.effort) != (b.kind, b.velocity, b.effort):
+        return None
+    u = 0.5 * (hand.lower + hand.upper)
+    if not np.isfinite(u).all():
+        return None
+    poses, ways = [], []
+    for tip, actuator in ((first.tip, a.name), (second.tip, b.name)):
+        pose, jacobian = tip_pose_and_jacobian(hand, tip, u)
+        shapes = hand.urdf.links[tip].collisions
+        middle = np.mean([(pose @ [*shape.xyz, 1.0])[:3] for shape in shapes], axis=0)
+        column = jacobian[:, hand.actuator_index(actuator)]
+        poses.append(middle)
+        ways.append(column[:3] + np.cross(column[3:], middle - pose[:3, 3]))
+    between = poses[1] - poses[0]
+    closing = [float(way @ between) for way in ways]
+    if not all(closing):
+        return None
+    factor = -1 if closing[0] * closing[1] > 0.0 else 1
+    limits = (b.lower, b.upper) if factor > 0 else (-b.upper, -b.lower)
+    slack = _SAME * (a.upper - a.lower)
+    if abs(limits[0] - a.lower) > slack or abs(limits[1] - a.upper) > slack:
+        return None
+    return OneMotor(b.name, a.name, factor)
+
+
+def fixed_jaw(hand: Hand) -> Chain | None:
+    """Return the part that may oppose the only finger of a hand: the link that carries it.
+
+    Where further links with geometry are welded to that, it is the one farthest from the root.
+    """
+    if len(hand.fingers) != 1 or hand.fingers[0].tip is None:
+        return None
+    finger = hand.fingers[0]
+    moved = {joint.name for joint in hand.joints}
+    first = next(j for j in hand.urdf.path_to(finger.links[-1]) if j.child in finger.links[1:])
+    welded = [first.parent]
+    for link in welded:
+        welded += [j.child for j in hand.urdf.joints_below[link] if j.name not in moved]
+    solid = [link for link in welded if hand.urdf.links[link].collisions]
+    if not solid:
+        return None
+    jaw = max(solid, key=lambda link: len(hand.urdf.path_to(link)))
+    above = hand.urdf.joint_to.get(jaw)
+    links = (jaw,) if above is None else (above.parent, jaw)
+    return Chain(
+        "fixed", links, f"'{jaw}', which carries the only moving finger, may be its counterpart"
+    )
 
 
 def _finger_of(hand: Hand, actuator: str) -> Finger:
@@ -163,24 +262,6 @@ def in_words(candidates: Sequence[Candidate]) -> list[str]:
         f"{', '.join(joints)} may have no motor: {'it' if len(joints) == 1 else 'each'} {why}"
         for why, joints in reasons.items()
     ]
-
-
-def double_limits(hand: Hand) -> list[str]:
-    """Return notes on actuators with several limits in the URDF, of which the first is used.
-
-    Raises:
-        ModelError: The URDF cannot be read again.
-    """
-    found = []
-    for element in read_xml(hand.urdf.path, "URDF")[0].all("joint"):
-        name, count = element.attributes.get("name", "").strip(), len(list(element.all("limit")))
-        if name in hand.actuator_names and count > 1:
-            joint = hand.urdf.joints[name]
-            found.append(
-                f"actuator '{name}' has {count} <limit> elements, of which the first counts: "
-                f"velocity {joint.velocity:g}, effort {joint.effort:g}"
-            )
-    return found
 
 
 def carriers(hand: Hand) -> tuple[str, ...]:

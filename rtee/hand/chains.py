@@ -162,7 +162,7 @@ def fingers_of(srdf: Srdf, urdf: Urdf) -> tuple[Chain, ...]:
         return tuple(chain for chain in found if chain.links[-1] not in carried)
     group, why = chosen
     if not group.subgroups:
-        inside = _joints_in(group, urdf)
+        inside = _joints_in([group], urdf)
         others = [g for g in srdf.groups.values() if g is not group]
         return tuple(
             chain
@@ -190,23 +190,22 @@ def joints_of_hand(srdf: Srdf, urdf: Urdf) -> frozenset[str] | None:
     Those are the joints of the group that `fingers_of` takes, of its subgroups, and those between
     its links; or else those of the fingers.
     """
-    group = _group_of_fingers(srdf)
-    if group is None:
-        chains = fingers_of(srdf, urdf)
-        found = {urdf.joint_to[link].name for chain in chains for link in chain.links[1:]}
-        return frozenset(found) if chains else None
-    members = (group[0], *_members(srdf, group[0], (), set()))
-    return frozenset(name for member in members for name in _joints_in(member, urdf))
+    chosen = _group_of_fingers(srdf)
+    if chosen is None:
+        links = {link for chain in fingers_of(srdf, urdf) for link in chain.links[1:]}
+        return frozenset(urdf.joint_to[link].name for link in links) or None
+    return _joints_in((chosen[0], *_members(srdf, chosen[0], (), set())), urdf) or None
 
 
-def _joints_in(group: SrdfGroup, urdf: Urdf) -> set[str]:
-    links = [urdf.chain(chain.base, chain.tip) or () for chain in group.chains]
-    found = {urdf.joint_to[link].name for chain in links for link in chain[1:]}
-    above = {name: urdf.joint_to[name] for name in group.links if name in urdf.joint_to}
-    # What moves the first of the links, as an arm does, is not of the group.
-    between = {joint.name for joint in above.values() if joint.parent in group.links}
-    found |= between | set(group.joints)
-    return found or {joint.name for joint in above.values()}
+def _joints_in(groups: Sequence[SrdfGroup], urdf: Urdf) -> frozenset[str]:
+    chains = [urdf.chain(c.base, c.tip) or () for group in groups for c in group.chains]
+    found = {urdf.joint_to[link].name for chain in chains for link in chain[1:]}
+    found |= {joint for group in groups for joint in group.joints}
+    links = {link for group in groups for link in group.links}
+    above = [urdf.joint_to[link] for link in links if link in urdf.joint_to]
+    # What moves the first one of the links, as an arm does, is not of the group.
+    found |= {joint.name for joint in above if joint.parent in links}
+    return frozenset(found or {joint.name for joint in above})
 
 
 def _group_of_fingers(srdf: Srdf) -> tuple[SrdfGroup, str] | None:

@@ -14,7 +14,7 @@ import numpy as np
 from rtee.errors import ConfigError, ModelError, UnknownActuator, UserError, suggestion
 from rtee.hand.catalog import FILE_NAME, find_hand
 from rtee.hand.chains import check_srdf, joints_of_hand
-from rtee.hand.config_schema import TouchSection
+from rtee.hand.config_schema import Outside, TouchSection
 from rtee.hand.discovery import find_branches, make_fingers
 from rtee.hand.dynamics import make_dynamics
 from rtee.hand.limits import (
@@ -33,7 +33,7 @@ from rtee.hand.srdf import Srdf, read_srdf
 from rtee.hand.subtree import Subtree, srdf_within
 from rtee.hand.transmission import Transmission, check_mimics, make_transmission
 from rtee.hand.urdf import Urdf, UrdfJoint
-from rtee.hand.urdfread import read_urdf
+from rtee.hand.urdfread import Edit, read_urdf
 from rtee.hand.whole_robot import arm_joints
 from rtee.types import ActuatorSpec, JointKind, readonly
 
@@ -55,7 +55,7 @@ def load_model(
     ignore: Sequence[str] = (),
     passive: Collection[str] = (),
     actuators: Collection[str] | None = None,
-    subtree: Subtree | None = None,
+    edits: Sequence[Edit] = (),
 ) -> Hand:
     """Load a hand from its URDF.
 
@@ -68,13 +68,13 @@ def load_model(
         ignore: Actuators that stay at rest and take no part.
         passive: Joints without a motor, besides the SRDF's.
         actuators: The actuators, where they are known; other joints that could be one stay fixed.
-        subtree: Which part of a whole robot is the hand; all of it unless given.
+        edits: Changes of the URDF, such as which part of a whole robot is the hand.
 
     Raises:
         ModelError: A file cannot be read or does not describe a hand.
         ConfigError: The name is not allowed.
     """
-    model, semantics = read_both(urdf, srdf, subtree)
+    model, semantics = read_both(urdf, srdf, edits)
     if actuators is not None:
         settled = {*actuators, *passive, *(semantics.passive if semantics else ())}
         free = (j.name for j in model.joints.values() if j.moving and j.mimic is None)
@@ -91,12 +91,12 @@ def load_model(
 
 
 def read_both(
-    urdf: Path | str, srdf: Path | str | None, subtree: Subtree | None
+    urdf: Path | str, srdf: Path | str | None, edits: Sequence[Edit]
 ) -> tuple[Urdf, Srdf | None]:
     """Read a URDF and its SRDF; of a whole robot, what they say of the hand."""
-    model = read_urdf(urdf, subtree)
+    model = read_urdf(urdf, edits)
     semantics = None if srdf is None else read_srdf(srdf)
-    if semantics is not None and subtree is not None:
+    if semantics is not None and any(isinstance(edit, Subtree) for edit in edits):
         semantics = srdf_within(semantics, model)
     return model, semantics
 
@@ -148,14 +148,21 @@ def load_configured(
         ignore=tuple(config.ignore),
         error=document.error,
     )
-    subtree = None if config.root is None else Subtree(config.root, config.outside)
-    hand = build_hand(*read_both(urdf, srdf, subtree), overrides)
+    hand = build_hand(*read_both(urdf, srdf, _subtree(config, document)), overrides)
     _check_devices(hand, config, document)
     joint = config.ros2.gripper_joint
     if joint and joint not in hand.actuator_names:
         hint = suggestion(joint, hand.actuator_names)
         raise document.error(("ros2", "gripper_joint"), f"unknown actuator '{joint}'; {hint}")
     return hand, config
+
+
+def _subtree(config: HandConfig, document: YamlDocument) -> list[Edit]:
+    if config.root is None and config.outside is not Outside.ABSENT:
+        raise document.error(
+            ("outside",), "says what becomes of what is not below a root; add root:"
+        )
+    return [] if config.root is None else [Subtree(config.root, config.outside)]
 
 
 def hand_folder(
@@ -290,7 +297,10 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
         rest=readonly([spec.rest for spec in specs]),
         urdf=urdf,
         disabled_collisions=tuple(
-            (pair.link1, pair.link2, pair.reason) for pair in (srdf.disabled if srdf else ())
+            (pair.link1, pair.link2, pair.reason)
+            for pair in (srdf.disabled if srdf else ())
+            # Others are noted; whoever uses the pairs may rely on their links.
+            if pair.link1 in urdf.links and pair.link2 in urdf.links
         ),
         notes=tuple(notes + found),
         package_dirs=overrides.package_dirs,
@@ -318,12 +328,12 @@ def _outside(
     free = [name for name, role in roles.items() if role is JointRole.ACTUATOR]
     hand = joints_of_hand(srdf, urdf) if srdf else None
     if hand is not None:
-        used = {_master(urdf, name) for name in hand}
+        used = {urdf.master(name) for name in hand}
         apart = [name for name in free if name not in used]
         what = "outside the SRDF's groups of the hand"
     else:
         movers = {
-            name: Mover(master, 1.0) for name in roles if (master := _master(urdf, name)) in free
+            name: Mover(master, 1.0) for name in roles if (master := urdf.master(name)) in free
         }
         apart = list(arm_joints(find_branches(urdf, movers), urdf, movers))
         what = "those of an arm"
@@ -333,17 +343,6 @@ def _outside(
     are = "is" if len(apart) == 1 else "are"
     them = "it takes no part and stands" if len(apart) == 1 else "they take no part and stand"
     return apart, [f"{names} {are} {what}: {them} at rest"]
-
-
-def _master(urdf: Urdf, name: str) -> str:
-    """Return the joint that a joint follows in the end; itself if it follows none."""
-    seen = [name]
-    while (joint := urdf.joints.get(seen[-1])) is not None and joint.mimic is not None:
-        # Loops of mimics are refused later, with their line.
-        if joint.mimic.of in seen:
-            break
-        seen.append(joint.mimic.of)
-    return seen[-1]
 
 
 def _movers(

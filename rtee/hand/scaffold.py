@@ -7,20 +7,32 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 from rtee.errors import ConfigError, ModelError
 from rtee.hand.allowed_collisions import AllowedCollision, allowed_collisions
-from rtee.hand.candidates import carriers, double_limits, in_words, passive_candidates
+from rtee.hand.candidates import (
+    OneMotor,
+    carriers,
+    fixed_jaw,
+    in_words,
+    one_motor,
+    passive_candidates,
+)
 from rtee.hand.catalog import FILE_NAME
+from rtee.hand.chains import GROUP_OF_FINGERS
 from rtee.hand.files import make_folder, new_tree, read_bytes, write_atomically
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.local_meshes import as_utf8, with_local_meshes
-from rtee.hand.model import Hand, JointRole
+from rtee.hand.model import Finger, Hand, JointRole
 from rtee.hand.names import check_name
 from rtee.hand.resting import closed_rest_of
 from rtee.hand.schema import SCHEMA_FILE, SCHEMA_LINE, schema_text
 from rtee.hand.srdf import read_srdf
 from rtee.hand.srdfwrite import DisabledPair, format_srdf, with_disabled, with_passive
+from rtee.hand.subtree import Subtree
+from rtee.hand.urdfread import Edit, read_urdf
+from rtee.hand.whole_robot import check_one_hand
 from rtee.hand.xmlfile import read_xml
 from rtee.hand.yamlwrite import emit_scalar, ignore_line, rest_line
 
@@ -57,6 +69,7 @@ def make_hand(
     ask: Ask | None = None,
     passive: Collection[str] | None = None,
     excluded: Sequence[DisabledPair] = (),
+    subtree: Subtree | None = None,
 ) -> NewHand:
     """Make the folder of a new hand.
 
@@ -75,28 +88,27 @@ def make_hand(
         passive: The joints without a motor, if they are known, in addition to those of the SRDF.
         excluded: Pairs of links that are never checked for collision, with the reason, in addition
             to those found.
+        subtree: Which part of a whole robot is the hand.
 
     Raises:
         ConfigError: The name is not allowed or taken, or the folder cannot be written.
-        ModelError: The files do not describe a hand, or a mesh is missing.
+        ModelError: The files do not describe a hand, or describe several, or a mesh is missing.
     """
     check_name(name, "hand")
     target = Path(into) / name
     if target.exists():
         raise ConfigError(f"hand '{name}' is already there; remove the folder first", path=target)
+    edits: list[Edit] = [] if subtree is None else [subtree]
     load = partial(load_model, urdf, srdf, name=name, package_dirs=package_dirs)
     if passive is not None:
-        load = partial(load, passive=passive)
-    settled = _settle(load, searched=srdf is None, motors_known=passive is not None, ask=ask)
+        inside = read_urdf(urdf, edits).joints
+        load = partial(load, passive=[joint for joint in passive if joint in inside])
+    settled = _settle(load, edits, searched=srdf is None, motors_known=passive is not None, ask=ask)
     settled = replace(settled, pairs=_with(excluded, settled))
     hand, pairs, notes = settled.hand, settled.pairs, settled.notes
-    if len(hand.fingers) == 1:
-        notes.append(
-            "there is only one finger; if a fixed part acts as another, add a group for it to the "
-            "SRDF"
-        )
     with new_tree(target) as folder:
-        notes += _fill(folder, settled, srdf)
+        # What an SRDF says of a whole robot would not fit the hand alone.
+        notes += _fill(folder, settled, None if subtree else srdf)
         # Before the folder gets its name, since a hand that cannot be loaded must not remain.
         load_hand(folder)
         write_atomically(target.parent / SCHEMA_FILE, schema_text())
@@ -136,19 +148,31 @@ def _with(excluded: Sequence[DisabledPair], settled: _Settled) -> tuple[AllowedC
 
 
 def _settle(
-    load: Callable[..., Hand], *, searched: bool, motors_known: bool, ask: Ask | None
+    load: Callable[..., Hand],
+    edits: Sequence[Edit],
+    *,
+    searched: bool,
+    motors_known: bool,
+    ask: Ask | None,
 ) -> _Settled:
     """Decide which joints are actuators, which are ignored, and where the hand rests.
 
     ``searched``: the fingers are found in the tree, without an SRDF.
     """
-    hand: Hand = load()
-    chosen: dict[str, Any] = {}
+    chosen: dict[str, Any] = {"edits": edits}
+    hand: Hand = load(**chosen)
     notes: list[str] = []
+    if searched:
+        check_one_hand(hand)
     if searched and not motors_known:
         passive, notes = _passive(hand, ask)
         if passive:
             chosen["passive"] = passive
+            hand = load(**chosen)
+        coupled, told = _one_motor(hand, ask)
+        notes += told
+        if coupled:
+            chosen["edits"] = [*edits, coupled]
             hand = load(**chosen)
     # After the passive joints, so that a joint without a motor is not taken for a wrist.
     ignored, reasons = _ignored(hand, ask)
@@ -156,18 +180,22 @@ def _settle(
     if ignored:
         chosen["ignore"] = ignored
         hand = load(**chosen)
+    added, told = _fixed_jaw(hand, ask)
+    notes += told
+    hand = replace(hand, fingers=(*hand.fingers, *added))
     # These depend on the rest posture, and are computed again if it changes below.
     pairs = allowed_collisions(hand)
     closed = closed_rest_of(hand)
     if closed is not None:
         hand = load(**chosen, rest=closed.opened)
+        hand = replace(hand, fingers=(*hand.fingers, *added))
         pairs = allowed_collisions(hand)
         notes.append(
             f"{closed.found} where the hand would rest, so hand.yaml has it rest where they are "
             f"{closed.opening * 1e3:.1f} mm apart: {closed.line}"
         )
     rest = {} if closed is None else closed.opened
-    return _Settled(hand, pairs, ignored, rest, [*hand.notes, *double_limits(hand), *notes])
+    return _Settled(hand, pairs, ignored, rest, [*hand.notes, *notes])
 
 
 def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
@@ -194,6 +222,52 @@ def _passive(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
     return (), notes
 
 
+def _one_motor(hand: Hand, ask: Ask | None) -> tuple[OneMotor | None, list[str]]:
+    """Return which jaw follows the other according to the user, or a note that it may."""
+    found = one_motor(hand)
+    if found is None:
+        return None, []
+    why = f"'{found.master}' and '{found.joint}' mirror each other, as where one motor drives both"
+    if ask is None:
+        return None, [
+            f"{why}; if so, put {found.element} into the joint '{found.joint}' of the URDF and "
+            "make the hand again, or let --ask do it"
+        ]
+    if not ask(f"{why}. Is there one motor?", True):
+        return None, []
+    return found, [f"{why}: '{found.joint}' follows by {found.element}"]
+
+
+def _fixed_jaw(hand: Hand, ask: Ask | None) -> tuple[tuple[Finger, ...], list[str]]:
+    """Return the fixed jaw that opposes the only finger according to the user, or a note on it."""
+    chain = fixed_jaw(hand)
+    if chain is None:
+        only = (
+            "there is only one finger; if a fixed part acts as another, add a group for it to the "
+            "SRDF"
+        )
+        return (), [only] if len(hand.fingers) == 1 else []
+    if ask is None:
+        return (), [
+            f"there is only one finger; {chain.reason}: it becomes the second finger by "
+            f'<group name="fixed"><link name={quoteattr(chain.links[-1])}/></group> in the SRDF '
+            f'and <group name="fixed"/> in its group {GROUP_OF_FINGERS}, or by --ask'
+        ]
+    if not ask(f"{chain.reason}. Is it the second finger?", True):
+        return (), []
+    finger = Finger(
+        name=chain.name,
+        base=chain.links[0],
+        tip=chain.tip(hand.urdf),
+        tip_links=(chain.links[-1],),
+        links=chain.links,
+        actuators=(),
+        own=(),
+        reason=chain.reason,
+    )
+    return (finger,), [chain.reason]
+
+
 def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
     """Return the actuators to ignore, and a note about them."""
     found = carriers(hand)
@@ -205,8 +279,10 @@ def _ignored(hand: Hand, ask: Ask | None) -> tuple[tuple[str, ...], list[str]]:
     them = "it" if one else "them"
     if ask is not None and not ask(f"{why}. Ignore {them}?", True):
         return (), []
-    line = ignore_line(found)
-    return found, [f"{why}, so hand.yaml ignores {them} by '{line}'"]
+    line, palm = ignore_line(found), hand.fingers[0].links[0]
+    return found, [
+        f"{why}, so hand.yaml ignores {them} by '{line}'; --root {palm} takes the hand alone"
+    ]
 
 
 def _fill(folder: Path, settled: _Settled, srdf: Path | str | None) -> list[str]:

@@ -33,6 +33,7 @@ def format_srdf(hand: Hand, pairs: Sequence[DisabledPair], *, with_rest: bool = 
         lines += _group(finger)
     lines.append(f'  <group name="{GROUP_OF_FINGERS}">')
     lines += [f"    <group name={quoteattr(finger.name)}/>" for finger in hand.fingers]
+    lines += [f"    <joint name={quoteattr(name)}/>" for name in _beside(hand)]
     lines.append("  </group>")
     lines.append(
         f'  <end_effector name="end_effector" parent_link={quoteattr(hand.base)} '
@@ -81,13 +82,25 @@ def _with_lines(srdf: str, lines: Sequence[str]) -> str:
 def _group(finger: Finger) -> list[str]:
     # XML comments must not contain two hyphens in a row.
     reason = re.sub("-(?=-)", "- ", escape(finger.reason))
+    base, end = quoteattr(finger.links[0]), quoteattr(finger.links[-1])
+    # A part that does not move is named alone: the joint above it, as of an arm, is not its own.
+    chain = (
+        f"<chain base_link={base} tip_link={end}/>" if finger.actuators else f"<link name={end}/>"
+    )
     return [
         f"  <!-- {reason} -->",
         f"  <group name={quoteattr(finger.name)}>",
-        f"    <chain base_link={quoteattr(finger.links[0])} "
-        f"tip_link={quoteattr(finger.links[-1])}/>",
+        f"    {chain}",
         "  </group>",
     ]
+
+
+def _beside(hand: Hand) -> list[str]:
+    """Return the actuators of which no joint is on a finger, such as those of a wrist."""
+    links = {link for finger in hand.fingers for link in finger.links[1:]}
+    moves = hand.transmission.moves
+    used = {moves(row) for row, joint in enumerate(hand.joints) if joint.child in links}
+    return [name for index, name in enumerate(hand.actuator_names) if index not in used]
 
 
 def _passive(hand: Hand) -> list[str]:

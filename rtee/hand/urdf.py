@@ -204,3 +204,13 @@ class Urdf:
             raise UnknownLink(base, tuple(self.links), path=self.path)
         links = (self.root, *(joint.child for joint in self.path_to(tip)))
         return links[links.index(base) :] if base in links else None
+
+    def master(self, joint: str) -> str:
+        """Return the joint that a joint follows in the end; itself if it follows none."""
+        seen = [joint]
+        while (at := self.joints.get(seen[-1])) is not None and at.mimic is not None:
+            # Loops of mimics are refused elsewhere, with their line.
+            if at.mimic.of in seen:
+                break
+            seen.append(at.mimic.of)
+        return seen[-1]

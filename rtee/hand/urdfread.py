@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from rtee.errors import ModelError, UnknownLink
 from rtee.hand.frames import angles, origin, pose_matrix
-from rtee.hand.subtree import Subtree
 from rtee.hand.urdf import (
     Triple,
     Urdf,
@@ -42,21 +41,28 @@ _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed")
 _LIMITED: Final = ("revolute", "prismatic")
 
 
-def read_urdf(path: Path | str, subtree: Subtree | None = None) -> Urdf:
-    """Read a URDF; of a whole robot, only the hand, if ``subtree`` says which part that is.
+class Edit(Protocol):
+    """A change of a robot's description, before anything else is made of it."""
+
+    def of(self, robot: Element, whole: Urdf) -> Element:
+        """Return the changed ``<robot>``, given the present one, also as it was read."""
+
+
+def read_urdf(path: Path | str, edits: Sequence[Edit] = ()) -> Urdf:
+    """Read a URDF, with changes such as `rtee.hand.subtree.Subtree`.
 
     Raises:
-        UnknownLink: There is no such subtree.
+        UnknownLink: A change names a link that is not there.
         ModelError: The file does not exist, is neither XML nor a URDF, or describes no tree of
             links with well-defined joints; the message names file and line.
     """
     root, text = read_xml(path, "URDF")
     _check_root(root)
-    whole = _urdf(root, text)
-    if subtree is None:
-        return whole
-    hand = subtree.of(root, whole)
-    return _urdf(hand, to_text(hand))
+    urdf = _urdf(root, text)
+    for edit in edits:
+        root = edit.of(root, urdf)
+        urdf = _urdf(root, to_text(root))
+    return urdf
 
 
 def _urdf(root: Element, text: str) -> Urdf:

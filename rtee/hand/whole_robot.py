@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from rtee.errors import ModelError
 from rtee.hand.chains import Chain
 from rtee.hand.linkages import Mover
+from rtee.hand.model import Hand, JointRole
 from rtee.hand.names import shared_length
 from rtee.hand.urdf import Urdf, UrdfJoint
 
@@ -102,6 +104,32 @@ def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
     ]
 
 
+def check_one_hand(hand: Hand) -> None:
+    """Refuse a robot of which a part, or several, are hands; say which ones.
+
+    Raises:
+        ModelError: The robot has several hands, or other parts besides one, or limbs and no hand.
+    """
+    # With the joints of an arm, which the hand ignores.
+    still = {joint.name for joint in hand.joints if joint.role is JointRole.PASSIVE}
+    masters = {joint.name: hand.urdf.master(joint.name) for joint in hand.joints}
+    movers = {name: Mover(master, 1.0) for name, master in masters.items() if master not in still}
+    branches = [Chain(finger.name, finger.links, "") for finger in hand.fingers]
+    hands = find_hands(branches, hand.urdf, movers)
+    whole = len(hands) == 1 and len(hands[0].ends) == len(branches)
+    if whole or (not hands and len(branches) < 2):
+        return
+    if not hands:
+        raise ModelError(
+            f"no hand is found: the {len(branches)} branches that move end in one link each, as "
+            "arms and legs do; --root LINK says where the hand is",
+            path=hand.urdf.path,
+        )
+    named = " or ".join(f"--root {each.link} ({len(each.ends)} fingers)" for each in hands)
+    what = "a hand and other parts" if len(hands) == 1 else f"{len(hands)} hands"
+    raise ModelError(f"is a robot with {what}; take a hand by {named}", path=hand.urdf.path)
+
+
 def _is_arm(joints: Sequence[str], urdf: Urdf) -> bool:
     texts = [f"{name} {urdf.joints[name].child}".lower() for name in joints]
     return len(joints) >= _SURELY_ARM or any(_ARM.search(text) for text in texts)
@@ -121,7 +149,8 @@ def _all_below(link: str, urdf: Urdf) -> list[UrdfJoint]:
 def _below(
     link: str, ends: Sequence[str], urdf: Urdf, movers: Mapping[str, Mover]
 ) -> list[FoundHand]:
-    arm: list[str] = []
+    above = urdf.joint_to.get(link)
+    arm = [above.name] if above is not None and above.name in movers else []
     paths = {end: [*(j.child for j in urdf.path_to(end))] for end in ends}
     while len(ends) > 1:
         parts: dict[str, list[str]] = {}
@@ -132,7 +161,7 @@ def _below(
         if len(parts) > 1:
             several = [part for part in parts if len(parts[part]) > 1]
             found = {part: _below(part, parts[part], urdf, movers) for part in several}
-            if _is_body(found, urdf, movers):
+            if _is_body(found, urdf):
                 return [hand for hands in found.values() for hand in hands]
             return [FoundHand(_base(link, urdf), tuple(ends), tuple(arm))]
         (link,) = parts
@@ -141,18 +170,11 @@ def _below(
     return []
 
 
-def _is_body(
-    found: Mapping[str, Sequence[FoundHand]], urdf: Urdf, movers: Mapping[str, Mover]
-) -> bool:
+def _is_body(found: Mapping[str, Sequence[FoundHand]], urdf: Urdf) -> bool:
     """Return whether parts with several tips each are hands of their own, and not of one palm."""
     if any(len(hands) > 1 for hands in found.values()):
         return True
-    arms = [
-        (urdf.joint_to[part].name in movers) + len(hand.arm)
-        for part, hands in found.items()
-        for hand in hands
-    ]
-    if any(arm >= _ARM_JOINTS for arm in arms):
+    if any(len(hand.arm) >= _ARM_JOINTS for hands in found.values() for hand in hands):
         return True
     shapes = [_plain(part, urdf) for part in found]
     return len(shapes) > 1 and all(shape == shapes[0] for shape in shapes)
