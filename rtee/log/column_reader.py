@@ -219,10 +219,12 @@ class Rows:
     def column(self, name: str, default: float = 0) -> NDArray[Any]:
         """Return a field of all messages ``(k, n)``, with the default for messages without it.
 
-        Recordings of earlier versions may lack the field.
+        Recordings of earlier versions may lack the field; those of other programs may have
+        positions alone.
         """
-        if name in self._columns:
-            return self._columns[name][: self._count]
+        column = self._columns.get(name)
+        if column is not None and column.shape[1] == len(self.names):
+            return column[: self._count]
         return np.full((self._count, len(self.names)), default)
 
     def scalars(self, name: str) -> NDArray[Any]:

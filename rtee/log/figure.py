@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtee.errors import LogError
 from rtee.log.labels import Band, Label, bands_of, labels_of
-from rtee.log.recording import JointSeries, Recording
+from rtee.log.recording import ActuatorSeries, JointSeries, Recording
 from rtee.sample import FloatArray
 
 MOST_POINTS = 4000
@@ -161,7 +161,7 @@ def figure(
     Raises:
         LogError: if there is nothing to show, or an actuator is unknown.
     """
-    states = recording.actuator_states
+    states = recording.states
     chosen = list(actuators) or list(states.names)
     for name in chosen:
         states.index(name)
@@ -259,7 +259,7 @@ def _position_lines(
 ) -> list[Line]:
     lines = []
     series: tuple[tuple[JointSeries, bool], ...] = (
-        (recording.actuator_states, False),
+        (recording.states, False),
         (recording.reference, True),
     )
     for source, dashed in series:
@@ -274,10 +274,10 @@ def _position_lines(
 
 def _efforts(recording: Recording, within: NDArray[np.bool_]) -> tuple[FloatArray | None, str]:
     """Return the values and label of the right column: efforts, or currents as a substitute."""
-    states = recording.actuator_states
+    states = recording.states
     # A device may measure neither, or only currents, without a known torque constant.
     if not np.isnan(states.effort[within]).all():
         return states.effort, "effort [N·m | N]"
-    if not np.isnan(states.current[within]).all():
+    if isinstance(states, ActuatorSeries) and not np.isnan(states.current[within]).all():
         return states.current, "current [A]"
     return None, "effort"

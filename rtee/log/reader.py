@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -115,6 +116,11 @@ class _Collector:
                     f"is a recording of '{other.hand}', not of '{self._hand}'", path=other.path
                 )
         self._notes = [f"{each.path.name}: {note}" for each in surveys for note in each.notes]
+        self._notes += [
+            f"{each.path.name}: {each.loose} messages outside chunks are not read"
+            for each in surveys
+            if each.loose
+        ]
         self._names = {topics.log_topic(self._hand, name): name for name in topics.TYPES}
         self._files = [(each, self._channels(each)) for each in surveys]
         # The indexes give the number of messages, and so the final size of the arrays.
@@ -145,7 +151,8 @@ class _Collector:
 
     def read(self) -> Recording:
         for file, channels in self._files:
-            if not channels and not file.values:
+            # Whatever is wanted of it: it is one if it has any topic of a hand.
+            if not file.values and not any(c.topic in self._names for c in file.channels.values()):
                 raise LogError("holds no recording of a hand", path=file.path)
             try:
                 self._file(file, channels)
@@ -296,7 +303,10 @@ class _Collector:
             t=(wall - start) / SECOND,
             wall=wall,
             names=table.names,
-            **{key: table.column(key)[order] for key in ("position", "velocity", "effort")},
+            **{
+                key: table.column(key, math.nan)[order]
+                for key in ("position", "velocity", "effort")
+            },
         )
 
     def _actuators(self, start: int) -> ActuatorSeries:

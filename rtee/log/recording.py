@@ -272,6 +272,11 @@ class Recording:
     damage: tuple[str, ...] = ()
 
     @property
+    def states(self) -> JointSeries:
+        """The states of the actuators, or else those of the joints, as of other programs."""
+        return self.actuator_states if len(self.actuator_states) else self.joint_states
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last message [s]."""
         return (self.end - self.start) / SECOND

@@ -84,9 +84,10 @@ _FIXED = frozenset({ROBOT_DESCRIPTION, TF, TF_STATIC})
 def log_topic(hand: str, name: str) -> str:
     """Return a topic's full name in a recording.
 
-    Only ``/robot_description``, ``/tf`` and ``/tf_static`` lack the hand.
+    Only ``/robot_description``, ``/tf`` and ``/tf_static`` lack the hand, and all topics where it
+    has no name, as in recordings of other programs.
     """
-    return f"/{name}" if name in _FIXED else f"/{hand}/{name}"
+    return f"/{name}" if name in _FIXED or not hand else f"/{hand}/{name}"
 
 
 def network_key(hand: str, name: str) -> str:
