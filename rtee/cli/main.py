@@ -151,6 +151,13 @@ def main() -> None:
     except RteeError as error:
         print(f"rtee: {error}", file=sys.stderr)
         sys.exit(error.exit_status)
+    except BaseExceptionGroup as group:
+        # Tasks that ran side by side: the mistake is the same, however many of them met it.
+        mistake = _mistake(group)
+        if mistake is None:
+            raise
+        print(f"rtee: {mistake}", file=sys.stderr)
+        sys.exit(mistake.exit_status)
     except _Usage as error:
         _explain(error)
         sys.exit(error.exit_code)
@@ -164,6 +171,17 @@ def main() -> None:
         _exit_unflushed(2)
     except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)  # 128 + SIGINT, the shells' convention
+
+
+def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
+    """Return the first error of a group if all of them are sentences for the user."""
+    own, others = group.split(RteeError)
+    if own is None or others is not None:
+        return None
+    first: BaseException = own
+    while isinstance(first, BaseExceptionGroup):
+        first = first.exceptions[0]
+    return first if isinstance(first, RteeError) else None
 
 
 def _shortage(error: ImportError | MemoryError | OSError) -> str:

@@ -125,6 +125,10 @@ def run(
     if driver is not None and not driver.strip():
         raise ConfigError("--driver is empty; give kinematic, devices or a driver's name")
     log_to_stderr(verbose)
+    if ros2:
+        from rtee.ros2.session import check_environment
+
+        check_environment()
     driver_options = named_values(option or [], "--option", "the option")
     driver_options |= _scene(driver, object_, gravity, friction)
     options = RunOptions(

@@ -54,6 +54,7 @@ def make_fingers(
     inside = {link for chain in given for link in chain.links}
     branches = [branch for branch in branches if branch.links[-1] not in inside]
     if given:
+        _tips(given, urdf, srdf)  # before linkages join fingers that have the same tip by mistake
         linked = join_linkages(given, branches, urdf, movers)
         notes += [
             f"'{chain.name}' is a bar of a linkage, and no finger of its own"

@@ -16,7 +16,7 @@ import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import zenoh
 
@@ -24,13 +24,15 @@ from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
 from rtee.remote.credentials import identity
 
+_RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+
 RUNTIME = "(rx:(worker_threads:1),tx:(worker_threads:1)"
 RUNTIME += ",acc:(handover:rx),net:(handover:rx),app:(handover:rx))"
 """Zenoh's threads: one for sending and one for all else, so that a message wakes only two threads.
 
 They are two because the sending thread may have to wait. Callbacks never wait."""
 
-os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)  # read when the first session is opened
+os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME)  # read when the first session is opened
 
 LEASE = 1000
 """Time without a message after which a peer counts as dead [ms]: peers send four keep-alives in
@@ -175,6 +177,27 @@ def local_endpoint(path: Path) -> str:
     return endpoint
 
 
+def open_session(config: zenoh.Config) -> zenoh.Session:
+    """Open a session of Zenoh, which reads its threads from a variable of the environment.
+
+    Raises `ConfigError` if that is wrong, `zenoh.ZError` for all that Zenoh itself refuses.
+    """
+    text = os.environ.get(_RUNTIME_VARIABLE, "").strip()
+    wrong = ConfigError(
+        f"{_RUNTIME_VARIABLE}={text[:80]} does not describe Zenoh's threads, as "
+        "(rx:(worker_threads:1)) does"
+    )
+    # Zenoh ends the thread with a message of its own where it cannot parse the variable.
+    if not (text.startswith("(") and text.endswith(")") and text.count("(") == text.count(")")):
+        raise wrong
+    try:
+        return zenoh.open(config)
+    except BaseException as error:
+        if type(error).__name__ == "PanicException":
+            raise wrong from None
+        raise
+
+
 def open_server(
     local: Path,
     listen: Sequence[str] = (),
@@ -203,7 +226,7 @@ def open_server(
         "transport/link/tx/queue/size/interactive_high": 16,
     }
     try:
-        session = zenoh.open(_configured(settings | dict(further or {})))
+        session = open_session(_configured(settings | dict(further or {})))
         # Zenoh makes the socket with the process's umask, which may be anything.
         local.chmod(_SOCKET_MODE)
         return session, endpoint
@@ -248,7 +271,7 @@ def open_client(endpoints: Sequence[str]) -> zenoh.Session:
         # Without a listener, Zenoh itself would retry for a long time.
         for endpoint in endpoints:
             _probe(endpoint)
-        session = zenoh.open(_configured(settings))
+        session = open_session(_configured(settings))
         disable_linger()
         return session
     except (OSError, OverflowError, UnicodeError, zenoh.ZError) as error:

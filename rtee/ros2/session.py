@@ -17,6 +17,7 @@ import zenoh
 
 from rtee.errors import ConfigError, NoRouter
 from rtee.hand.config_schema import Distro, Ros2Settings
+from rtee.remote import session as remote_session
 from rtee.remote.credentials import identity
 from rtee.remote.session import TLS, check_endpoints, is_safe
 
@@ -117,6 +118,13 @@ def domain_of(settings: Ros2Settings, environment: Mapping[str, str] | None = No
     return int(text)
 
 
+def check_environment() -> None:
+    """Refuse variables of the environment that no node could use; raises `ConfigError`."""
+    domain_of(Ros2Settings())
+    router_attempts()
+    configuration(Ros2Settings())
+
+
 def router_attempts(environment: Mapping[str, str] | None = None) -> int:
     """Return the number of checks for a router at the start; 0: no limit, negative: none.
 
@@ -187,9 +195,9 @@ def _insert(config: zenoh.Config, key: str, value: str, source: str) -> None:
     try:
         config.insert_json5(key, value)
     except zenoh.ZError as error:
-        raise ConfigError(
-            f"{source}: {key}={value} is not a setting of Zenoh: {_words(error)}"
-        ) from None
+        words = _words(error)
+        why = "the value is not JSON5" if words.startswith("Json5Err") else words
+        raise ConfigError(f"{source}: {key}={value} is not a setting of Zenoh: {why}") from None
 
 
 def _words(error: zenoh.ZError) -> str:
@@ -203,7 +211,7 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     Raises `NoRouter` if that does not answer, `ConfigError` if an endpoint cannot be used.
     """
     try:
-        return zenoh.open(config)
+        return remote_session.open_session(config)
     except zenoh.ZError as error:
         words = _words(error)
         # Zenoh has a single exception, whose text alone distinguishes the reasons.
@@ -238,7 +246,7 @@ async def open_router(listen: str, *, insecure: bool = False) -> AsyncIterator[N
         config.insert_json5(key, json.dumps(value))
     try:
         config.insert_json5("listen/endpoints", json.dumps([listen]))
-        session = await anyio.to_thread.run_sync(zenoh.open, config)
+        session = await anyio.to_thread.run_sync(remote_session.open_session, config)
     except zenoh.ZError as error:
         raise ConfigError(f"the router cannot listen on {listen}: {_words(error)}") from None
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -128,10 +129,10 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
         if any(sensor.link in finger.tip_links for sensor in found):
             continue
         surfaces = {link: _surface_of(model, LINK + link) for link in finger.tip_links}
-        # The pad of a tip of several links is the largest of them; the others may be markers.
-        pad = max(surfaces, key=lambda link: _extent(surfaces[link]), default=None)
-        if pad is None or not len(surfaces[pad]):
+        surfaces = {link: surface for link, surface in surfaces.items() if len(surface)}
+        if not surfaces:
             continue
+        pad = _pad(surfaces, hand, finger)
         on_pad = replace(finger, tip=pad)
         position, normal = _on_pad(surfaces[pad], hand, on_pad, (rows, columns))
         found.append(
@@ -148,10 +149,21 @@ def _sensors(model: mujoco.MjModel, hand: Hand, which: str) -> tuple[TouchSensor
     return tuple(found)
 
 
-def _extent(corners: FloatArray) -> float:
-    """Return the diagonal of the bounding box of triangles ``(t, 3, 3)`` [m]."""
-    points = corners.reshape(-1, 3)
-    return float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
+def _pad(surfaces: Mapping[str, FloatArray], hand: Hand, finger: Finger) -> str:
+    """Return the link of a fingertip that is in front where the finger closes.
+
+    Its surfaces are given by link, as triangles ``(t, 3, 3)`` in the link's frame [m].
+    """
+    if len(surfaces) == 1:
+        return next(iter(surfaces))
+    poses = {link: tip_pose_and_jacobian(hand, link, hand.rest)[0] for link in surfaces}
+    tip = np.linalg.inv(tip_pose_and_jacobian(hand, str(finger.tip), hand.rest)[0])
+    points = {
+        link: corners.reshape(-1, 3) @ (tip @ poses[link])[:3, :3].T + (tip @ poses[link])[:3, 3]
+        for link, corners in surfaces.items()
+    }
+    towards = pad_direction(hand, finger, np.concatenate(list(points.values())).mean(axis=0))
+    return max(points, key=lambda link: float((points[link] @ towards).max()))
 
 
 def pad_direction(hand: Hand, finger: Finger, middle: FloatArray) -> FloatArray:
