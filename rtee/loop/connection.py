@@ -8,21 +8,22 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rtee.drivers.base import Driver
+import anyio
+
 from rtee.errors import (
     BusBroken,
     BusClosed,
     CommandRejected,
     DeviceFault,
-    DriverError,
     HandshakeError,
     NotConnected,
     RteeError,
     UserError,
 )
+from rtee.loop.guarded_driver import GuardedDriver, line, warnings_of
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
-from rtee.sample import ActuatorState, measured_arrays
+from rtee.sample import ActuatorState
 from rtee.types import Lifecycle, Reference
 
 log = logging.getLogger(__name__)
@@ -111,7 +112,7 @@ class Connection:
     def __init__(
         self,
         settings: DeviceSettings,
-        driver: Driver,
+        driver: GuardedDriver,
         runner: Runner,
         report: Callable[[str, str, str], None],
         now: Callable[[], float],
@@ -134,7 +135,6 @@ class Connection:
         self._runner = runner
         self._report = report
         self._now = now
-        self._size = len(settings.spec.actuators)
         # Only the first time: a device that reconnects must not move before somebody recovers it.
         self._activate_on_connect = True
         self._linked_before = False
@@ -143,6 +143,7 @@ class Connection:
         # Connect at the first tick.
         self._next_at = -math.inf
         self._answered = -math.inf
+        self._said: tuple[str, ...] = ()
         self._warned: tuple[str, ...] = ()
 
     def due(self) -> bool:
@@ -172,24 +173,16 @@ class Connection:
             self.counters.in_row = 0
 
     def accept(self, state: ActuatorState) -> None:
-        """Keep a state that the driver returned.
-
-        Raises:
-            DriverError: if it does not have one value for each actuator.
-        """
-        n = self._size
-        # A wrong length would only show much later, as values of another actuator.
-        if {*map(len, measured_arrays(state))} != {n}:
-            text = f"gave a state that is not one of {n} actuators"
-            raise DriverError(self._spec.name, text, hint="mend its driver")
+        """Keep a state that the driver returned."""
         self.state = state
         self.states += 1
         self._answered = self._now()
-        if state.warnings != self._warned:
-            for warning in state.warnings:
-                if warning not in self._warned:
+        if state.warnings != self._said:
+            self._said, known = state.warnings, self._warned
+            self._warned = warnings_of(state)
+            for warning in self._warned:
+                if warning not in known:
                     self._report("device_warning", warning, "warning")
-            self._warned = state.warnings
 
     # --- connecting --------------------------------------------------------------------------
 
@@ -365,11 +358,12 @@ class Connection:
         # Twice the time: the timeout below fires first, and cancelling takes some time, too.
         self._runner.begin(2 * CLOSE_WITHIN)
         try:
-            async with asyncio.timeout(CLOSE_WITHIN):
+            # Unlike asyncio's, this timeout cancels again and again a driver that goes on.
+            with anyio.fail_after(CLOSE_WITHIN):
                 await self._driver.close()
         except Exception as error:
-            log.warning("device '%s' did not close cleanly: %s", self._spec.name, error)
+            log.warning("device '%s' did not close cleanly: %s", self._spec.name, _words(error))
 
 
 def _words(error: BaseException) -> str:
-    return str(error) or type(error).__name__
+    return line(error) or type(error).__name__

@@ -225,9 +225,12 @@ class Controller:
                 self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 self._hold(stamp, self._free())
             case Freeze(reason, actuators):
-                self._end_stream(stamp, reason or "the hand has stopped")
-                self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
-                frozen = self._indices(actuators)
+                frozen, plan, stream = self._indices(actuators), self.running, self.stream
+                # A device that refuses its references ends nothing of the others.
+                if not actuators or (stream and not set(stream.indices).isdisjoint(frozen)):
+                    self._end_stream(stamp, reason or "the hand has stopped")
+                if not actuators or (plan and not plan.involved.isdisjoint(frozen)):
+                    self._executor.end(stamp, self._measured, cancelled=True, reason=reason)
                 # Before contacts are forgotten: they tell a blocked finger from a broken encoder.
                 self.starts.brake(frozen)
                 self._leave_hold(frozen)

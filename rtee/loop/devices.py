@@ -122,7 +122,7 @@ class Devices:
             # The reference starts from the measured position, so there must be a valid one.
             if self.state.known(device):
                 self._active[device.name] = True
-                accepts = "max_effort" in device.driver.capabilities.accepts
+                accepts = "max_effort" in device.guarded.capabilities.accepts
                 # Before SetActive, with which the first references go out.
                 steer(SetAcceptsEffort(dict.fromkeys(names, accepts)))
                 steer(SetActive(dict.fromkeys(names, True)))
@@ -153,7 +153,7 @@ class Devices:
             # Only the last one is kept: a text may contain a value, and a dictionary of all texts
             # would grow.
             self._warned = {text: now}
-            self._on_event(Event(kind, device, text, now, "warning"))
+            self.by_name[device].warn(kind, text)
 
     def movable(self) -> frozenset[int]:
         """Return the actuators that may be moved."""
@@ -170,7 +170,7 @@ class Devices:
         idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
         if not idle:
             return
-        doing = [f"; {d.name} is {d.driver.doing}" for d in self._all if d.driver.doing]
+        doing = [f"; {d.name} is {d.guarded.doing}" for d in self._all if d.guarded.doing]
         hint = "".join(doing) or "; see `rtee status`, then recover"
         raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")
 
@@ -272,7 +272,7 @@ class Devices:
     @property
     def object_description(self) -> ObjectDescription | None:
         """The object that a simulated device of the hand grasps, if there is one."""
-        return next(filter(None, (device.driver.object_description for device in self._all)), None)
+        return next(filter(None, (device.guarded.object_description for device in self._all)), None)
 
     async def set_gains(self, gains: Mapping[str, float], name: str | None) -> None:
         """Change gains of a device, or of all that have them.
@@ -282,7 +282,7 @@ class Devices:
             RteeError: if a device refuses them.
         """
         chosen = self._chosen(name)
-        known = {gain for device in chosen for gain in device.driver.capabilities.gains}
+        known = {gain for device in chosen for gain in device.guarded.capabilities.gains}
         for gain, value in gains.items():
             if gain not in known:
                 raise ConfigError(f"unknown gain '{gain}'; {suggestion(gain, known)}")
@@ -290,7 +290,7 @@ class Devices:
             if not math.isfinite(value):
                 raise ConfigError(f"the gain '{gain}' must be a number, not {value:g}")
         for device in chosen:
-            own = {k: v for k, v in gains.items() if k in device.driver.capabilities.gains}
+            own = {k: v for k, v in gains.items() if k in device.guarded.capabilities.gains}
             if own:
                 await device.set_gains(own)
 
@@ -307,7 +307,7 @@ def device_forces(hand: Hand, devices: Iterable[Supervisor]) -> DeviceForces:
     grips: dict[int, GripForce] = {}
     unlimited: set[int] = set()
     for device in devices:
-        can = device.driver.capabilities
+        can = device.guarded.capabilities
         if "max_effort" not in can.accepts:
             refused |= dict.fromkeys(device.indices, can.refuses.get("max_effort", ""))
         grips |= {i: can.grip[names[i]] for i in device.indices if names[i] in can.grip}

@@ -13,6 +13,10 @@ from typing import Any
 
 Work = Coroutine[Any, Any, object]
 
+_ABANDON_AFTER = 1.0
+"""Time after its deadline from which work that goes on all the same is abandoned [s]: a clean-up
+that waits for a bus takes some hundredths."""
+
 
 class Runner:
     """Runs coroutines in one task, one at a time, and abandons them at a deadline.
@@ -28,12 +32,17 @@ class Runner:
 
     Args:
         now: The clock of the hand's loop [s].
+
+    Attributes:
+        abandon: Called before work is cancelled that goes on though it was interrupted: it must
+            then raise `TimeoutError`, and take back that cancellation.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._until = math.inf
         self._timeout: asyncio.Timeout | None = None
+        self.abandon: Callable[[], None] = lambda: None
         self._task: asyncio.Task[Any] | None = None
         self._idle = _Idle()
         self._begun: tuple[Work, object] | None = None
@@ -84,12 +93,20 @@ class Runner:
 
     async def carry_on(self) -> None:
         """Wait until `start` has left an unfinished coroutine, and finish it."""
+        self._check_expired()
         self.end()
         self._task = asyncio.current_task()
         await self._idle
         if self._begun is not None:
             (work, waits_for), self._begun = self._begun, None
             await _rest(work, waits_for)
+            self._check_expired()
+
+    def _check_expired(self) -> None:
+        """Raise `TimeoutError` if work was interrupted and has ended in another way."""
+        # The guard must be left, since a timeout acts only once.
+        if self._timeout is not None and self._timeout.expired():
+            raise TimeoutError
 
     # --- deadlines ---------------------------------------------------------------------------
 
@@ -115,8 +132,13 @@ class Runner:
 
     def check(self) -> None:
         """Abandon the present work if its deadline has passed."""
-        if self._now() >= self._until:
+        over = self._now() - self._until
+        if over >= 0.0:
             self.interrupt()
+        if over >= _ABANDON_AFTER and self._task is not None and not self.idle:
+            self._until = self._now()  # again after as long, if need be
+            self.abandon()
+            self._task.cancel()
 
     def interrupt(self, after: float = 0.0) -> None:
         """Abandon the present work unless it is done ``after`` seconds of the event loop's time."""

@@ -153,7 +153,7 @@ class StateAggregator:
             measured.grasped = grasped.tolist()
         name, extras = self._devices[k].name, state.extras
         if state.touch is not None:
-            self._touch.take(name, self._devices[k].driver.capabilities, state.touch)
+            self._touch.take(name, self._devices[k].guarded.capabilities, state.touch)
         felt = self._touch.forces.get(name)
         # The device's own forces on its fingers take precedence over the sums of its taxels.
         if felt is not None and TIP_FORCE not in extras:

@@ -17,6 +17,7 @@ from rtee.buses.retry import patiently
 from rtee.drivers.base import Driver
 from rtee.errors import BusTimeout, DriverError, NotConnected, RteeError, foreign
 from rtee.loop.connection import ACTIVATE_WITHIN, Connection
+from rtee.loop.guarded_driver import GuardedDriver
 from rtee.loop.runner import Runner
 from rtee.loop.settings import DeviceSettings
 from rtee.types import DeviceStatus, Event, Lifecycle, Reference
@@ -24,11 +25,37 @@ from rtee.types import DeviceStatus, Event, Lifecycle, Reference
 log = logging.getLogger(__name__)
 
 
+_BURST = 10.0
+"""Events of one kind that a device may cause at once: more than any cause of trouble has."""
+
+_EVENT_RATE = 1.0
+"""Further events of that kind [1/s]: each is recorded, published and shown to people."""
+
+
 @dataclass(slots=True)
 class _Request:
     name: str
     action: Callable[[], Awaitable[Any]]
     answer: asyncio.Future[Any]
+
+
+class _EventLimit:
+    """Limits the events of one kind of a device: a burst, then one a second."""
+
+    def __init__(self, now: float) -> None:
+        self._left, self._then = _BURST, now
+        self._left_out = 0
+
+    def allow(self, now: float) -> int | None:
+        """Return how many events were left out before this one; ``None`` if it is left out."""
+        self._left = min(self._left + (now - self._then) * _EVENT_RATE, _BURST)
+        self._then = now
+        if self._left < 1.0:
+            self._left_out += 1
+            return None
+        self._left -= 1.0
+        left_out, self._left_out = self._left_out, 0
+        return left_out
 
 
 class Supervisor:
@@ -48,7 +75,8 @@ class Supervisor:
 
     Attributes:
         spec: The device as configured.
-        driver: Its driver.
+        driver: Its driver; call it through ``guarded``.
+        guarded: The driver as the loop calls it.
         name: Its name.
         actuators: Names of its actuators.
         indices: The hand's indices of its actuators.
@@ -74,7 +102,10 @@ class Supervisor:
         self._on_event = on_event
         self._now = now
         self._runner = Runner(now)
-        self.connection = Connection(settings, driver, self._runner, self._report, now)
+        self.guarded = GuardedDriver(driver, self.name, len(self.actuators))
+        self._runner.abandon = self._abandon
+        self.connection = Connection(settings, self.guarded, self._runner, self._report, now)
+        self._limits: dict[str, _EventLimit] = {}
         self._requests: deque[_Request] = deque()
         self._closed: Exception | None = None
         self._next_due = 0
@@ -105,12 +136,12 @@ class Supervisor:
         """Return the status of the device."""
         now, link = self._now(), self.connection
         counters, fault = link.counters, link.fault
-        gains, known = self.driver.capabilities.gains, self.driver.gains()
+        gains, known = self.guarded.capabilities.gains, self.guarded.gains()
         return DeviceStatus(
             name=self.name,
             driver=self.spec.driver,
             lifecycle=link.lifecycle,
-            identity=self.driver.capabilities.identity,
+            identity=self.guarded.capabilities.identity,
             rate=counters.rate(now),
             every=link.every,
             age=math.inf if link.state is None else max(0.0, now - link.state.stamp),
@@ -118,19 +149,35 @@ class Supervisor:
             overruns=counters.overruns,
             errors=counters.errors,
             reconnects=counters.reconnects,
-            counters=self.driver.counters(),
+            counters=self.guarded.counters(),
             fault_code=0 if fault is None else fault.code,
-            fault_name="" if fault is None else foreign(fault.name),
+            fault_name="" if fault is None else fault.name,
             recoverable=fault is not None and fault.recoverable,
             hint="" if fault is None else fault.hint,
-            message=foreign(self.driver.doing or link.message),
+            message=self.guarded.doing or link.message,
             gains=gains,
             gain_values=tuple(known.get(name, math.nan) for name in gains),
         )
 
     def _report(self, kind: str, text: str, severity: str) -> None:
-        text = f"device '{self.name}' {foreign(text)}"
-        self._on_event(Event(kind, self.name, text, self._now(), severity))
+        self._tell(kind, f"device '{self.name}' {foreign(text)}", severity)
+
+    def warn(self, kind: str, text: str) -> None:
+        """Report a warning about the device, within the limits of its events."""
+        self._tell(kind, foreign(text), "warning")
+
+    def _tell(self, kind: str, text: str, severity: str) -> None:
+        now = self._now()
+        limit = self._limits.setdefault(kind, _EventLimit(now))
+        left_out = limit.allow(now)
+        if left_out is None:
+            return
+        if left_out:
+            text += f"; {left_out} more such events were left out"
+        self._on_event(Event(kind, self.name, text, now, severity))
+
+    def _abandon(self) -> None:
+        self.guarded.abandoned = True
 
     # --- at a tick ---------------------------------------------------------------------------
 
@@ -147,8 +194,9 @@ class Supervisor:
     def exchange(self, reference: Reference | None) -> None:
         """Run one exchange: read the state, then send the reference if there is one."""
         link, runner = self.connection, self._runner
-        if self.driver.doing != self._doing:
-            self._report_doing()
+        doing = self.guarded.doing
+        if doing != self._doing:
+            self._report_doing(doing)
         if not runner.idle:
             link.counters.overruns += self._exchanging
             # Time comes from the ticks, so that deadlines hold in simulated time, too.
@@ -162,9 +210,9 @@ class Supervisor:
             if not runner.start(link.exchange(None if self.muted else reference)):
                 runner.begin(link.deadline)
 
-    def _report_doing(self) -> None:
+    def _report_doing(self, doing: str) -> None:
         """Report what the driver has begun to do; only the first of several steps is a warning."""
-        before, self._doing = self._doing, self.driver.doing
+        before, self._doing = self._doing, doing
         if self._doing:
             self._report("device_busy", f"is {self._doing}", "info" if before else "warning")
 
@@ -234,29 +282,29 @@ class Supervisor:
             DriverError: if the device has no such gain.
             RteeError: if the device refuses them.
         """
-        known = self.driver.capabilities.gains
+        known = self.guarded.capabilities.gains
         for name in gains:
             if name not in known:
                 hint = f"it has: {', '.join(known) or 'none'}"
                 raise DriverError(self.name, f"has no gain '{name}'", hint=hint)
-        await self._ask("set gains", lambda: self.driver.set_gains(gains))
+        await self._ask("set gains", lambda: self.guarded.set_gains(gains))
 
     async def _stop(self) -> None:
-        await patiently(self.driver.stop)
-        self.connection.accept(await patiently(self.driver.sense))
+        await patiently(self.guarded.stop)
+        self.connection.accept(await patiently(self.guarded.sense))
 
     async def _disable(self) -> None:
-        await patiently(self.driver.disable)
-        await patiently(self.driver.deactivate)
+        await patiently(self.guarded.disable)
+        await patiently(self.guarded.deactivate)
         self.connection.deactivated("it was disabled")
-        self.connection.accept(await patiently(self.driver.sense))
+        self.connection.accept(await patiently(self.guarded.sense))
 
     async def _send_last(self, reference: Reference) -> bool:
-        self.connection.accept(await patiently(self.driver.sense))
+        self.connection.accept(await patiently(self.guarded.sense))
         # An inactive device would refuse the reference, and does not move anyway.
         if not self.active:
             return False
-        await patiently(lambda: self.driver.move(reference))
+        await patiently(lambda: self.guarded.move(reference))
         return True
 
     async def _confirmed(

@@ -200,7 +200,7 @@ class QueryHandlers:
         }
 
     def _object_description(self, _: Fields) -> Fields:
-        objects = (device.driver.object_description for device in self._loop.devices.values())
+        objects = (device.guarded.object_description for device in self._loop.devices.values())
         return OBJECT.fields(next(filter(None, objects), NO_OBJECT))
 
     def _recording_path(self) -> str:

@@ -1,0 +1,275 @@
+"""A driver as the loop calls it: whatever it returns, raises or ignores costs its device alone.
+
+Drivers may be written by anybody. Their states are checked here, where they enter, and not later,
+where a wrong one would end the run of all devices. A driver that blocks the thread instead of
+waiting cannot be guarded against.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import types
+from collections.abc import Awaitable, Callable, Coroutine, Generator, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.errors import DeviceFault, DriverError, foreign
+from rtee.object_description import ObjectDescription
+from rtee.sample import NOTHING, ActuatorState, measured_arrays
+from rtee.touch import TouchReading
+from rtee.types import Reference
+
+T = TypeVar("T")
+
+_MOST_CHANNELS = 256
+"""Most further channels of a device: each is recorded and published with every state."""
+
+_MOST_VALUES = 65_536
+"""Most values of a channel or of touch: a picture of 256 by 256 pixels."""
+
+_MOST_WARNINGS = 20
+"""Most warnings of a state that are looked at; devices have as many bits in a status word."""
+
+_LONGEST = 500
+"""Longest text of a driver that is kept [characters]: some lines on a terminal."""
+
+_CANCELLATIONS = 3
+"""Cancellations after which a call that goes on all the same is abandoned: the first ones may be
+answered by a clean-up that waits."""
+
+
+class GuardedDriver:
+    """Calls a driver's methods; they raise `Exception` only, and only within bounds of time.
+
+    Args:
+        driver: The driver.
+        name: The device's name.
+        size: Number of its actuators.
+
+    Attributes:
+        abandoned: Set to make the next cancellation of a call the last one, see `Runner`.
+    """
+
+    def __init__(self, driver: Driver, name: str, size: int) -> None:
+        self._driver, self._name, self._size = driver, name, size
+        self._capabilities = Capabilities()
+        self.abandoned = False
+
+    # --- what it says of itself ------------------------------------------------------------------
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The device's capabilities, the last ones that were some."""
+        found = self._read(lambda: self._driver.capabilities, None)
+        if isinstance(found, Capabilities):
+            self._capabilities = found
+        return self._capabilities
+
+    @property
+    def doing(self) -> str:
+        """A lengthy operation under way, in words, or an empty string."""
+        return line(self._read(lambda: self._driver.doing, ""))
+
+    @property
+    def object_description(self) -> ObjectDescription | None:
+        """Shape of the object that a simulated device grasps."""
+        found = self._read(lambda: self._driver.object_description, None)
+        return found if isinstance(found, ObjectDescription) else None
+
+    def counters(self) -> Mapping[str, int]:
+        """Return the counters of the device's bus."""
+        return self._read(lambda: {line(k): int(v) for k, v in self._driver.counters().items()}, {})
+
+    def gains(self) -> Mapping[str, float]:
+        """Return the present values of gains, as far as the driver knows them."""
+        return self._read(lambda: {line(k): float(v) for k, v in self._driver.gains().items()}, {})
+
+    def _read(self, read: Callable[[], T], default: T) -> T:
+        try:
+            return read()
+        except BaseException:  # a bug in the driver, and no reason to end the run
+            return default
+
+    # --- calls -----------------------------------------------------------------------------------
+
+    async def configure(self) -> None:
+        """See `Driver.configure`."""
+        await self._call(self._driver.configure)
+
+    async def activate(self) -> None:
+        """See `Driver.activate`."""
+        await self._call(self._driver.activate)
+
+    async def sense(self) -> ActuatorState:
+        """Return a state that is one of the device's actuators; raises `DriverError` otherwise."""
+        state = await self._call(self._driver.sense)
+        self._check(state)
+        return state
+
+    async def move(self, reference: Reference) -> None:
+        """See `Driver.move`."""
+        await self._call(lambda: self._driver.move(reference))
+
+    async def stop(self) -> None:
+        """See `Driver.stop`."""
+        await self._call(self._driver.stop)
+
+    async def disable(self) -> None:
+        """See `Driver.disable`."""
+        await self._call(self._driver.disable)
+
+    async def deactivate(self) -> None:
+        """See `Driver.deactivate`."""
+        await self._call(self._driver.deactivate)
+
+    async def recover(self) -> None:
+        """See `Driver.recover`."""
+        await self._call(self._driver.recover)
+
+    async def set_gains(self, gains: Mapping[str, float]) -> None:
+        """See `Driver.set_gains`."""
+        await self._call(lambda: self._driver.set_gains(gains))
+
+    async def close(self) -> None:
+        """See `Driver.close`."""
+        await self._call(self._driver.close)
+
+    async def _call(self, method: Callable[[], Awaitable[T]]) -> T:
+        self.abandoned = False
+        try:
+            work = method()
+            if not isinstance(work, types.CoroutineType):
+                work = _awaited(work)
+            return await _bounded(work, self)
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is not None and task.cancelling():
+                raise
+            raise self._bug("its driver cancelled itself") from None
+        except DeviceFault as fault:
+            raise _plain_fault(self._name, fault) from fault
+        except Exception:
+            raise
+        # SystemExit and KeyboardInterrupt of a driver would end the event loop of all devices.
+        except BaseException as error:
+            raise self._bug(f"its driver raised {type(error).__name__}") from error
+
+    def _bug(self, text: str) -> DriverError:
+        return DriverError(self._name, text, hint="mend its driver")
+
+    # --- states ----------------------------------------------------------------------------------
+
+    def _check(self, state: ActuatorState) -> None:
+        """Raise `DriverError` unless a state can be used; fast, since it is called at each tick."""
+        n = self._size
+        if not isinstance(state, ActuatorState):
+            raise self._bug(f"gave {type(state).__name__} instead of a state")
+        for values in measured_arrays(state):
+            if type(values) is not np.ndarray or values.dtype != np.float64:
+                raise self._bug("gave a state whose quantities are not arrays of float64")
+            # A wrong length would only show much later, as values of another actuator.
+            if values.shape != (n,):
+                raise self._bug(f"gave a state that is not one of {n} actuators")
+        if not (isinstance(state.stamp, int | float) and math.isfinite(state.stamp)):
+            raise self._bug("gave a state without the time of its measurement")
+        if state.extras is not NOTHING:
+            self._check_channels(state.extras)
+        if state.grasped is not None:
+            self._check_grasped(state.grasped)
+        touch = state.touch
+        if touch is not None and not (
+            isinstance(touch, TouchReading)
+            and _is_channel(touch.values)
+            and isinstance(touch.stamp, int | float)
+            and math.isfinite(touch.stamp)
+        ):
+            raise self._bug("gave a reading of touch that is none")
+        if not (isinstance(state.warnings, tuple) and isinstance(state.fresh, bool | np.bool_)):
+            raise self._bug("gave a state with warnings that are no tuple")
+
+    def _check_channels(self, extras: Mapping[str, Any]) -> None:
+        if not isinstance(extras, Mapping) or len(extras) > _MOST_CHANNELS:
+            raise self._bug(f"gave channels that are no mapping of at most {_MOST_CHANNELS}")
+        for name, values in extras.items():
+            if not (isinstance(name, str) and name.isprintable() and _is_channel(values)):
+                raise self._bug(f"gave a channel {line(name)!r} that is no array of float64")
+
+    def _check_grasped(self, grasped: object) -> None:
+        if not (
+            isinstance(grasped, tuple)
+            and len(grasped) == self._size
+            and all(each is None or isinstance(each, bool | np.bool_) for each in grasped)
+        ):
+            raise self._bug(f"gave reports of a grasp that are not {self._size} of yes, no or None")
+
+
+def line(text: object) -> str:
+    """Return a text of a driver as one printable line of bounded length."""
+    try:
+        return foreign(str(text)[:_LONGEST])
+    except BaseException:  # even `str` is code of the driver
+        return type(text).__name__
+
+
+def warnings_of(state: ActuatorState) -> tuple[str, ...]:
+    """Return the warnings of a state as printable lines, a bounded number of them."""
+    return tuple(map(line, state.warnings[:_MOST_WARNINGS]))
+
+
+def _is_channel(values: object) -> bool:
+    return (
+        isinstance(values, np.ndarray)
+        and values.ndim == 1
+        and values.dtype.kind in "fiub"
+        and values.size <= _MOST_VALUES
+    )
+
+
+def _plain_fault(device: str, fault: DeviceFault) -> DeviceFault:
+    """Return a fault whose attributes have the types that they should have."""
+    try:
+        code = int(fault.code)
+    except BaseException:
+        code = 0
+    hint = line(getattr(fault, "hint", ""))
+    name, recoverable = line(fault.name), bool(fault.recoverable)
+    return DeviceFault(device, code, name, recoverable=recoverable, hint=hint)
+
+
+async def _awaited(work: Awaitable[T]) -> T:
+    return await work
+
+
+@types.coroutine
+def _bounded(work: Coroutine[Any, Any, T], driver: GuardedDriver) -> Generator[Any, Any, T]:
+    """Run a coroutine; abandon it when it goes on although it was cancelled several times."""
+    cancelled = 0
+    try:
+        waits_for = work.send(None)
+        while True:
+            try:
+                yield waits_for
+            except asyncio.CancelledError as error:
+                cancelled += 1
+                if driver.abandoned:
+                    # By `Runner`, which has cancelled once more than its timeout takes back.
+                    task = asyncio.current_task()
+                    if task is not None:
+                        task.uncancel()
+                    raise TimeoutError from None
+                if cancelled >= _CANCELLATIONS:
+                    raise
+                waits_for = work.throw(error)
+            else:
+                waits_for = work.send(None)
+    except StopIteration as done:
+        return done.value  # type: ignore[no-any-return]
+    finally:
+        try:
+            work.close()
+        except BaseException:  # it ignores even this; nobody resumes it any more
+            driver.abandoned = False
