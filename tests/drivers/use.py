@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, TypeVar
+
+from rtee_process import RTEE
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.base import Driver
@@ -64,7 +65,7 @@ def lose(wire: Any, wanted: Callable[[bytes], bool], length: Callable[[bytes], i
 def set_id_command(*words: str, status: int = 0) -> str:
     """Run `rtee set-id` and return what it says; asserts its exit status."""
     run = subprocess.run(
-        [sys.executable, "-m", "rtee", "set-id", *words],
+        [*RTEE, "set-id", *words],
         capture_output=True, text=True, timeout=100, check=False,
     )  # fmt: skip
     assert run.returncode == status, run.stdout + run.stderr

@@ -4,10 +4,10 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
 from rtee.cli._common import hand_folder
 from rtee.errors import ConfigError
@@ -88,7 +88,7 @@ def test_unknown_hand(configured: Path) -> None:
 
 def rtee(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", "from rtee.cli import main; main()", *arguments],
+        [*RTEE, *arguments],
         capture_output=True,
         text=True,
         env={**os.environ, **environment, "COLUMNS": "200"},

@@ -4,11 +4,11 @@ import contextlib
 import os
 import pty
 import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
 import pytest
+from rtee_process import RTEE
 
 from hand.models import FRANKA, GRIPPER, SRDF, anthropomorphic, check_meshes
 from hand.test_candidates import kinova
@@ -277,7 +277,7 @@ def test_what_is_asked_is_done(tmp_path: Path) -> None:
 
 def test_command_new_asks_on_a_terminal(shared: Path, tmp_path: Path) -> None:
     urdf = shared / "hands" / "heri_II" / "heri_II.urdf"
-    command = [sys.executable, "-m", "rtee", "new", "heri", "--ask", "--urdf", str(urdf)]
+    command = [*RTEE, "new", "heri", "--ask", "--urdf", str(urdf)]
     ours, theirs = pty.openpty()
     process = subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=theirs)
     os.close(theirs)
@@ -305,7 +305,7 @@ def test_command_new_asks_on_a_terminal(shared: Path, tmp_path: Path) -> None:
 
 def test_an_end_of_the_answers_makes_nothing(tmp_path: Path) -> None:
     (tmp_path / "k.urdf").write_text(kinova())
-    command = [sys.executable, "-m", "rtee", "new", "k", "--ask", "--urdf", "k.urdf"]
+    command = [*RTEE, "new", "k", "--ask", "--urdf", "k.urdf"]
     done = subprocess.run(command, cwd=tmp_path, input="n\n", capture_output=True, text=True)
     assert done.returncode == 130
     assert "Traceback" not in done.stderr
@@ -314,7 +314,7 @@ def test_an_end_of_the_answers_makes_nothing(tmp_path: Path) -> None:
 
 def test_command_new(tmp_path: Path) -> None:
     (tmp_path / "g.urdf").write_text(GRIPPER)
-    command = [sys.executable, "-c", "from rtee.cli import main; main()", "new"]
+    command = [*RTEE, "new"]
     run = lambda *a: subprocess.run(  # noqa: E731
         [*command, *a], cwd=tmp_path, capture_output=True, text=True, env=dict(os.environ)
     )
