@@ -42,8 +42,8 @@ from rtee.commands import BeginStream, Command, Jog, SetActive, StreamSample
 from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import read
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.measured import Measured
 from rtee.loop.settings import LoopSettings
 from rtee.sample import FloatArray
 

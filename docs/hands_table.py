@@ -14,8 +14,11 @@ import anyio
 
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.servos import servo_of
 from rtee.drivers.registry import find_driver
 from rtee.prepare import PreparedHand, RunOptions, prepare
+from rtee.types import JointKind
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "hands" / "index.md"
@@ -131,10 +134,40 @@ def _of_devices(found: list[PreparedHand]) -> list[str]:
     return rows
 
 
+def _of_motors(found: list[PreparedHand]) -> list[str]:
+    """Return the table of what moves with the fingers in simulation, besides their links."""
+    rows = [
+        "| hand | inertia of motors and gears, seen at the joints | from |",
+        "| --- | --- | --- |",
+    ]
+    options = SimOptions()
+    for one in found:
+        servos = [servo_of(one.hand, actuator, options) for actuator in one.hand.actuators]
+        for unit, slides in (("kg·m²", False), ("kg", True)):
+            kind = [
+                (servo.armature, "armature" in servo.derived)
+                for servo, actuator in zip(servos, one.hand.actuators, strict=True)
+                if (actuator.kind is JointKind.PRISMATIC) is slides
+            ]
+            if kind:
+                least, most = min(kind)[0], max(kind)[0]
+                size = f"{least:.2g}" if least == most else f"{least:.2g} to {most:.2g}"
+                source = "derived" if all(made for _, made in kind) else "hand.yaml"
+                rows.append(f"| {one.config.title} | {size} {unit} | {source} |")
+    return rows
+
+
 def tables() -> str:
-    """Return both tables as Markdown."""
+    """Return the tables as Markdown."""
     found = hands()
-    return "\n".join([*_of_hands(found), "", *_between(), "", *_of_devices(found)])
+    page = "../concepts/simulation.md#motors"
+    motors = [
+        "",
+        f"What moves with the fingers in [simulation]({page}), besides their links:",
+        "",
+        *_of_motors(found),
+    ]
+    return "\n".join([*_of_hands(found), "", *_between(), "", *_of_devices(found), *motors])
 
 
 def _between() -> list[str]:

@@ -365,6 +365,8 @@ class Result:
             sheet), ``tip forces``, ``effort`` or ``effort limit``.
         within: Whether an object is held at its width, within the tolerance.
         touched: Fingers with a reaction to contacts that touched something.
+        unknown: Whether it cannot be told if something thin is held, or nothing: the fingertips are
+            as near to one another as those of the empty hand.
     """
 
     goal_id: str
@@ -388,6 +390,7 @@ class Result:
     force_source: str = ""
     within: bool = False
     touched: tuple[str, ...] = ()
+    unknown: bool = False
 
     @property
     def succeeded(self) -> bool:

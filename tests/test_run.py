@@ -17,8 +17,8 @@ from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import ConfigError, LoopError, UserError
 from rtee.hand.config_schema import Behaviour
 from rtee.log import read
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.measured import Measured
 from rtee.run import RunOptions, prepare, run_hands
 from rtee.types import Reference
 

@@ -323,6 +323,8 @@ def _show_check(comparison: Check, as_json: bool) -> None:
                 f"first at tick {first.tick} ({first.t:.3f} s), {first.quantity} of "
                 f"'{first.actuator}': recorded {first.recorded!r}, computed {first.computed!r}"
             )
+        if comparison.note:
+            print(comparison.note)
         if not comparison.results:
             print("the goals ended otherwise than recorded")
         if comparison.missing:

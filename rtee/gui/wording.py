@@ -13,7 +13,7 @@ from rtee.gui.colours import BAD, GOOD, WARN, line_colour, line_dash
 from rtee.hand.names import common_prefix
 from rtee.sample import MEASURED
 from rtee.types import Result
-from rtee.units import grip_words
+from rtee.units import MAY_BE_NOTHING, grip_words
 
 NOTHING: Final = "–"
 """Shown by a dropdown that has nothing to choose from."""
@@ -26,6 +26,8 @@ def outcome(result: Result, *, width: bool = False) -> tuple[str, str]:
         return f"something of another width is held{at}", WARN
     if width and result.reached and not result.grasped:
         return f"nothing is held{at}", WARN
+    if result.unknown:
+        return f"{MAY_BE_NOTHING}{at}", WARN
     if result.grasped:
         return f"grasped with {', '.join(result.grasped_fingers) or 'the hand'}{at}", GOOD
     if result.touched and not (result.preempted or result.cancelled or result.aborted):

@@ -18,8 +18,9 @@ from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json
 from rtee.log.layout import REPLAY, RUN_BEGINS, Replayable
 from rtee.log.recording import Entry, Recording
-from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
+from rtee.loop import contact_rules
 from rtee.loop.controller import Controller
+from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.plan import Plan
 from rtee.sample import FloatArray, Measurements, measured_arrays
 from rtee.types import Result, readonly
@@ -62,6 +63,7 @@ class Check:
         results: Whether the goals ended as recorded.
         missing: Ticks missing in the recording.
         damage: Sentences about damage, such as a part that fails its checksum.
+        rules: Version of the rules of contact with which it was recorded.
     """
 
     ticks: int
@@ -73,6 +75,17 @@ class Check:
     results: bool
     missing: int
     damage: tuple[str, ...] = ()
+    rules: int = contact_rules.VERSION
+
+    @property
+    def note(self) -> str:
+        """Why references after a contact may differ on purpose, in words; empty: they may not."""
+        if self.rules == contact_rules.VERSION:
+            return ""
+        return (
+            f"recorded with version {self.rules} of the rules of contact, computed with version "
+            f"{contact_rules.VERSION}: after a contact, references may differ on purpose"
+        )
 
     @property
     def same(self) -> bool:
@@ -157,7 +170,7 @@ def _check(recording: Recording, replayable: Replayable) -> Check:
         computed["effort"][row] = controller.reference_effort
         results += [item for item in controller.outbox.items if isinstance(item, Result)]
         controller.outbox.items.clear()
-    return _compared(recording, computed, results)
+    return _compared(recording, computed, results, replayable.rules)
 
 
 def _replayable(recording: Recording) -> Replayable:
@@ -239,7 +252,7 @@ def _steering(recording: Recording) -> Callable[[int, float], Iterator[Plan | Co
 
 
 def _compared(
-    recording: Recording, computed: dict[str, FloatArray], results: list[Result]
+    recording: Recording, computed: dict[str, FloatArray], results: list[Result], rules: int
 ) -> Check:
     states, reference = recording.actuator_states, recording.reference
     unequal = {name: _unequal(getattr(reference, name), computed[name]) for name in _QUANTITIES}
@@ -270,6 +283,7 @@ def _compared(
         results=results == recorded[: len(results)] and len(recorded) - len(results) <= 1,
         missing=int(states.tick[-1] - states.tick[0]) + 1 - len(states),
         damage=recording.damage,
+        rules=rules,
     )
 
 

@@ -58,10 +58,13 @@ class Replayable:
     Attributes:
         settings: The loop's settings.
         actuators: The actuators with the limits and rest positions used at the time.
+        rules: Version of the rules of contact (`rtee.loop.contact_rules`); 1 in recordings from
+            before it was written.
     """
 
     settings: LoopSettings
     actuators: tuple[ActuatorSpec, ...]
+    rules: int = 1
 
 
 def library_name() -> str:

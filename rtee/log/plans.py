@@ -98,6 +98,7 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
         "lever": [value for row in grip.lever for value in row],
         "friction": list(grip.friction),
         "efficiency": list(grip.efficiency),
+        "inertia": list(grip.inertia),
         "finger": [*grip.fingers, _SIDES, *grip.others],
         "around": grip.around,
         "sheet": table,
@@ -133,6 +134,7 @@ def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
         tuple(fingers[between + 1 :]),
         fields["around"],
         sheet,
+        tuple(fields["inertia"].tolist()) or (0.0,) * columns,  # empty in older recordings
     )
 
 

@@ -24,6 +24,7 @@ from rtee.log.layout import REPLAY, Contents, Replayable
 from rtee.log.settings import RecorderSettings, RecorderStatus
 from rtee.log.sink import reason
 from rtee.log.writer import ITSELF, Item, LogWriter
+from rtee.loop import contact_rules
 from rtee.loop.plan import Plan
 from rtee.loop.settings import LoopSettings
 from rtee.object_description import ObjectDescription
@@ -93,7 +94,9 @@ class Recorder:
         self._settings = settings
         files = dict(attachments or {})
         if loop is not None:
-            files[REPLAY] = to_json(Replayable(loop, hand.actuators)).encode()
+            files[REPLAY] = to_json(
+                Replayable(loop, hand.actuators, contact_rules.VERSION)
+            ).encode()
         more = {"decimation": str(settings.decimation), **(metadata or {})}
         # Read now, since opening files could delay the loop once it runs.
         meshes = embed_meshes(hand) if settings.meshes else EmbeddedMeshes({}, {})

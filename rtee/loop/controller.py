@@ -27,9 +27,10 @@ from rtee.commands import (
     StreamSample,
 )
 from rtee.hand.model import Hand
-from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.evidence import Evidence
 from rtee.loop.executor import Executor
 from rtee.loop.limiter import Limiter
+from rtee.loop.measured import Measured
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
 from rtee.loop.plausibility import Plausibility
@@ -95,9 +96,7 @@ class Controller:
         n = len(hand.actuators)
         self._profile = make_profile(settings.profile, limits, settings.period)
         self._limiter = Limiter(limits, settings.period, settings.safety.max_step)
-        self._contact = ContactWatch(
-            hand.actuators, settings.stall, settings.grasp, hand.finger_names
-        )
+        self._contact = Evidence(hand, settings.stall, settings.grasp)
         self._thermal = Thermal(settings.thermal, n)
         self._heat = CurrentHeat(settings.thermal, hand.actuator_names)
         self.outbox = Outbox()
@@ -181,6 +180,7 @@ class Controller:
     def accept(self, plan: Plan, stamp: float) -> None:
         """Begin a plan; the running goal ends as pre-empted, and a stream ends."""
         self._end_stream(stamp, f"{plan.action} took over")
+        plan, kept_efforts = self._in_place(plan)
         # Before contacts are forgotten: the result says which fingers grasp.
         self._executor.end(stamp, self._measured, preempted=True)
         self._let_go(plan.legs[0].targets, stamp)
@@ -191,10 +191,23 @@ class Controller:
         self._kept -= plan.involved
         if plan.goal.force is not None:
             self._kept |= plan.involved
+        self._reflexes.in_place = kept_efforts
         self._executor.start(plan, stamp, self._measured)
         self._set_efforts()
         if lost := [self.hand.actuators[i].name for i in plan.involved if not self.active[i]]:
             self._fail(plan.involved, stamp, f"the device of {lost[0]} is not active any more")
+
+    def _in_place(self, plan: Plan) -> tuple[Plan, dict[int, float]]:
+        """Return a grasp without the way around the object, where that is held already.
+
+        Opening first would drop it. Returned, too, are the effort limits with which it is held, by
+        actuator [N·m | N], from which the new force is built up.
+        """
+        held = [i for i in plan.involved if self._contact.grasping(i)]
+        if not plan.goal.grasp or len(plan.legs) < 2 or not held:
+            return plan, {}
+        kept = {i: self.reference_effort[i] for i in plan.involved}
+        return replace(plan, legs=plan.legs[-1:]), kept
 
     def _let_go(self, targets: Mapping[int, float], stamp: float) -> None:
         """Restart references that lead into an object from the actuators' measured positions.

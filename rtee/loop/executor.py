@@ -9,7 +9,9 @@ from enum import Enum
 from typing import TypedDict
 
 from rtee.hand.model import Hand
-from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop import contact_rules as rules
+from rtee.loop.evidence import Evidence
+from rtee.loop.measured import Measured
 from rtee.loop.opening_plan import closing_speed
 from rtee.loop.plan import Leg, Plan
 from rtee.loop.plausibility import Plausibility
@@ -18,9 +20,14 @@ from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings
 from rtee.types import Feedback, JointKind, Result
 
-_RANGE_SHARE = 0.05
+_RANGE_SHARE = 0.01
 """A prismatic actuator's error must be below this share of its range as well: the usual tolerance
-of 0.01 is a small angle [rad], but in metres a fifth of the stroke of many a gripper's jaw."""
+of 0.01 is a small angle [rad], but in metres a fifth of the stroke of many a gripper's jaw. What is
+thinner than twice this share of the stroke cannot be told from nothing by the position."""
+
+_STEADY = 0.25
+"""How long a grasp must be at rest before its result comes [s]: a blow is over, and what springs
+away is gone."""
 
 _REST_IN = 0.05
 """A goal is reached when the reference, at its velocity, would stay within the tolerance for this
@@ -62,6 +69,7 @@ class _Run:
     length: float = 0.0
     reported: float = -math.inf
     touched: tuple[float, ...] = ()
+    over: float = math.nan
 
     @property
     def present(self) -> Leg:
@@ -89,7 +97,7 @@ class Executor:
         hand: Hand,
         settings: LoopSettings,
         profile: Profile,
-        contact: ContactWatch,
+        contact: Evidence,
         plausible: Plausibility,
         reflexes: Reflexes,
         report: Callable[[Feedback | Result], None],
@@ -103,6 +111,7 @@ class Executor:
         self._reflexes = reflexes
         self._emit = report
         self._run: _Run | None = None
+        self._turn = 0
         self._limits: Sequence[float] = [math.inf] * len(hand.actuators)
         self._prismatic = tuple(a.kind is JointKind.PRISMATIC for a in hand.actuators)
 
@@ -152,6 +161,7 @@ class Executor:
             reflexes = self._reflexes
             if not reflexes.active:
                 self._contact.update(stamp, measured, reference, limits, targets)
+                self._learn(targets, stamp, measured, reference)
             else:
                 # Actuators that a reflex has stopped would look stalled.
                 free = [i for i in targets if i not in reflexes.busy]
@@ -174,6 +184,17 @@ class Executor:
             self.end(stamp, measured, timed_out=True)
         elif stamp - run.reported >= 1.0 / self._settings.feedback_rate:
             self._report(run, stamp)
+
+    def _learn(
+        self, targets: Iterable[int], stamp: float, measured: Measured, reference: Sequence[float]
+    ) -> None:
+        """Learn from the motion, of one actuator in a tick for the sake of the tick's time."""
+        velocity = self._profile.velocity
+        moving = [i for i in targets if velocity[i] != 0.0 and measured.fresh[i]]
+        if moving:
+            self._turn = (self._turn + 1) % len(moving)
+            i = moving[self._turn]
+            self._contact.learn(i, stamp, measured, reference[i], velocity[i])
 
     def seeded(self, indices: Collection[int], stamp: float, measured: Measured) -> None:
         """Restart the leg after the references of some of its actuators were reset."""
@@ -207,6 +228,9 @@ class Executor:
         fingers = self._contact.fingers
         plan = run.plan
         grasped = any(self._contact.grasping(i) for i in plan.involved)
+        unknown = self._may_be_nothing(run, measured)
+        if unknown:
+            grasped, fingers = False, ()
         self._emit(
             Result(
                 goal_id=plan.goal.goal_id,
@@ -226,7 +250,8 @@ class Executor:
                 position=dict(
                     zip(self._hand.actuator_names, map(float, measured.position), strict=True)
                 ),
-                touched=self._reflexes.touched,
+                touched=() if unknown else self._reflexes.touched,
+                unknown=unknown,
                 **self._grip_values(run, measured, grasped),
             )
         )
@@ -245,6 +270,15 @@ class Executor:
             run.touched = ()
         elif not run.touched:
             run.touched = tuple(measured.position)
+
+    def _may_be_nothing(self, run: _Run, measured: Measured) -> bool:
+        """Return whether what seems to be held, or touched, may be the hand itself."""
+        plan, contact = run.plan, self._contact
+        seems = bool(self._reflexes.touched) or any(contact.grasping(i) for i in plan.involved)
+        if plan.grip is None or not seems:
+            return False
+        opening, doubt = plan.grip.opening(measured.position), plan.grip.doubt(measured.position)
+        return rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved))
 
     def _grip_values(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
         """Return the fields of the result about opening and force of the fingertips."""
@@ -290,7 +324,7 @@ class Executor:
             return
 
     def _set_out(self, run: _Run, stamp: float, measured: Measured) -> None:
-        run.phase = Phase.MOVING
+        run.phase, run.over = Phase.MOVING, math.nan
         leg, goal = run.present, run.plan.goal
         last = run.leg + 1 == len(run.plan.legs)
         speed = closing_speed(run.plan.goal, self._hand, run.plan.grip) if last else goal.speed
@@ -321,13 +355,23 @@ class Executor:
         error = self._norms(run.present.targets, measured.position)
         # A progress bar must not go back when the hand overshoots.
         run.progress[run.leg] = max(run.progress[run.leg], self._progress(run, error))
+        targets = run.present.targets
         arrived = self._within(run, error) and self._settled(run)
-        if arrived and not self._plausible.leaping(run.present.targets, stamp):
+        # What is held on the last millimetre is held: to have arrived there says less.
+        held = any(self._contact.grasping(i) for i in targets)
+        if arrived and not held:
+            if self._plausible.leaping(targets, stamp):
+                return
             run.reached[run.leg] = True
             run.progress[run.leg] = 1.0
         elif not self._over(run, measured):
+            run.over = math.nan
             return
         else:
+            if run.over != run.over:
+                run.over = stamp
+            if not self._steady(run, stamp):
+                return
             run.stalled[run.leg] = True
         run.phase = Phase.AFTER
         run.until = stamp + run.present.after
@@ -410,6 +454,14 @@ class Executor:
             elif not abs(target - measured.position[i]) <= run.shares[i]:
                 return False
         return blocked
+
+    def _steady(self, run: _Run, stamp: float) -> bool:
+        """Return whether what the fingers reacted to has come to rest, as far as they did."""
+        if not self._reflexes.touched:
+            return True
+        return rules.settled(
+            steady=stamp - run.over, least=_STEADY, building=self._reflexes.building
+        )
 
     def _report(self, run: _Run, stamp: float) -> None:
         run.reported = stamp

@@ -18,6 +18,10 @@ _SPREADS: Final = 4.0
 """A deviation counts above this many mean deviations: about three standard deviations, which noise
 exceeds once in some thousand measurements."""
 
+_ROUGH: Final = 1.5
+"""A deviation counts above this many times the largest recent one of free motion: devices that move
+in steps, as a slow reference lets them, need now much and now no effort."""
+
 _SPREAD_SHARE: Final = 1.0 / 16.0
 """Weight of the newest deviation in the mean deviation, which settles as fast as the model; a power
 of two is exact."""
@@ -48,10 +52,11 @@ class FreeMotion:
 
     Attributes:
         spread: Mean size of the deviations [N·m | N].
+        rough: Size of the largest recent deviation [N·m | N].
         most: Size of the largest recent effort of free motion [N·m | N].
     """
 
-    __slots__ = ("_count", "_limit", "_matrix", "_parameters", "_scale", "most", "spread")
+    __slots__ = ("_count", "_limit", "_matrix", "_parameters", "_scale", "most", "rough", "spread")
 
     def __init__(self, effort: float, velocity: float, acceleration: float) -> None:
         self._limit = effort
@@ -59,12 +64,17 @@ class FreeMotion:
         self._parameters = [0.0, 0.0, 0.0]
         self._matrix = [[_PRIOR, 0.0, 0.0], [0.0, _PRIOR, 0.0], [0.0, 0.0, _PRIOR]]
         self._count = 0
-        self.spread = self.most = 0.0
+        self.spread = self.rough = self.most = 0.0
 
     @property
     def known(self) -> bool:
         """Whether the model was learned from enough measurements."""
         return self._count >= _LEAST
+
+    @property
+    def dry(self) -> float:
+        """Size of the effort that motion takes at any speed: friction, and what pulls [N·m | N]."""
+        return abs(self._parameters[0])
 
     def expected(self, velocity: float, acceleration: float) -> float:
         """Return the effort of free motion [N·m | N] at a velocity and an acceleration."""
@@ -88,12 +98,15 @@ class FreeMotion:
             acceleration: Its acceleration [rad/s² | m/s²].
             threshold: Least excess [N·m | N]; 0: a share of the effort of free motion.
         """
+        expected = self.expected(velocity, acceleration)
         if not threshold > 0.0:
-            threshold = _RELATIVE * self.most
-        deviation = effort - self.expected(velocity, acceleration)
+            # Above the largest effort, not the mean: a device that moves in steps takes now all of
+            # it and now nothing.
+            threshold = (1.0 + _RELATIVE) * self.most - abs(expected)
+        deviation = effort - expected
         # Servos lag behind their references, so the effort of inertia comes at another time.
         inertia = abs(self._parameters[2] * acceleration) * self._scale[1]
-        least = max(threshold, _SPREADS * self.spread) + inertia
+        least = max(threshold, _SPREADS * self.spread, _ROUGH * self.rough) + inertia
         ahead = deviation if velocity > 0.0 else -deviation
         # Learning from a contact would teach the model that contacts are free motion.
         if self.known and ahead > _SURELY_FREE * least:
@@ -125,4 +138,5 @@ class FreeMotion:
         size = abs(deviation)
         if self._count >= 3:  # three parameters fit the first three measurements exactly
             self.spread += _SPREAD_SHARE * (size - self.spread)
+            self.rough += (size - self.rough) * (1.0 if size > self.rough else _STEADY)
         self._count += 1

@@ -17,7 +17,8 @@ from rtee.capabilities import GripForce
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ActuatorDynamics
 from rtee.hand.model import Hand
-from rtee.loop.contact import TIP_FORCE, tip_forces
+from rtee.loop import contact_rules as rules
+from rtee.loop.measured import TIP_FORCE, tip_forces
 from rtee.sample import TickRecord
 
 TIPS: Final = "tip forces"
@@ -50,6 +51,12 @@ _PRESSES: Final = 0.5
 """Without sensors at the tips, an actuator presses above this share of its effort limit: free
 motion takes less."""
 
+_TABLE: Final = 5e-4
+"""Error of the table of openings, and of measured positions, at the tips [m]: that of goals."""
+
+_FIRST_ORDER: Final = 0.5
+"""Error of a correction by levers, as a share of it: they change over the way they are used for."""
+
 _AHEAD: Final = 0.01
 """A reference presses if it leads by more than this share of the action's travel: above
 rounding."""
@@ -76,6 +83,7 @@ class Grip:
         others: Indices of the fingers on the other sides.
         around: Whether the tips close from more than two sides.
         sheet: Force by effort limit from the device's data sheet, for a single actuator.
+        inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not stated.
     """
 
     indices: tuple[int, ...]
@@ -90,6 +98,7 @@ class Grip:
     others: tuple[int, ...]
     around: bool = False
     sheet: GripForce | None = None
+    inertia: tuple[float, ...] = (0.0,)
 
     @classmethod
     def of(
@@ -125,6 +134,7 @@ class Grip:
             tuple(finger for side in sides[1:] for finger in side),
             opening.around,
             single,
+            tuple(k.armature or 0.0 for k in known),
         )
 
     # --- the opening -------------------------------------------------------------------------
@@ -149,6 +159,19 @@ class Grip:
             width -= lever * (position[i] - rest - at * (target - rest))
         # The levers hold up to contact of the tips; beyond it they would lead below zero.
         return max(width, 0.0)
+
+    def doubt(self, position: Sequence[float]) -> float:
+        """Return how wide the opening may seem to be when the tips touch one another [m].
+
+        Off the action's line, the table is corrected to first order alone: half of the correction
+        is in doubt.
+        """
+        share = self._nearest(position)
+        if share != share:
+            return math.nan
+        at = min(max(share, self.intensity[0]), self.intensity[-1])
+        off = abs(max(self._interpolated(self.width, at), 0.0) - self.opening(position))
+        return max(self.width[-1], 0.0) + _TABLE + _FIRST_ORDER * off
 
     def _nearest(self, position: Sequence[float]) -> float:
         """Return the intensity whose posture is nearest to actuator positions."""
@@ -215,6 +238,17 @@ class Grip:
     def _levers(self, intensity: float) -> list[float]:
         k, share = self._cell(intensity)
         return [a + share * (b - a) for a, b in zip(self.lever[k], self.lever[k + 1], strict=True)]
+
+    def moving_mass(self, intensity: float) -> float:
+        """Return what moves with the fingers, as a mass at the opening [kg]; ``NaN``: not known.
+
+        A force on the tips accelerates each actuator by its lever and inertia.
+        """
+        levers = self._levers(intensity)
+        if not all(self.inertia):
+            return math.nan
+        gives = sum([lever * lever / i for lever, i in zip(levers, self.inertia, strict=True)])
+        return 1.0 / gives if gives > 0.0 else math.nan
 
     # --- the force ---------------------------------------------------------------------------
 
@@ -287,11 +321,10 @@ class Grip:
             touch: Forces at the fingertips [N], if they are measured.
             least: Least force at which a fingertip counts as touching [N].
         """
-        sides = [[touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others)]
-        felt = [[force for force in side if force == force] for side in sides]
-        if all(felt):
-            # Both sides must touch: two fingers of one side hold nothing.
-            return all(max(side) >= least for side in felt)
+        sides = ([touch[i] for i in side if i < len(touch)] for side in (self.fingers, self.others))
+        felt = rules.both_sides_touch(sides, least)
+        if felt is not None:
+            return felt
         share = self._nearest(position)
         if share != share:
             return False

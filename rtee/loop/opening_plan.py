@@ -31,6 +31,20 @@ _SPEED_PER_FORCE: Final = 2e-3
 """Speed of the opening at which the fingers meet an object, per requested newton [m/s/N]. In MuJoCo
 a 2F-85 hits with 0.38 N per mm/s, more than any other hand: the impact stays below the force."""
 
+_BLOW: Final = 0.8
+"""Share of the requested force that the blow of the closing fingers may have: the force itself is
+built up later."""
+
+_LEAST_BLOW: Final = 1.0
+"""A blow may be as large as this in any case [N]: the force may be exceeded by as much."""
+
+_STOPPING: Final = 0.0015
+"""Time in which an object stops what moves with the fingers [s]: in MuJoCo, an EGU that closes at
+90 mm/s strikes with 140 N. Rubber pads take longer, and the blow is then softer."""
+
+_SLOWEST: Final = 0.002
+"""Least closing speed by the moving mass [m/s]: the margin around an object takes five seconds."""
+
 _SAMPLES: Final = 8
 """Openings at which the range of the force is sampled, besides the first: the range varies
 smoothly."""
@@ -261,19 +275,38 @@ def closing_speed(goal: Goal, hand: Hand, grip: Grip | None) -> float:
     """
     if not goal.grasp or goal.force is None or goal.opening is None or grip is None:
         return goal.speed
-    speed = max(_CONTACT_SPEED, _SPEED_PER_FORCE * goal.force)
+    at = grip.intensity_at(goal.opening)
+    speed = meeting_speed(goal.force, grip, at)
     try:
-        at = grip.intensity_at(goal.opening)
         return min(goal.speed, tip_speed_share(speed, hand, grip, at, ""))
     except GoalRejected:  # faster than the action can close
         return goal.speed
 
 
-def closing_time(goal: Goal) -> float:
+def meeting_speed(force: float, grip: Grip, at: float) -> float:
+    """Return the closing speed of the opening at which the blow is not above a force [m/s].
+
+    What moves with the fingers, of mass ``m`` at the opening, is stopped within a time ``t`` by
+    ``m v / t``, which may be `_BLOW` of the force. Where the mass is not stated in hand.yaml, the
+    speed is in proportion to the force.
+
+    Args:
+        force: The requested force [N].
+        grip: The grip.
+        at: Intensity at which the fingers meet the object.
+    """
+    mass = grip.moving_mass(at)
+    if mass != mass:
+        return max(_CONTACT_SPEED, _SPEED_PER_FORCE * force)
+    return max(_SLOWEST, max(_BLOW * force, _LEAST_BLOW) * _STOPPING / mass)
+
+
+def closing_time(goal: Goal, grip: Grip) -> float:
     """Return the additional time of a goal that closes slowly on its object [s]."""
     if not goal.grasp or goal.force is None or goal.opening is None:
         return 0.0
-    return (goal.opening + MARGIN) / max(_CONTACT_SPEED, _SPEED_PER_FORCE * goal.force)
+    speed = meeting_speed(goal.force, grip, grip.intensity_at(goal.opening))
+    return (goal.opening + MARGIN) / speed
 
 
 def _best(

@@ -131,15 +131,14 @@ def make_plan(
         intensity = _intensity(goal, action)
         legs = (Leg("", _targets(action.posture, hand, intensity)),)
         timed = False
-    grip = None
-    if goal.on_contact or goal.touch or settings.grasp.on_contact:
-        grip = grip_of(
-            hand,
-            library,
-            action,
-            devices,
-            lambda action: _targets(action.waypoints[-1], hand, 1.0),
-        )
+    # By its opening, what is held is told from fingertips that press on one another.
+    grip = grip_of(
+        hand,
+        library,
+        action,
+        devices,
+        lambda action: _targets(action.waypoints[-1], hand, 1.0),
+    )
     if goal.touch:
         goal = slowly(goal, hand, grip, action.name)
     plan = _plan_of(goal, hand, action, legs, effort, settings, timed)
@@ -209,7 +208,11 @@ def _opening_plan(
     legs = tuple(Leg("", _targets(action.waypoints[-1], hand, at)) for at in opening.intensities)
     effort = {**effort, **opening.effort}
     plan = _plan_of(opening.goal, hand, action, legs, effort, settings, False)
-    timeout = plan.timeout if goal.timeout is not None else plan.timeout + closing_time(goal)
+    timeout = (
+        plan.timeout
+        if goal.timeout is not None
+        else plan.timeout + closing_time(goal, opening.grip)
+    )
     return replace(plan, timeout=timeout, elements=action.elements, grip=opening.grip)
 
 

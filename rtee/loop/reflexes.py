@@ -11,29 +11,15 @@ from dataclasses import dataclass, field
 
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
-from rtee.loop.contact import ContactWatch, Measured
-from rtee.loop.free_motion import FreeMotion
+from rtee.loop import contact_rules as rules
+from rtee.loop.evidence import Evidence
 from rtee.loop.grip import Grip
 from rtee.loop.limiter import Limiter
+from rtee.loop.measured import Measured
 from rtee.loop.plan import Plan
 from rtee.loop.profiles import Profile
-from rtee.loop.squeeze import Held, Squeeze, finger_forces
-from rtee.loop.tip_levers import TipLevers
+from rtee.loop.squeeze import Held, Squeeze
 from rtee.types import Event, OnContact
-
-_CONFIRMED = 2
-"""Measurements in succession whose effort must show a contact: a single one may be noise."""
-
-_UNKNOWN_SHARE = 0.05
-"""Threshold of a contact for an actuator that moves no fingertip, as a share of its effort limit
-above the effort of free motion: its lever, and so the force, is unknown."""
-
-_SET_OUT = 0.1
-"""Efforts are not evaluated for this long after an actuator has started, while it overcomes static
-friction [s]."""
-
-_RESOLUTION = 0.01
-"""Least threshold of a contact as a share of the effort limit: devices measure no better."""
 
 _LIGHT = 2.0
 """Effort limit of an approach besides friction, in thresholds of a contact: with less, the effort
@@ -46,6 +32,9 @@ behind it, gets more effort."""
 _LOOKED_AT = 0.02
 """Interval at which the approach's progress is evaluated [s]: at 1 kHz, the travel of a single tick
 is lost in rounding."""
+
+_AHEAD = 0.1
+"""An actuator runs ahead of its reference from this share of its tolerance on: more than noise."""
 
 _SLOW = 0.1
 """Where efforts cannot be limited, a squeeze closes at this share of the velocity limits: slow
@@ -60,15 +49,9 @@ class _Watched:
     target: float
     ahead: float
     tolerance: float
-    threshold: float
-    velocity: float = 0.0
-    seen: float = math.nan
-    began: float = math.nan
-    over: int = 0
     touched: bool = False
-    in_effort: bool = False
     limit: float = math.inf
-    by_tip: bool = False
+    runs: bool = False
     looked: float = math.nan
     was: float = math.nan
     reference: float = math.nan
@@ -104,11 +87,7 @@ class _Approach:
 class Reflexes:
     """Stops fingers that touch something, squeezes once enough do, and answers slips.
 
-    A finger touches when a sensor on it measures at least ``grasp.touch``. Without such sensors on
-    its fingers, an actuator touches when its effort (or current) exceeds that of free motion (see
-    `FreeMotion`) by ``grasp.contact_force`` at the fingertips in two successive measurements, or
-    when it is blocked: by the device's own report, or because it has stalled. Motions towards rest
-    have no reflexes.
+    What counts as a contact is found by `Evidence`. Motions towards rest have no reflexes.
 
     Args:
         hand: The hand.
@@ -123,10 +102,12 @@ class Reflexes:
 
     Attributes:
         active: Whether any actuator has a reflex; else a tick does nothing here.
-        busy: Actuators stopped or squeezing, which `ContactWatch` must not evaluate.
+        busy: Actuators stopped or squeezing, which `Evidence` must not evaluate.
         effort: Effort limits by actuator that replace those of the goal [N·m | N].
         changed: Whether ``effort`` has changed; the caller resets it.
         touched: Fingers that touched something since the goal began.
+        in_place: Effort limits with which the next goal's object is held already, by actuator
+            [N·m | N]; empty: it is not.
     """
 
     def __init__(
@@ -135,7 +116,7 @@ class Reflexes:
         grasp: GraspSettings,
         profile: Profile,
         limiter: Limiter,
-        contact: ContactWatch,
+        contact: Evidence,
         limit: Callable[[int], float],
         start: Callable[[int, float, bool], float | None],
         report: Callable[[Event], None],
@@ -143,22 +124,23 @@ class Reflexes:
         self._hand, self._grasp, self._limit, self._start = hand, grasp, limit, start
         self._profile, self._limiter, self._contact = profile, limiter, contact
         self._report = report
-        self._free = [
-            FreeMotion(actuator.effort, actuator.velocity, actuator.acceleration)
-            for actuator in hand.actuators
-        ]
-        self._levers = TipLevers(hand)
         self._approach: _Approach | None = None
         self._squeeze: Squeeze | None = None
         self.active = self.changed = False
         self.busy: set[int] = set()
         self.effort: dict[int, float] = {}
         self.touched: tuple[str, ...] = ()
+        self.in_place: Mapping[int, float] = {}
 
     @property
     def held(self) -> Iterable[int]:
         """The actuators that squeeze an object, whose effort limits are set here."""
         return () if self._squeeze is None else self._squeeze.held
+
+    @property
+    def building(self) -> bool:
+        """Whether a force is being built up or corrected."""
+        return self._squeeze is not None and self._squeeze.building
 
     # --- goals -------------------------------------------------------------------------------
 
@@ -203,8 +185,10 @@ class Reflexes:
         # A device with forces in its data sheet builds up the force by itself.
         if goal.force is not None and plan.grip is not None and plan.grip.sheet is None:
             usual = usual or OnContact.SQUEEZE
+        in_place, self.in_place = self.in_place, {}
         # The first leg of a grasp only opens wide around the object.
-        if not (goal.on_contact or goal.touch or usual) or (goal.grasp and leg == 0):
+        opens = goal.grasp and leg + 1 < len(plan.legs)
+        if not (goal.on_contact or goal.touch or usual) or opens:
             return
         watched: dict[int, _Watched] = {}
         for i, target in targets.items():
@@ -214,34 +198,44 @@ class Reflexes:
             closes = abs(target - spec.rest) > abs(here - spec.rest) + tolerance[i]
             if mode is not None and closes:
                 ahead = 1.0 if target > here else -1.0
-                watched[i] = _Watched(mode, target, ahead, tolerance[i], math.nan)
+                watched[i] = _Watched(mode, target, ahead, tolerance[i])
         if not watched:
             return
         sides: tuple[frozenset[str], ...] = ()
         most: Mapping[int, float] = {}
+        slopes: Mapping[int, float] = {}
         if plan.grip is not None:
             names = self._hand.finger_names
             at = plan.grip.intensity[-1] / 2.0
             if goal.opening is not None:
                 at = plan.grip.intensity_at(goal.opening)
-            for i, slope in plan.grip.effort_slopes(at).items():
-                if i in watched:
-                    watched[i].threshold = self._threshold(i, slope)
+            slopes = plan.grip.effort_slopes(at)
             sides = tuple(
                 frozenset(names[f] for f in side) for side in (plan.grip.fingers, plan.grip.others)
             )
             if goal.max_force is not None:
                 most = plan.grip.efforts(goal.max_force, at)
         for i, each in watched.items():
-            each.by_tip = each.threshold != each.threshold
-            if each.by_tip:
-                each.threshold = self._tip_threshold(i, stamp, measured)
+            self._contact.approach(i, each.ahead, slopes.get(i), stamp, measured)
         slips = bool(goal.on_contact or self._grasp.on_contact or most)
         pressing = frozenset(plan.effort)
         self._approach = _Approach(
             watched, sides, most, goal.touch, goal.force, plan.grip, pressing, slips, goal.speed
         )
         self.active = True
+        unknown = [
+            self._hand.actuators[i].name for i in watched if self._contact.unknown(i, measured)
+        ]
+        if unknown:
+            who = ", ".join(unknown)
+            text = (
+                f"contacts of {who} cannot be felt by effort yet, since free motion is not known: "
+                "until it is, they are felt once it stands still"
+            )
+            self._report(Event("contact_unknown", who, text, stamp))
+        if in_place:
+            self._go_on(self._approach, in_place, stamp)
+            return
         for i, each in watched.items():
             if each.mode is OnContact.SQUEEZE or goal.touch:
                 # A device with forces in its data sheet builds up the force by itself; for a touch
@@ -250,20 +244,16 @@ class Reflexes:
                 if sheet is None:
                     self._begin_lightly(i, each, measured.position[i])
 
-    def _threshold(self, i: int, slope: float) -> float:
-        """Return the effort of a contact [N·m | N]; ``slope``: effort per newton at the tips."""
-        least = _RESOLUTION * self._hand.actuators[i].effort
-        return max(slope * self._grasp.contact_force, least if math.isfinite(least) else 0.0)
-
-    def _tip_threshold(self, i: int, stamp: float, measured: Measured) -> float:
-        """Return the effort of a contact by the tip's lever at the present posture [N·m | N]."""
-        spec = self._hand.actuators[i]
-        lever = self._levers.of(i, stamp, measured.position)
-        if lever != lever:
-            return _UNKNOWN_SHARE * spec.effort
-        known = self._hand.dynamics.get(spec.name)
-        efficiency = (known.efficiency if known is not None else None) or 1.0
-        return self._threshold(i, lever / efficiency)
+    def _go_on(self, approach: _Approach, efforts: Mapping[int, float], stamp: float) -> None:
+        """Have actuators that hold an object go on from their effort limits [N·m | N]."""
+        fingers: dict[str, None] = {}
+        for i, each in approach.watched.items():
+            each.touched = True
+            fingers.update(dict.fromkeys(self._hand.actuators[i].fingers))
+        self.touched = tuple(fingers)
+        if any(each.mode is OnContact.SQUEEZE for each in approach.watched.values()):
+            self._begin_squeeze(approach, stamp, efforts)
+            self.changed = True
 
     def _begin_lightly(self, i: int, each: _Watched, here: float) -> None:
         """Have an actuator approach with little effort, unless it presses on an object already."""
@@ -274,7 +264,7 @@ class Reflexes:
             return  # it would drop the object
         known = self._hand.dynamics.get(self._hand.actuators[i].name)
         friction = (known.dry_friction if known is not None else None) or 0.0
-        each.limit = min(friction + _LIGHT * each.threshold, full)
+        each.limit = min(friction + _LIGHT * self._contact.threshold(i), full)
         self.effort[i] = each.limit
         self.changed = True
 
@@ -298,7 +288,10 @@ class Reflexes:
         for i, watched in approach.watched.items():
             if watched.touched or not measured.fresh[i]:
                 continue
-            if not self._touches(i, stamp, measured):
+            # An object pushed by one of several fingers is not held yet: all must touch.
+            every = watched.mode is OnContact.SQUEEZE
+            velocity = self._profile.velocity[i]
+            if not self._contact.meets(i, stamp, measured, velocity, every=every):
                 if watched.limit < math.inf:
                     self._strengthen(i, watched, stamp, measured)
                 continue
@@ -311,71 +304,38 @@ class Reflexes:
         if self._squeeze is None and self._enough(approach):
             self._begin_squeeze(approach, stamp)
 
-    def _touches(self, i: int, stamp: float, measured: Measured) -> bool:
-        """Return whether there is evidence that an actuator's fingers touch something."""
-        assert self._approach is not None  # noqa: S101 - `step` has seen to that
-        watched = self._approach.watched[i]
-        forces = self._tip_forces(i, measured)
-        # An object pushed by one of several fingers is not held yet: the others must touch, too.
-        every = watched.mode is OnContact.SQUEEZE
-        if forces and all(force == force for force in forces):
-            least = self._grasp.touch
-            return min(forces) >= least if every else max(forces) >= least
-        return self._pushes(i, watched, stamp, measured) or self._contact.blocked(i)
-
     def _strengthen(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
         """Raise the effort of an approaching actuator that falls behind, up to the goal's limit."""
         here, reference = measured.position[i], self._limiter.position[i]
+        full = self._limit(i)
+        # What runs ahead of its reference must brake with all it has.
+        runs = (here - reference) * watched.ahead > _AHEAD * watched.tolerance
+        if runs or watched.runs:
+            watched.runs = runs
+            self.effort[i] = full if runs else watched.limit
+            self.changed = True
         if stamp - watched.looked < _LOOKED_AT:
             return
         # From the second time on: before, its travel is unknown.
         if watched.looked == watched.looked:
             moved, wanted = here - watched.was, reference - watched.reference
             behind = (reference - here) * watched.ahead > watched.tolerance
-            full, time = self._limit(i), self._grasp.squeeze_time
+            time = self._grasp.squeeze_time
             if behind and not moved * watched.ahead >= _LAGS * wanted * watched.ahead:
                 share = (stamp - watched.looked) / time if time > 0.0 else 1.0
                 watched.limit = min(watched.limit + share * full, full)
-            elif watched.in_effort and self._free[i].known:
-                light = self._free[i].most + _LIGHT * watched.threshold
+            elif self._contact.learned(i):
+                light = self._contact.friction(i) + _LIGHT * self._contact.threshold(i)
                 watched.limit = min(max(watched.limit, light), full)
-            self.changed = self.changed or self.effort.get(i) != watched.limit
-            self.effort[i] = watched.limit
+            if not runs:
+                self.changed = self.changed or self.effort.get(i) != watched.limit
+                self.effort[i] = watched.limit
         watched.looked, watched.was, watched.reference = stamp, here, reference
-
-    def _pushes(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> bool:
-        """Return whether an actuator needs more effort than free motion does."""
-        signal, threshold = measured.effort[i], watched.threshold
-        watched.in_effort = signal == signal
-        if signal != signal:
-            if not measured.current:
-                return False
-            # A current [A] has no threshold in newton metres, so a relative one is used.
-            signal, threshold = measured.current[i], 0.0
-        velocity, dt = self._profile.velocity[i], stamp - watched.seen
-        gain = (velocity - watched.velocity) / dt if dt > 0.0 else 0.0
-        watched.velocity, watched.seen = velocity, stamp
-        if signal != signal or velocity * watched.ahead <= 0.0:
-            return False
-        if abs(watched.target - measured.position[i]) <= watched.tolerance:
-            return False  # it brakes, or reaches the end of its range
-        if watched.began != watched.began:
-            watched.began = stamp
-        free = self._free[i]
-        if stamp - watched.began < _SET_OUT:
-            # Overcoming static friction is a part of free motion that the model must learn.
-            free.learn(signal, velocity, gain)
-            return False
-        if watched.by_tip and threshold > 0.0:
-            threshold = watched.threshold = self._tip_threshold(i, stamp, measured)
-        pushes = free.exceeds(signal, velocity, gain, threshold)
-        watched.over = watched.over + 1 if pushes else 0
-        return watched.over >= _CONFIRMED
 
     def _note(self, i: int, watched: _Watched, stamp: float, measured: Measured) -> None:
         """Record that an actuator's fingers touch something, and report it."""
         actuator = self._hand.actuators[i]
-        forces = self._tip_forces(i, measured)
+        forces = self._contact.forces(i, measured)
         felt = [
             finger
             for finger, force in zip(actuator.fingers, forces, strict=False)
@@ -416,9 +376,7 @@ class Reflexes:
         full = self._limit(i)
         if watched.limit < full:
             return watched.limit
-        # A model learned from currents has no efforts.
-        free = self._free[i].most if watched.in_effort else 0.0
-        return min(free + watched.threshold, full)
+        return min(self._contact.friction(i) + self._contact.threshold(i), full)
 
     # --- the force ---------------------------------------------------------------------------
 
@@ -431,16 +389,16 @@ class Reflexes:
         for i, each in squeezing:
             if each.touched:
                 touching.update(self._hand.actuators[i].fingers)
-        if not touching:
-            return False
-        # With one finger on either side, nothing is pushed away.
-        if approach.sides:
-            return all(touching.intersection(side) for side in approach.sides)
         fingers = {f for i, _ in squeezing for f in self._hand.actuators[i].fingers}
-        return len(touching) >= min(self._grasp.contact_fingers, len(fingers))
+        return rules.enough_touch(touching, approach.sides, fingers, self._grasp.contact_fingers)
 
-    def _begin_squeeze(self, approach: _Approach, stamp: float) -> None:
-        """Begin to build up the force with all actuators that squeeze, together."""
+    def _begin_squeeze(
+        self, approach: _Approach, stamp: float, efforts: Mapping[int, float] | None = None
+    ) -> None:
+        """Begin to build up the force with all actuators that squeeze, together.
+
+        They begin with some effort limits [N·m | N], or lightly.
+        """
         held: dict[int, Held] = {}
         floor, most = 0.0, math.inf
         for i, each in approach.watched.items():
@@ -448,7 +406,8 @@ class Reflexes:
                 continue
             full = self._limit(i)
             if math.isfinite(full) and full > 0.0:
-                held[i] = Held(self._light(i, each), full)
+                begin = self._light(i, each) if efforts is None else efforts.get(i, full)
+                held[i] = Held(begin, full)
                 spec = self._hand.actuators[i]
                 floor = max(floor, self._grasp.grip_effort * spec.effort / full)
                 most = min(most, approach.most.get(i, full) / full)
@@ -487,6 +446,3 @@ class Reflexes:
             self.changed = True
         if building and squeeze.built:
             self.busy.difference_update(squeeze.held)
-
-    def _tip_forces(self, i: int, measured: Measured) -> list[float]:
-        return finger_forces(self._hand, i, measured)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
-from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop import contact_rules as rules
+from rtee.loop.evidence import Evidence
 from rtee.loop.grip import Grip
+from rtee.loop.measured import Measured
 from rtee.loop.profiles import Profile
 from rtee.types import Event
 
@@ -32,18 +34,6 @@ within a few steps, or the object is gone."""
 _SLIP_SHARE = 0.5
 """Increase of the effort after a slip as a share of the present effort, if that is more: it
 overtakes a growing load."""
-
-_CREEP = 0.5
-"""An actuator creeps when it closes further by this share of its tolerance while it holds: more
-than noise, and before the grasp counts as lost."""
-
-_LOAD = 1.15
-"""An external force pulls at the object when the force on a finger exceeds its former value by this
-factor: sensors also measure the pull along the fingertip, before a slip."""
-
-_DROP = 0.7
-"""A force has dropped when it is below this share of its former value: sensors are accurate to
-some 10 %."""
 
 _REPORT_EVERY = 0.5
 """Slips are reported at most this often [s]: one event for people, not one for each step."""
@@ -69,20 +59,12 @@ time constants."""
 _BELIEVED = 2.0
 """Largest factor by which a measured force changes the effort limits: sensors break, too."""
 
-_FELT = 0.5
+_FELT = 0.2
 """Below this share of the requested force, nothing is corrected: the object is lost, or the sensors
 measure only a part of the force."""
 
 _CONFIRMED = 2
 """Measurements in succession that must show a change of force: a single one may be noise."""
-
-
-def finger_forces(hand: Hand, i: int, measured: Measured) -> list[float]:
-    """Return the forces on the fingers of an actuator [N]; empty if none are measured."""
-    names = hand.finger_names
-    if len(measured.touch) != len(names):
-        return []
-    return [measured.touch[names.index(finger)] for finger in hand.actuators[i].fingers]
 
 
 @dataclass(slots=True)
@@ -134,7 +116,7 @@ class Squeeze:
         hand: Hand,
         grasp: GraspSettings,
         profile: Profile,
-        contact: ContactWatch,
+        contact: Evidence,
         report: Callable[[Event], None],
         held: dict[int, Held],
         floor: float,
@@ -151,6 +133,7 @@ class Squeeze:
         self.pressing: frozenset[int] = frozenset()
         self._factor, self._corrected = 1.0, math.nan
         self._correct_until, self._there = -math.inf, math.inf
+        self._correcting = False
         self._floor, self._most = floor, most
         self._level = 1.0
         self._since = self._before = self._enough = self._settled = self._ease = math.inf
@@ -162,6 +145,11 @@ class Squeeze:
         self.effort.pop(i, None)
         self.pressing -= {i}
 
+    @property
+    def building(self) -> bool:
+        """Whether the force is still being built up, or brought to the requested one."""
+        return not self.built or self._correcting
+
     def begin(self, stamp: float) -> None:
         """Begin to build up the force at a time [s]."""
         self._since = self._before = self._enough = stamp
@@ -171,7 +159,8 @@ class Squeeze:
         if not self.built:
             self._build(stamp, measured)
             return True
-        if self.grip is not None and stamp < self._correct_until:
+        self._correcting = self.grip is not None and stamp < self._correct_until
+        if self.grip is not None and self._correcting:
             corrected = self._correct(self.grip, stamp, measured)
             self._settled, self._ease = stamp + _SETTLE, stamp + _EASE_EVERY
             return corrected
@@ -206,13 +195,14 @@ class Squeeze:
         felt = grip.tip_force(measured.touch)
         time, self._corrected = stamp - self._corrected, stamp
         wanted = self.force
-        still = all(
-            self._contact.blocked(i) and self._exerted(i, measured) >= _AT_LIMIT * self._factor
-            for i in self.pressing
-        )
-        if still and self._correct_until == math.inf:
+        # Of several joints, the one that bears most shows what the limits give; others may be
+        # held by their posture, and never come near theirs.
+        most = max((self._exerted(i, measured) for i in self.pressing), default=math.inf)
+        at_limit = most >= _AT_LIMIT * self._factor
+        rests = at_limit and any(self._contact.blocked(i) for i in self.pressing)
+        if rests and self._correct_until == math.inf:
             self._correct_until = stamp + _CORRECTED
-        if not (still and abs(felt - wanted) <= _THERE * wanted):
+        if not (rests and abs(felt - wanted) <= _THERE * wanted):
             self._there = stamp
         if felt != felt or stamp - self._there >= _SETTLE:
             self._correct_until = stamp
@@ -222,8 +212,8 @@ class Squeeze:
         if felt > wanted:
             # Below its limit, an actuator would not respond until the limit was lowered to its
             # effort: start from there.
-            factor = min([factor, *(self._exerted(i, measured) for i in self.pressing)])
-        elif not still:
+            factor = min(factor, most)
+        elif not at_limit:
             return False  # the efforts are still rising to the present limit
         factor *= 1.0 + min(time / _FOLLOW, 1.0) * (1.0 - felt / wanted)
         self._factor = min(max(factor, 1.0 / _BELIEVED), _BELIEVED)
@@ -253,7 +243,7 @@ class Squeeze:
             self.built = True
             if there:  # with less effort than the levers predict
                 shares = (self._exerted(i, measured) for i in self.pressing)
-                self._factor = max(min(shares, default=1.0), 1.0 / _BELIEVED)
+                self._factor = max(max(shares, default=1.0), 1.0 / _BELIEVED)
                 self._factor = min(self._factor, 1.0)
                 self._apply()
             self._ease = stamp + self._grasp.grip_after
@@ -264,17 +254,16 @@ class Squeeze:
     def _slips(self, i: int, held: Held, measured: Measured) -> bool:
         """Return whether the object of an actuator seems to slip, or to be pulled."""
         position, effort = measured.position[i], abs(measured.effort[i])
-        forces = finger_forces(self._hand, i, measured)
+        forces = self._contact.forces(i, measured)
         touch = sum(forces) if forces else math.nan
         if held.position != held.position:
             held.position, held.effort, held.touch, held.low = position, effort, touch, 0
             return False
         ahead = 1.0 if self._profile.target[i] >= position else -1.0
-        if (position - held.position) * ahead > _CREEP * self._contact.tolerance(i):
+        if rules.creeps((position - held.position) * ahead, self._contact.tolerance(i)):
             return True
-        dropped = effort < _DROP * held.effort or touch < _DROP * held.touch
-        loaded = touch > max(_LOAD * held.touch, held.touch + self._grasp.touch)
-        held.low = held.low + 1 if dropped or loaded else 0
+        pulled = rules.pulled(effort, held.effort, touch, held.touch, self._grasp.touch)
+        held.low = held.low + 1 if pulled else 0
         return held.low >= _CONFIRMED
 
     def _raise(self, i: int, stamp: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
+from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.streams.player import StreamPlayer
 from rtee.loop.supervisor import Supervisor
 from rtee.loop.touch import TouchGatherer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rtee.types import Result
-from rtee.units import grip_words
+from rtee.units import MAY_BE_NOTHING, grip_words
 
 
 def sentence(result: Result, elements: Sequence[str] = ()) -> str:
@@ -17,7 +17,11 @@ def sentence(result: Result, elements: Sequence[str] = ()) -> str:
             (result.reached, "reached"),
             (result.grasped, "grasped" + _by(result.grasped_fingers)),
             (bool(result.touched) and not result.grasped, "touched" + _by(result.touched)),
-            (result.stalled and not (result.grasped or result.touched), "stalled"),
+            (result.unknown, MAY_BE_NOTHING),
+            (
+                result.stalled and not (result.grasped or result.touched or result.unknown),
+                "stalled",
+            ),
             (result.preempted, "pre-empted by another goal"),
             (result.cancelled, f"cancelled{why}"),
             (result.timed_out, "timed out"),

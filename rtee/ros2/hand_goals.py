@@ -11,6 +11,7 @@ from rtee.ros2.actions import GoalState, Outcome
 from rtee.ros2.face import Part
 from rtee.ros2.message import Message
 from rtee.types import Feedback, Result
+from rtee.units import MAY_BE_NOTHING
 
 
 def state_of(result: Result, touch: bool = False) -> GoalState:
@@ -37,6 +38,8 @@ def reason_of(result: Result, touch: bool = False) -> str:
         return result.reason
     if result.timed_out:
         return f"it took longer than its timeout, {result.duration:.3g} s"
+    if result.unknown:
+        return MAY_BE_NOTHING
     if touch:
         return "nothing was touched"
     return f"the hand stopped short of it by {result.error:.3g} rad or m, and holds nothing"

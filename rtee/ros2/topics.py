@@ -15,7 +15,7 @@ from rtee.hand.embedded_meshes import with_mesh_addresses
 from rtee.hand.frames import JointFrames
 from rtee.hand.meshes import resolve_mesh
 from rtee.hand.model import Hand
-from rtee.loop.contact import TIP_FORCE, tip_forces
+from rtee.loop.measured import TIP_FORCE, tip_forces
 from rtee.messages import (
     JointStateEncoder,
     encode_event,

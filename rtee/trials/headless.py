@@ -13,8 +13,8 @@ from rtee.commands import Command, CommandRecord, SetActive
 from rtee.errors import LoopError
 from rtee.hand.model import Hand
 from rtee.log.layout import RUN_BEGINS
-from rtee.loop.contact import TIP_FORCE, Measured, tip_forces
 from rtee.loop.controller import Controller
+from rtee.loop.measured import TIP_FORCE, Measured, tip_forces
 from rtee.loop.observer import LoopObserver
 from rtee.loop.plan import Plan, make_plan
 from rtee.loop.settings import LoopSettings
@@ -76,6 +76,7 @@ class HeadlessHand(Generic[P]):
         time: Simulated time of the next tick, since the start [s].
         ticks: Ticks since the start; as in the loop, the first one has the number 0.
         results: How the goals ended, by their identifiers.
+        events: The events since the start.
         forces: Contact force on each finger in the last tick ``(fingers,)`` [N].
     """
 
@@ -110,6 +111,7 @@ class HeadlessHand(Generic[P]):
         self.observers = tuple(observers)
         self.ticks = ticks
         self.results: dict[str, Result] = {}
+        self.events: list[Event] = []
         self._before: list[Callable[[float], None]] = []
         self._due: list[Plan | Command] = []
         self._latest = Measured((), (), (), (), ())
@@ -254,6 +256,8 @@ class HeadlessHand(Generic[P]):
         for item in outbox.items:
             if isinstance(item, Result):
                 self.results[item.goal_id] = item
+            elif isinstance(item, Event):
+                self.events.append(item)
             for observer in self.observers:
                 if isinstance(item, Result):
                     observer.on_result(item)

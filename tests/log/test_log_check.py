@@ -30,6 +30,7 @@ from rtee.hand.model import Hand
 from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
 from rtee.log.tables import tables
+from rtee.loop import contact_rules
 from rtee.loop.clock import ManualClock
 from rtee.loop.handloop import HandLoop
 from rtee.loop.settings import LoopSettings
@@ -322,3 +323,11 @@ def test_the_table_of_commands_is_as_before() -> None:
     assert table["text"][row] == "0.30000000000000004"
     assert table["values"][row] == "index_tip=0.3 thumb_slide=0.01"
     assert table["tick"][row] == 152
+
+
+def test_a_recording_says_by_which_rules_of_contact_it_was_made() -> None:
+    report = check(read(RECORDED_BEFORE))
+    assert report.rules == 1  # from before it was written
+    assert (report.note == "") == (contact_rules.VERSION == 1)
+    assert "version 7" in replace(report, rules=7).note
+    assert replace(report, rules=contact_rules.VERSION).note == ""

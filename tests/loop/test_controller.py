@@ -9,8 +9,8 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.commands import SetActive
 from rtee.hand.model import Hand
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.types import Goal, Result

@@ -12,9 +12,9 @@ from rtee.actions.library import ActionLibrary
 from rtee.commands import SetActive
 from rtee.hand.load import load_configured
 from rtee.loop.configure import loop_settings
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.grip import Grip
+from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
 from rtee.types import Event, Goal, OnContact, Result
 
@@ -188,6 +188,54 @@ def test_a_goal_that_opens_after_a_grasp_does_not_press_on_its_way_back() -> Non
         assert gripper.force < 1.0
 
 
+@pytest.mark.parametrize("force", [15.0, 80.0])
+@pytest.mark.parametrize("reads", [1.0, NAN])
+def test_a_grasp_of_what_is_held_changes_its_force_in_place(force: float, reads: float) -> None:
+    gripper = Gripper(0.04, reads=reads)
+    assert gripper.do(grasp(0.04, 40.0)).grasped
+    gripper.accept(grasp(0.04, force))
+    least = math.inf
+    while not gripper.results:
+        gripper.tick()
+        # It neither opens nor lets go on the way: a part would fall.
+        assert gripper.position == gripper.contact
+        least = min(least, gripper.force)
+    assert least > 0.9 * min(force, 40.0)
+    result = gripper.results.pop()
+    assert result.grasped
+    assert result.within
+    assert gripper.force == pytest.approx(force, rel=0.05)
+
+
+def test_a_grasp_after_the_part_is_gone_opens_again() -> None:
+    gripper = Gripper(0.04, reads=1.0)
+    gripper.do(grasp(0.04, 40.0))
+    gripper.contact = math.inf
+    while "grasp_lost" not in [event.kind for event in gripper.events]:
+        gripper.tick()
+    gripper.accept(grasp(0.04, 20.0))
+    before = gripper.position
+    for _ in range(100):
+        gripper.tick()
+    assert gripper.position < before
+
+
+@pytest.mark.parametrize("reads", [1.0, NAN])
+def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
+    gripper = Gripper(0.0003, reads=reads)
+    result = gripper.do(grasp(0.004, 20.0))
+    assert (result.grasped, result.within) == (False, False)
+    assert result.reached  # within the tolerance
+    assert result.unknown == (reads == 1.0)  # by efforts alone, they have just arrived
+    assert result.grasped_fingers == result.touched == ()
+
+
+def test_a_gripper_that_its_force_does_not_move_holds_nothing() -> None:
+    gripper = Gripper(friction=4.0)
+    result = gripper.do(Goal("Grasp", effort={gripper.hand.actuator_names[0]: 3.0}))
+    assert (result.stalled, result.grasped) == (True, False)
+
+
 def test_a_goal_that_closes_further_does_not_let_go() -> None:
     gripper = Gripper(0.04)
     name = gripper.hand.actuator_names[0]
@@ -234,3 +282,70 @@ def test_the_force_between_the_tips_needs_both_sides() -> None:
     assert grip.tip_force([5.0, 4.0]) == 4.0
     for missing in ([math.nan, 5.0], [5.0, math.nan], [5.0]):
         assert math.isnan(grip.tip_force(missing))
+
+
+class Stepping(Gripper):
+    """A 2F-85 that follows a slow reference in steps, as one that has a least speed does.
+
+    It measures positions in counts, 25 times a second, and a current that it takes while it moves.
+    """
+
+    LEAST_SPEED = 0.2
+    """The least speed of its motor [rad/s]: twice that of the touch."""
+    COUNT = 0.0036
+    """A count of its position [rad]."""
+
+    def tick(self) -> None:
+        self.ticks = getattr(self, "ticks", -1) + 1
+        self.time += self.settings.period
+        there, way = getattr(self, "there", 0.0), self.LEAST_SPEED * self.settings.period
+        gap = min(self.reference, self.contact) - there
+        # It sets out once it is five counts behind, and stops when it has caught up.
+        self.going = abs(gap) > (0.0 if getattr(self, "going", False) else 5.0 * self.COUNT)
+        if self.going:
+            there += max(-way, min(gap, way))
+        self.there = there
+        fresh = self.ticks % 20 == 0
+        if fresh:
+            self.position = round(there / self.COUNT) * self.COUNT
+            pressed = there >= self.contact and self.reference - there > 5.0 * self.COUNT
+            self.amps = 0.4 if pressed else 0.1 if self.going else 0.0
+        amps = getattr(self, "amps", 0.0)
+        measured = Measured([self.position], [NAN], [NAN], [fresh], [-1], current=[amps])
+        self.controller.step(self.time, measured)
+        for item in self.controller.outbox.items:
+            if isinstance(item, Result):
+                self.results.append(item)
+            elif isinstance(item, Event):
+                self.events.append(item)
+        self.controller.outbox.items.clear()
+
+
+def test_a_gripper_that_moves_in_steps_touches_nothing_in_the_air() -> None:
+    gripper = Stepping()
+    for number in range(4):
+        result = gripper.do(Goal("Grasp", touch=True))
+        assert (result.touched, result.reached) == ((), True), number
+        gripper.do(Goal("open"))
+    # The first time, it says that it does not know yet what free motion takes.
+    assert [event.kind for event in gripper.events] == ["contact_unknown"]
+
+
+@pytest.mark.parametrize("width", [0.01, 0.03, 0.06])
+def test_it_touches_what_is_there_once_it_has_moved_freely(width: float) -> None:
+    gripper = Stepping()
+    gripper.do(Goal("Grasp", touch=True))
+    gripper.do(Goal("open"))
+    assert gripper.grip is not None
+    gripper.contact = gripper.grip.position_at(gripper.grip.intensity_at(width))[0]
+    result = gripper.do(Goal("Grasp", touch=True))
+    assert result.touched
+    assert result.opening == pytest.approx(width, abs=2e-3)
+
+
+def test_every_free_motion_teaches_what_a_contact_is_not() -> None:
+    gripper = Stepping()
+    gripper.do(Goal("Grasp", speed=0.1))  # a goal that reacts to nothing
+    gripper.do(Goal("open"))
+    gripper.do(Goal("Grasp", touch=True))
+    assert gripper.events == []

@@ -15,9 +15,9 @@ from rtee.commands import SetActive
 from rtee.errors import GoalRejected
 from rtee.hand.config_schema import GraspSettings
 from rtee.hand.model import Hand
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
 from rtee.loop.free_motion import FreeMotion
+from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.tip_levers import TipLevers

@@ -28,8 +28,8 @@ from rtee.errors import GoalRejected
 from rtee.hand.config_schema import ProfileKind, ProfileSettings, StreamSettings
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.measured import Measured
 from rtee.loop.plan import make_plan
 from rtee.loop.settings import LoopSettings
 from rtee.loop.streams.targets import Targets

@@ -13,8 +13,8 @@ from rtee.errors import ConfigError
 from rtee.hand.config_schema import Behaviour, GraspSettings, SafetySettings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json, to_json
-from rtee.loop.contact import Measured
 from rtee.loop.controller import Controller
+from rtee.loop.measured import Measured
 from rtee.loop.settings import LoopSettings
 from rtee.loop.thermal import PLAUSIBLE, Level, Thermal
 from rtee.loop.thermal_model import CurrentHeat

@@ -13,7 +13,7 @@ from rtee.drivers.mujoco.scene import make_simulation
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.load import hand_folder, load_configured
 from rtee.loop.configure import loop_settings
-from rtee.loop.contact import Measured
+from rtee.loop.measured import Measured
 from rtee.sample import FloatArray
 from rtee.trials.grasp_placement import Places
 from rtee.trials.headless import HeadlessHand

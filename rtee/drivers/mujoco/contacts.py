@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import mujoco
@@ -24,8 +25,12 @@ of that growth. With MuJoCo's 0.9 to 0.95, 240 N press the pads of a 2F-85 2.6 m
 with these 0.8 mm; stiffer ones chatter."""
 
 SKIN: Final = 0.0008
-"""Distance at which contact forces of an object begin [m]. A fast fingertip moves 1 mm in a time
-step; without the skin it would be inside the object before there is any force."""
+"""Depth of an object's skin, in which its contact forces grow [m]. A fast fingertip moves 1 mm in a
+time step; without the skin it would be inside the object before there is any force. The skin lies
+inside of the object's surface, where the forces begin."""
+
+_SKIN_SHARE: Final = 0.75
+"""Depth of the skin of a thin object, as a share of half its least extent."""
 
 IMPRATIO: Final = 100.0
 """Ratio of the stiffness of friction to that of the normal force: a held object creeps in inverse
@@ -75,15 +80,24 @@ def make_hard(geom: mujoco.MjsGeom, friction: float) -> None:
     geom.friction = [friction, _TORSION * friction, _ROLLING * friction]
 
 
-def make_object(geom: mujoco.MjsGeom) -> None:
+def make_object(geom: mujoco.MjsGeom, half_extents: Sequence[float]) -> float:
     """Give a shape of an object its contact: hard, with a skin, and frictionless.
 
     MuJoCo takes the larger friction of two shapes, so a pair has the coefficient of the shape that
-    touches the object.
+    touches the object. Its forces begin at a distance, the margin; the caller makes the shape
+    smaller by as much, so that they begin at the surface.
+
+    Args:
+        geom: The shape.
+        half_extents: Half of its extents [m].
+
+    Returns:
+        The depth of the skin [m].
     """
     make_hard(geom, friction=0.0)
     # Only the object has a skin, so two links of the hand do not feel each other at a distance.
-    geom.margin = SKIN
+    geom.margin = min(SKIN, _SKIN_SHARE * min(half_extents))
+    return float(geom.margin)
 
 
 def make_pair_hard(pair: mujoco.MjsPair, friction: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import mujoco
 import numpy as np
 
@@ -58,30 +60,68 @@ def add_object(
     match shape.kind:
         case "box":
             geom.type = mujoco.mjtGeom.mjGEOM_BOX
-            geom.size = [0.5 * value for value in shape.size]
+            _set_size(geom, *(0.5 * value for value in shape.size))
         case "cylinder":
             geom.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-            geom.size = [shape.size[0], 0.5 * shape.size[1], 0.0]
+            _set_size(geom, shape.size[0], 0.5 * shape.size[1])
         case "sphere":
             geom.type = mujoco.mjtGeom.mjGEOM_SPHERE
-            geom.size = [shape.size[0], 0.0, 0.0]
+            _set_size(geom, shape.size[0])
         case "capsule":
             radius, length = shape.size
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
-            geom.size = [radius, 0.5 * length - radius, 0.0]  # MuJoCo counts without the caps
+            _set_size(geom, radius)
+            # MuJoCo counts without the caps, which alone get smaller.
+            geom.size[1] = 0.5 * length - radius
         case _:
-            mesh = spec.add_mesh(name=OBJECT, file=str(shape.path))
-            mesh.scale = [shape.scale] * 3
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            geom.type = mujoco.mjtGeom.mjGEOM_MESH
-            geom.meshname = OBJECT
+            _add_mesh(spec, geom, shape)
     return body
 
 
 def _geom(body: mujoco.MjsBody, name: str, mass: float) -> mujoco.MjsGeom:
-    geom = body.add_geom(name=name, mass=mass, rgba=[0.74, 0.60, 0.44, 1.0])
-    make_object(geom)
-    return geom
+    return body.add_geom(name=name, mass=mass, rgba=[0.74, 0.60, 0.44, 1.0])
+
+
+def _set_size(geom: mujoco.MjsGeom, *half_extents: float) -> None:
+    """Set the size of a shape [m], made smaller by its skin, and its contact."""
+    skin = make_object(geom, half_extents)
+    geom.size = [half - skin for half in half_extents] + [0.0] * (3 - len(half_extents))
+
+
+def _add_mesh(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, shape: ObjectShape) -> None:
+    """Give a geom the mesh of a shape, made smaller by its skin about its middle."""
+    mesh = spec.add_mesh(name=OBJECT, file=str(shape.path))
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    geom.type = mujoco.mjtGeom.mjGEOM_MESH
+    geom.meshname = OBJECT
+    mesh.scale = [shape.scale] * 3
+    bounds = _bounds(str(shape.path))
+    if bounds is None:  # the compilation of the whole says what is wrong with it
+        return
+    least, most = (shape.scale * corner for corner in bounds)
+    half = 0.5 * (most - least)
+    skin = make_object(geom, half.tolist())
+    smaller = 1.0 - skin / half
+    mesh.scale = shape.scale * smaller
+    geom.pos = 0.5 * (least + most) * (1.0 - smaller)
+
+
+@lru_cache(maxsize=4)
+def _bounds(path: str) -> tuple[FloatArray, FloatArray] | None:
+    """Return the least and the largest coordinates ``(3,)`` of a mesh; ``None``: it is no solid."""
+    probe = mujoco.MjSpec()
+    mesh = probe.add_mesh(name=OBJECT, file=path)
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+    probe.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT)
+    try:
+        model = probe.compile()
+    except ValueError:
+        return None
+    # MuJoCo keeps the corners in the frame of the mesh's inertia.
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.mesh_quat[0])
+    corners = model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0]
+    return corners.min(axis=0), corners.max(axis=0)
 
 
 def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
@@ -97,15 +137,15 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     # motor.
     core = _geom(body, OBJECT, 0.2 * mass)
     core.type = mujoco.mjtGeom.mjGEOM_BOX
-    core.size = [radius, flat, 0.5 * grip[2]]
+    _set_size(core, radius, flat, 0.5 * grip[2])
     for name, side in (("back", -1.0), ("front", 1.0)):
         edge = _geom(body, f"{OBJECT}/{name}", 0.15 * mass)
         edge.type = mujoco.mjtGeom.mjGEOM_CYLINDER
-        edge.size = [radius, 0.5 * grip[2], 0.0]
+        _set_size(edge, radius, 0.5 * grip[2])
         edge.pos = [0.0, side * flat, 0.0]
     motor = _geom(body, f"{OBJECT}/motor", 0.45 * mass)
     motor.type = mujoco.mjtGeom.mjGEOM_BOX
-    motor.size = [0.5 * value for value in top]
+    _set_size(motor, *(0.5 * value for value in top))
     motor.pos = motor_place(scale)
     trigger = body.add_body(name=TRIGGER, pos=trigger_place(scale))
     joint = trigger.add_joint(
@@ -123,5 +163,5 @@ def _add_drill(body: mujoco.MjsBody, mass: float, scale: float) -> None:
     joint.damping = [2.0, 0.0, 0.0]
     plate = _geom(trigger, TRIGGER, 0.05 * mass)
     plate.type = mujoco.mjtGeom.mjGEOM_BOX
-    plate.size = [0.5 * value for value in button]
+    _set_size(plate, *(0.5 * value for value in button))
     plate.rgba = [0.75, 0.15, 0.12, 1.0]

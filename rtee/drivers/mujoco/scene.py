@@ -245,8 +245,8 @@ def _links_inside(model: mujoco.MjModel, data: mujoco.MjData) -> set[str]:
     for contact in data.contact:
         bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         of_object = [model.body(model.body_rootid[body]).name == OBJECT for body in bodies]
-        # The object's skin reports contacts before anything touches; those have a distance above 0.
-        if contact.dist < 0.0 and any(of_object):
+        # Within the margin, a link is inside the object's surface.
+        if any(of_object):
             links |= {
                 model.body(b).name for b, own in zip(bodies, of_object, strict=True) if not own
             }

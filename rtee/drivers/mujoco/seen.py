@@ -135,7 +135,9 @@ def _name(options: SimOptions) -> str:
 
 def _parts(model: mujoco.MjModel, geom: int, pose: FloatArray) -> list[ObjectPart]:
     """Return what a geom at a pose ``(4, 4)`` in the object's frame looks like."""
-    size, at = model.geom_size[geom].tolist(), pose_vector(pose)
+    # The shape is smaller than the object by its skin.
+    at, skin = pose_vector(pose), float(model.geom_margin[geom])
+    size = [half + skin for half in model.geom_size[geom].tolist()]
     match int(model.geom_type[geom]):
         case mujoco.mjtGeom.mjGEOM_BOX:
             return [ObjectPart("box", tuple(2.0 * half for half in size), at)]
@@ -145,11 +147,11 @@ def _parts(model: mujoco.MjModel, geom: int, pose: FloatArray) -> list[ObjectPar
             return [ObjectPart("cylinder", (size[0], 2.0 * size[1]), at)]
         case mujoco.mjtGeom.mjGEOM_CAPSULE:
             # Clients know no capsules: a cylinder and a sphere at each end.
-            radius, half = size[0], size[1]
+            radius, half = size[0], size[1] - skin
             tube = [ObjectPart("cylinder", (radius, 2.0 * half), at)] if half > 0.0 else []
             ends = (pose @ _raised(z) for z in (-half, half))
             return tube + [ObjectPart("sphere", (radius,), pose_vector(end)) for end in ends]
-    return [ObjectPart("mesh", (), at, *_mesh(model, int(model.geom_dataid[geom])))]
+    return [ObjectPart("mesh", (), at, *_mesh(model, int(model.geom_dataid[geom]), skin))]
 
 
 def _raised(z: float) -> FloatArray:
@@ -158,10 +160,22 @@ def _raised(z: float) -> FloatArray:
     return pose
 
 
-def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Return the vertices and triangles of a mesh, or of its hull if it has too many."""
+def _mesh(
+    model: mujoco.MjModel, mesh: int, skin: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return the vertices and triangles of a mesh, or of its hull if it has too many.
+
+    It is drawn larger by the skin [m] by which it was made smaller, along its file's axes.
+    """
     first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    vertices = np.array(model.mesh_vert[first : first + count], dtype=np.float32)
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, model.mesh_quat[mesh])
+    turn = flat.reshape(3, 3)
+    inside = model.mesh_vert[first : first + count] @ turn.T
+    least, most = inside.min(axis=0), inside.max(axis=0)
+    middle, half = 0.5 * (least + most), 0.5 * (most - least)
+    outside = middle + (inside - middle) * (1.0 + skin / half)
+    vertices = np.array(outside @ turn, dtype=np.float32)
     first, count = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
     faces = np.array(model.mesh_face[first : first + count], dtype=np.uint32)
     if len(faces) > MOST_TRIANGLES:

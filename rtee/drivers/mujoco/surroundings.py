@@ -170,8 +170,10 @@ class Surroundings:
         met = self._met(data)
         if not met:
             return 0.0
-        distances = data.contact.dist
-        return max(0.0, *(-float(distances[number]) for _, number in met))
+        # Contacts begin at the surface, a skin before the shape that MuJoCo knows.
+        contact = data.contact
+        deep = contact.includemargin - contact.dist
+        return max(0.0, *(float(deep[number]) for _, number in met))
 
     @property
     def pose(self) -> FloatArray:

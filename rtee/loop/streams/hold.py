@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
 from rtee.hand.model import Hand
-from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.evidence import Evidence
+from rtee.loop.measured import Measured
 from rtee.loop.streams.player import StreamPlayer
 
 _TOLERANCE = 0.01
@@ -29,7 +30,7 @@ class StreamHold:
     def __init__(
         self,
         hand: Hand,
-        contact: ContactWatch,
+        contact: Evidence,
         reference: Sequence[float],
         limits: Sequence[float],
         eased: set[int],

@@ -1,4 +1,9 @@
-"""Detect from an actuator's state whether it is blocked, grasps, or has lost its grasp."""
+"""Evidence of contacts: what speaks for one, of which actuator and finger, and since when.
+
+The only place that reads measurements for contacts: forces on the fingers, the device's own word,
+effort above that of free motion, and stalls. What follows from them is decided by the rules in
+`rtee.loop.contact_rules`.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +11,16 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from rtee.hand.config_schema import GraspSettings, StallSettings
-from rtee.sample import FloatArray, Measurements
-from rtee.types import ActuatorSpec
+from rtee.hand.model import Hand
+from rtee.loop import contact_rules as rules
+from rtee.loop.free_motion import FreeMotion
+from rtee.loop.measured import Measured
+from rtee.loop.tip_levers import TipLevers
 
 _LOST_AFTER = 0.05
 """A grasp counts as lost when it looks lost for this long [s]: longer than noise, and a few periods
 of the slowest devices."""
-
-_LOST_MOVE = 0.02
-"""A grasp looks lost once the actuator has closed further by this fraction of its range, more than
-a soft object gives way."""
-
-TIP_FORCE = "contact_force"
-"""The channel of a device's state with the contact force on every finger of the hand [N], summed
-over all links of the finger."""
 
 _FELT = 0.1
 """A fingertip counts as touching for this long after its last contact force [s]: contacts
@@ -37,66 +35,30 @@ _SILENCE = 3.0
 """A measurement that comes later than this many usual intervals ends a silence, in which the
 actuator may or may not have been at rest."""
 
+_CONFIRMED = 2
+"""Measurements in succession whose effort must show a contact: a single one may be noise."""
+
+_UNKNOWN_SHARE = 0.05
+"""Threshold of a contact for an actuator that moves no fingertip, as a share of its effort limit
+above the effort of free motion: its lever, and so the force, is unknown."""
+
+_SET_OUT = 0.1
+"""Efforts are not evaluated for this long after an actuator has started to move, while it overcomes
+static friction [s]."""
+
+_FREELY = 0.5
+"""An actuator moves freely while it covers this share of the way of its reference or more."""
+
+_LEARN_EVERY = 0.02
+"""Interval at which an actuator's free motion is learned from goals that react to no contact [s]:
+some hundred measurements of a motion are enough, and the tick's time is short."""
+
+_RESOLUTION = 0.01
+"""Least threshold of a contact as a share of the effort limit: devices measure no better."""
+
 _USUAL_SHARE = 0.125
 """Weight of the newest interval in the usual one, which follows a change of rate within 8
 intervals."""
-
-
-@dataclass(slots=True)
-class Measured:
-    """The measured state that a controller is given at a tick; lists in the hand's actuator order.
-
-    Attributes:
-        position: Measured positions [rad | m]; ``NaN``: not measured.
-        effort: Measured efforts [N·m | N].
-        temperature: Measured temperatures [°C].
-        fresh: Whether the measurement is newer than at the tick before.
-        grasped: The device's own report: 1 holding, 0 not holding, -1 no report.
-        current: Measured currents [A]; empty: no device measures any.
-        touch: Measured contact forces on the fingers [N], in the hand's order; ``NaN``: not
-            measured; empty: no device measures any.
-    """
-
-    position: Sequence[float]
-    effort: Sequence[float]
-    temperature: Sequence[float]
-    fresh: Sequence[bool]
-    grasped: Sequence[int]
-    current: Sequence[float] = ()
-    touch: Sequence[float] = ()
-
-    def update(self, sample: Measurements, before: Measurements | None = None) -> None:
-        """Copy the quantities that a controller needs from a sample.
-
-        Args:
-            sample: The sample.
-            before: The previous sample. Arrays that are the same object in both, such as those of
-                quantities that a device does not measure, are not converted again.
-        """
-        # Lists, since indexing numpy arrays one value at a time takes several times as long.
-        self.position = sample.position.tolist()
-        if before is None or sample.effort is not before.effort:
-            self.effort = sample.effort.tolist()
-        if before is None or sample.temperature is not before.temperature:
-            self.temperature = sample.temperature.tolist()
-        if before is None or sample.current is not before.current:
-            self.current = sample.current.tolist()
-
-
-def tip_forces(measured: Sequence[FloatArray]) -> list[float]:
-    """Return the forces on the fingers [N], merged from the measurements of some devices.
-
-    Args:
-        measured: The channel `TIP_FORCE` of each device ``(fingers,)``; ``NaN``: not measured.
-    """
-    if not measured:
-        return []
-    merged = measured[0]
-    for other in measured[1:]:
-        if other.shape == merged.shape:
-            # `fmax` prefers a number to NaN: each device knows only the fingers it measures.
-            merged = np.fmax(merged, other)
-    return [float(force) for force in merged]
 
 
 @dataclass(slots=True)
@@ -121,11 +83,56 @@ class _Watched:
     own_report: bool = False
     old_report: bool = False
     new: bool = True
+    hung: float = 0.0
     hold_position: float = math.nan
     losing_since: float = math.nan
 
 
-class ContactWatch:
+@dataclass(slots=True)
+class _Approach:
+    """An actuator that approaches a contact, by its effort.
+
+    Attributes:
+        ahead: Direction in which it closes.
+        threshold: Effort of a contact above that of free motion [N·m | N].
+        by_tip: Whether the threshold follows from the tip's lever at the present posture.
+        velocity: Velocity of the reference when it was last evaluated [rad/s | m/s].
+        seen: When it was last evaluated [s].
+        began: When it set out [s].
+        over: Number of successive measurements above the threshold.
+        in_effort: Whether the device measures its effort.
+        was: Where it was measured last [rad | m].
+    """
+
+    ahead: float
+    threshold: float
+    by_tip: bool
+    velocity: float = 0.0
+    seen: float = math.nan
+    began: float = math.nan
+    over: int = 0
+    in_effort: bool = False
+    was: float = math.nan
+
+
+@dataclass(slots=True)
+class _Lesson:
+    """Where an actuator was when its free motion was last learned from.
+
+    Attributes:
+        stamp: When [s].
+        position: Its position [rad | m].
+        reference: Its reference [rad | m].
+        velocity: The velocity of its reference [rad/s | m/s].
+    """
+
+    stamp: float
+    position: float
+    reference: float
+    velocity: float
+
+
+class Evidence:
     """Watches the actuators of the last goal or stream for contacts.
 
     An actuator is *blocked* when it stays behind its reference and hardly moves for the stall time,
@@ -140,15 +147,16 @@ class ContactWatch:
     from a held object, nothing counts as a grasp until the actuator has left the object.
     """
 
-    def __init__(
-        self,
-        actuators: Sequence[ActuatorSpec],
-        stall: StallSettings,
-        grasp: GraspSettings,
-        fingers: Sequence[str] = (),
-    ) -> None:
-        self._actuators = actuators
-        self._fingers = fingers
+    def __init__(self, hand: Hand, stall: StallSettings, grasp: GraspSettings) -> None:
+        self._hand = hand
+        actuators = self._actuators = hand.actuators
+        names = self._fingers = hand.finger_names
+        # A recording without the hand's SRDF names fingers that its model does not have.
+        self._places = [tuple(names.index(f) for f in a.fingers if f in names) for a in actuators]
+        self._free = [FreeMotion(a.effort, a.velocity, a.acceleration) for a in actuators]
+        self._levers = TipLevers(hand)
+        self._approaching: dict[int, _Approach] = {}
+        self._lessons: dict[int, _Lesson] = {}
         self._felt: dict[str, float] = {}
         self._now = -math.inf
         self._stall = stall
@@ -182,6 +190,7 @@ class ContactWatch:
         """Stop watching some actuators."""
         for i in indices:
             self._watched.pop(i, None)
+            self._approaching.pop(i, None)
 
     def pin(self, i: int, stamp: float, position: float, *, grasping: bool) -> None:
         """Record that an actuator was stopped because it touches an object.
@@ -220,6 +229,12 @@ class ContactWatch:
         """Return whether an actuator holds an object."""
         watched = self._watched.get(i)
         return watched is not None and watched.grasping
+
+    def says(self, indices: Iterable[int]) -> bool:
+        """Return whether one of some actuators holds an object by its device's own word."""
+        return any(
+            (w := self._watched.get(i)) is not None and w.grasping and w.own_report for i in indices
+        )
 
     def presses(self, i: int, reference: float, position: float) -> bool:
         """Return whether an actuator holds an object, or is still kept from its reference."""
@@ -271,9 +286,9 @@ class ContactWatch:
 
     def _touch(self, i: int) -> bool | None:
         """Return whether a fingertip that an actuator moves touches; ``None``: not measured."""
-        tips = {self._touches(finger) for finger in self._actuators[i].fingers}
-        # A tip that is not measured may be the one that touches, so the answer is "unknown".
-        return True if True in tips else None if None in tips or not tips else False
+        if not self._felt:
+            return None
+        return rules.one_touches(self._touches(finger) for finger in self._actuators[i].fingers)
 
     def blocked_longer_than(self, seconds: float, stamp: float) -> list[int]:
         """Return the actuators that have been blocked for longer than a time [s]."""
@@ -306,7 +321,11 @@ class ContactWatch:
             self._listen(i, watched, position, stamp)
             ahead = 1.0 if watched.target >= position else -1.0
             tolerance = watched.tolerance
-            behind = (reference[i] - position) * ahead > tolerance
+            lag = (reference[i] - position) * ahead
+            if watched.new and lag > 0.0:
+                # It hung behind before it set out, as a servo under load does.
+                watched.hung = min(lag, tolerance)
+            behind = lag > tolerance + watched.hung
             watched.led = watched.led + 1 if behind else 0
             # A device that reports grasps reports them once its target is at rest.
             arriving = report == 0 and abs(reference[i] - watched.target) > tolerance
@@ -352,18 +371,32 @@ class ContactWatch:
         """Record that an actuator is blocked, and whether it holds an object."""
         if math.isnan(watched.blocked_at):
             watched.blocked_at = stamp
-        effort = abs(measured.effort[i])
-        report = measured.grasped[i]
-        holds = own_report or (report != 0 and not away and effort >= self._grasp.effort * limit)
-        # A sensor at the tip is better evidence than efforts, which include friction.
-        touch = self._touch(i) if self._felt else None
-        if touch is not None:
-            holds = touch and not away
-        if holds:
+        if rules.holds(
+            self._touch(i),
+            word=own_report,
+            denied=measured.grasped[i] == 0,
+            away=away,
+            # Half of the tolerance: what grips from the start on moves no further.
+            moved=(measured.position[i] - watched.start) * ahead > 0.5 * watched.tolerance
+            or self._grips[i] is not None,
+            effort=abs(measured.effort[i]),
+            least=self._pressing(i, limit),
+        ):
             watched.grasping = True
             watched.own_report = own_report
             watched.hold_position = measured.position[i]
             self._grips[i] = _Grip(ahead, measured.position[i])
+
+    def _pressing(self, i: int, limit: float) -> float:
+        """Return the effort from which on an actuator may press on something [N·m | N].
+
+        A limit hardly above what free motion takes lets friction stop it anywhere.
+        """
+        free, least = self._free[i], self._grasp.effort * limit
+        full = self._actuators[i].effort
+        if not free.known or math.isinf(full):
+            return least
+        return max(least, free.dry + _RESOLUTION * full)
 
     def _listen(self, i: int, watched: _Watched, position: float, stamp: float) -> None:
         """Record the time since the last measurement; silence does not count as rest."""
@@ -429,19 +462,173 @@ class ContactWatch:
     def _looks_lost(
         self, i: int, watched: _Watched, measured: Measured, reference: float, limit: float
     ) -> bool:
-        if self._felt and self._touch(i) is False:
-            return True
-        # The report is trusted only while the target is at rest: devices clear it when they move.
+        word = None
         if watched.own_report:
-            return measured.grasped[i] == 0 and abs(reference - watched.target) <= watched.tolerance
+            # Trusted only while the target is at rest: devices clear their word when they move.
+            resting = abs(reference - watched.target) <= watched.tolerance
+            word = not (measured.grasped[i] == 0 and resting)
         push = reference - watched.hold_position
-        moved = (measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0)
         spec = self._actuators[i]
-        span = spec.upper - spec.lower
-        # Further than noise, but no more than half of the way that is left to close.
-        enough = max(3.0 * watched.tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
-        if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * watched.tolerance:
+        return rules.lost(
+            self._touch(i),
+            word=word,
+            moved=(measured.position[i] - watched.hold_position) * (1.0 if push >= 0.0 else -1.0),
+            push=push,
+            tolerance=watched.tolerance,
+            span=spec.upper - spec.lower,
+            effort=abs(measured.effort[i]),
+            least=self._grasp.effort * limit,
+        )
+
+    # --- an approach -------------------------------------------------------------------------
+
+    def forces(self, i: int, measured: Measured) -> list[float]:
+        """Return the forces on the fingers of an actuator [N]; empty if none are measured."""
+        touch = measured.touch
+        return [touch[k] for k in self._places[i]] if len(touch) == len(self._fingers) else []
+
+    def approach(
+        self, i: int, ahead: float, slope: float | None, stamp: float, measured: Measured
+    ) -> None:
+        """Expect a contact of a watched actuator, whose effort is evaluated from now on.
+
+        Args:
+            i: The actuator.
+            ahead: Direction in which it closes.
+            slope: Its effort per newton at the tips [N·m/N | 1]; ``None``: that of its fingertip at
+                the present posture.
+            stamp: Now [s].
+            measured: The last measurements.
+        """
+        by_tip = slope is None
+        least = self._tip_threshold(i, stamp, measured) if slope is None else self._least(i, slope)
+        self._approaching[i] = _Approach(ahead, least, by_tip)
+
+    def threshold(self, i: int) -> float:
+        """Return the effort of a contact of an approaching actuator, besides friction [N·m | N]."""
+        return self._approaching[i].threshold
+
+    def friction(self, i: int) -> float:
+        """Return the largest recent effort of an actuator's free motion [N·m | N]; 0: unknown."""
+        approach = self._approaching.get(i)
+        # A model learned from currents has no efforts.
+        return self._free[i].most if approach is not None and approach.in_effort else 0.0
+
+    def learned(self, i: int) -> bool:
+        """Return whether the effort of an actuator's free motion is known from measured efforts."""
+        approach = self._approaching.get(i)
+        return approach is not None and approach.in_effort and self._free[i].known
+
+    def _least(self, i: int, slope: float) -> float:
+        """Return the effort of a contact [N·m | N]; ``slope``: effort per newton at the tips."""
+        least = _RESOLUTION * self._actuators[i].effort
+        return max(slope * self._grasp.contact_force, least if math.isfinite(least) else 0.0)
+
+    def _tip_threshold(self, i: int, stamp: float, measured: Measured) -> float:
+        """Return the effort of a contact by the tip's lever at the present posture [N·m | N]."""
+        spec = self._actuators[i]
+        lever = self._levers.of(i, stamp, measured.position)
+        if lever != lever:
+            return _UNKNOWN_SHARE * spec.effort
+        known = self._hand.dynamics.get(spec.name)
+        efficiency = (known.efficiency if known is not None else None) or 1.0
+        return self._least(i, lever / efficiency)
+
+    def meets(
+        self, i: int, stamp: float, measured: Measured, velocity: float, *, every: bool
+    ) -> bool:
+        """Return whether an approaching actuator's fingers touch something.
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            measured: The measured state.
+            velocity: Velocity of its reference [rad/s | m/s].
+            every: Whether each of its fingers must touch, not just one.
+        """
+        felt = rules.any_touch(self.forces(i, measured), self._grasp.touch, every=every)
+        # Where forces are measured, efforts are not looked at, and nothing is learned from them.
+        pushes = felt is None and self._pushes(i, stamp, measured, velocity)
+        return rules.touches(felt, pushes=pushes, blocked=self.blocked(i))
+
+    def unknown(self, i: int, measured: Measured) -> bool:
+        """Return whether contacts of an actuator are felt by effort, and free motion is unknown."""
+        if rules.any_touch(self.forces(i, measured), self._grasp.touch) is not None:
             return False
-        effort = abs(measured.effort[i])
-        # Half of the threshold: noise must not end a grasp that has just been found.
-        return math.isnan(effort) or effort < 0.5 * self._grasp.effort * limit
+        effort, current = measured.effort[i], measured.current[i] if measured.current else math.nan
+        return (effort == effort or current == current) and not self._free[i].known
+
+    def learn(
+        self,
+        i: int,
+        stamp: float,
+        measured: Measured,
+        reference: float,
+        velocity: float,
+    ) -> None:
+        """Learn from an actuator's motion away from rest that reacts to no contact.
+
+        Args:
+            i: The actuator.
+            stamp: Now [s].
+            measured: The measured state.
+            reference: Its reference [rad | m].
+            velocity: Velocity of its reference [rad/s | m/s].
+        """
+        lesson = self._lessons.get(i)
+        if lesson is not None and 0.0 <= stamp - lesson.stamp < _LEARN_EVERY:
+            return
+        here = measured.position[i]
+        self._lessons[i] = _Lesson(stamp, here, reference, velocity)
+        closes = velocity * (here - self._actuators[i].rest) > 0.0
+        if lesson is None or not closes or stamp - lesson.stamp > 3.0 * _LEARN_EVERY:
+            return
+        ahead = 1.0 if velocity > 0.0 else -1.0
+        moved, wanted = (here - lesson.position) * ahead, (reference - lesson.reference) * ahead
+        if not 0.0 < _FREELY * wanted <= moved:
+            return  # something may be in its way
+        signal = measured.effort[i]
+        threshold = _RESOLUTION * self._actuators[i].effort
+        if signal != signal:
+            signal, threshold = measured.current[i] if measured.current else math.nan, 0.0
+        if signal == signal:
+            gain = (velocity - lesson.velocity) / (stamp - lesson.stamp)
+            # What stands out is left out: it may be a soft contact.
+            self._free[i].exceeds(signal, velocity, gain, threshold)
+
+    def _pushes(self, i: int, stamp: float, measured: Measured, velocity: float) -> bool:
+        """Return whether an actuator needs more effort than free motion does."""
+        approach = self._approaching[i]
+        signal, threshold = measured.effort[i], approach.threshold
+        approach.in_effort = signal == signal
+        if signal != signal:
+            if not measured.current:
+                return False
+            # A current [A] has no threshold in newton metres, so a relative one is used.
+            signal, threshold = measured.current[i], 0.0
+        dt = stamp - approach.seen
+        gain = (velocity - approach.velocity) / dt if dt > 0.0 else 0.0
+        approach.velocity, approach.seen = velocity, stamp
+        if signal != signal or velocity * approach.ahead <= 0.0:
+            return False
+        watched = self._watched[i]
+        if abs(watched.target - measured.position[i]) <= watched.tolerance:
+            return False  # it brakes, or reaches the end of its range
+        here = measured.position[i]
+        moves = (here - approach.was) * approach.ahead > 0.0
+        approach.was = here
+        if approach.began != approach.began:
+            if not moves:
+                return False  # the device has not begun: no effort of its is one of motion
+            approach.began = stamp
+        free = self._free[i]
+        if stamp - approach.began < _SET_OUT or not free.known:
+            # Overcoming static friction is a part of free motion that the model must learn.
+            if moves:
+                free.learn(signal, velocity, gain)
+            return False
+        if approach.by_tip and threshold > 0.0:
+            threshold = approach.threshold = self._tip_threshold(i, stamp, measured)
+        pushes = free.exceeds(signal, velocity, gain, threshold)
+        approach.over = approach.over + 1 if pushes else 0
+        return approach.over >= _CONFIRMED

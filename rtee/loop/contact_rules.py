@@ -1,0 +1,209 @@
+"""The rules by which evidence becomes a decision: touched, held, lost, slipped.
+
+Each is a pure function of what `rtee.loop.evidence.Evidence` has found. To change when something
+counts as a contact is to change a function here, its test, and `VERSION`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+VERSION: Final = 2
+"""Version of these rules, written into recordings: `rtee log replay --check` says when a recording
+was made by others."""
+
+_LOST_MOVE: Final = 0.02
+"""A grasp looks lost once the actuator has closed further by this share of its range [1], more than
+a soft object gives way."""
+
+_CREEP: Final = 0.5
+"""An actuator creeps when it closes further by this share of its tolerance while it holds: more
+than noise, and before the grasp counts as lost."""
+
+_LOAD: Final = 1.15
+"""An external force pulls at the object when the force on a finger exceeds its former value by this
+factor: sensors also measure the pull along the fingertip, before a slip."""
+
+_DROP: Final = 0.7
+"""A force has dropped when it is below this share of its former value: sensors are accurate to
+some 10 %."""
+
+
+def any_touch(forces: Sequence[float], least: float, *, every: bool = False) -> bool | None:
+    """Return whether fingers touch something, by the forces on them.
+
+    Args:
+        forces: Forces on the fingers [N]; ``NaN``: not measured.
+        least: Least force of a touch [N].
+        every: Whether each finger must touch, not just one.
+
+    Returns:
+        ``None`` if a force is not measured, or there is none: that finger may be the one.
+    """
+    if not forces or any(force != force for force in forces):
+        return None
+    return (min(forces) if every else max(forces)) >= least
+
+
+def both_sides_touch(sides: Iterable[Sequence[float]], least: float) -> bool | None:
+    """Return whether a finger on each side touches: two fingers of one side hold nothing.
+
+    Args:
+        sides: Forces on the fingers of each side [N]; ``NaN``: not measured.
+        least: Least force of a touch [N].
+
+    Returns:
+        ``None`` if no force is measured on a side.
+    """
+    felt = [[force for force in side if force == force] for side in sides]
+    if not all(felt):
+        return None
+    return all(max(side) >= least for side in felt)
+
+
+def one_touches(fingers: Iterable[bool | None]) -> bool | None:
+    """Return whether one of some fingers touches; ``None`` if one of them might, unmeasured."""
+    known = set(fingers)
+    return True if True in known else None if None in known or not known else False
+
+
+def touches(felt: bool | None, *, pushes: bool, blocked: bool) -> bool:
+    """Return whether an actuator's fingers touch something.
+
+    Args:
+        felt: What the forces on its fingers say; ``None``: nothing.
+        pushes: Whether it needs more effort than free motion does.
+        blocked: Whether it has stalled, or its device says that it holds something.
+    """
+    return pushes or blocked if felt is None else felt
+
+
+def holds(
+    felt: bool | None,
+    *,
+    word: bool,
+    denied: bool,
+    away: bool,
+    moved: bool,
+    effort: float,
+    least: float,
+) -> bool:
+    """Return whether a blocked actuator holds something.
+
+    A sensor at the fingertip is better evidence than efforts, which include friction: an actuator
+    that has not moved at all may be held by nothing else.
+
+    Args:
+        felt: What the forces on its fingers say; ``None``: nothing.
+        word: Whether its device says so, of this motion.
+        denied: Whether its device says that it holds nothing.
+        away: Whether the motion leads away from what is, or just was, held.
+        moved: Whether it has moved in this motion, or held something before it.
+        effort: Size of its effort [N·m | N]; ``NaN``: not measured.
+        least: Effort from which on it may hold something [N·m | N].
+    """
+    if felt is not None:
+        return felt and not away
+    return word or (moved and not denied and not away and effort >= least)
+
+
+def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
+    """Return whether what seems to be held may be the hand itself.
+
+    Fingertips press on one another as they press on an object. Where the opening is no wider than
+    it may be in the empty hand, force and effort say nothing.
+
+    Args:
+        opening: The opening by the actuators' positions [m]; ``NaN``: not known.
+        doubt: How wide it may seem to be when the tips touch one another [m].
+        word: Whether the device itself says that it holds something.
+    """
+    return opening <= doubt and not word
+
+
+def lost(
+    felt: bool | None,
+    *,
+    word: bool | None,
+    moved: float,
+    push: float,
+    tolerance: float,
+    span: float,
+    effort: float,
+    least: float,
+) -> bool:
+    """Return whether a grasp looks lost.
+
+    Args:
+        felt: What the forces on the fingers say; ``None``: nothing.
+        word: What the device says of a grasp that it reported; ``None``: it reported none.
+        moved: How far the actuator has closed since the grasp [rad | m].
+        push: How far its reference leads into the object [rad | m].
+        tolerance: Position error that counts as none [rad | m].
+        span: Its range [rad | m].
+        effort: Size of its effort [N·m | N]; ``NaN``: not measured.
+        least: Effort from which on it may hold something [N·m | N].
+    """
+    if felt is False:
+        return True
+    if word is not None:
+        return not word
+    # Further than noise, but no more than half of the way that is left to close.
+    enough = max(3.0 * tolerance, _LOST_MOVE * span if math.isfinite(span) else 0.0)
+    if moved <= min(enough, 0.5 * abs(push)) or moved <= 0.5 * tolerance:
+        return False
+    # Half of the threshold: noise must not end a grasp that has just been found.
+    return math.isnan(effort) or effort < 0.5 * least
+
+
+def settled(*, steady: float, least: float, building: bool) -> bool:
+    """Return whether a grasp has come to rest, so that a result may tell of it.
+
+    Args:
+        steady: How long all actuators have been where they are, or blocked [s].
+        least: How long that must be [s].
+        building: Whether the force is still being built up or corrected.
+    """
+    return not building and steady >= least
+
+
+def creeps(moved: float, tolerance: float) -> bool:
+    """Return whether an actuator that holds closes further; both lengths [rad | m]."""
+    return moved > _CREEP * tolerance
+
+
+def pulled(
+    effort: float, effort_before: float, touch: float, touch_before: float, least: float
+) -> bool:
+    """Return whether a held object seems to slip, or to be pulled.
+
+    Args:
+        effort: Size of the actuator's effort now [N·m | N].
+        effort_before: The same when it came to rest.
+        touch: Force on its fingers now [N]; ``NaN``: not measured.
+        touch_before: The same when it came to rest.
+        least: Least force of a touch [N].
+    """
+    dropped = effort < _DROP * effort_before or touch < _DROP * touch_before
+    return dropped or touch > max(_LOAD * touch_before, touch_before + least)
+
+
+def enough_touch(
+    touching: set[str], sides: Sequence[frozenset[str]], fingers: set[str], least: int
+) -> bool:
+    """Return whether enough fingers touch to squeeze without pushing the object away.
+
+    Args:
+        touching: The fingers that touch.
+        sides: The fingers of each side of the opening; empty: the action has none.
+        fingers: All fingers that are to squeeze.
+        least: Number of fingers that must touch where there are no sides.
+    """
+    if not touching:
+        return False
+    # With one finger on either side, nothing is pushed away.
+    if sides:
+        return all(touching.intersection(side) for side in sides)
+    return len(touching) >= min(least, len(fingers))

@@ -1,0 +1,370 @@
+"""What a hand says of a grasp, beside what the contacts of the simulation say.
+
+One try closes a hand by width and force, as `rtee grasp` does, on an object that somebody presents
+to it and lets go of once two links have touched it. Everything is judged by the world alone: the
+normal forces of MuJoCo's contacts, and where the object is two seconds later.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from rtee.drivers.mujoco.objects import OBJECT
+from rtee.drivers.mujoco.options import SimOptions
+from rtee.drivers.mujoco.pairs import LINK
+from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.simulation import Simulation
+from rtee.errors import GoalRejected
+from rtee.hand.model import Hand
+from rtee.loop.measured import Measured
+from rtee.loop.plan import Plan, make_plan
+from rtee.sample import FloatArray
+from rtee.trials.grasp_placement import Places
+from rtee.trials.headless import HeadlessHand
+from rtee.trials.sweep import Bench
+from rtee.types import Goal, OnContact, Result
+
+RATE: Final = 500.0
+"""Ticks per second [Hz]: a contact is answered within two."""
+
+SETTLED: Final = 0.5
+"""From this long after the result on, the force is judged [s]."""
+
+WATCHED: Final = 2.0
+"""For this long after the result, the object must stay in the hand [s]."""
+
+SLIP: Final = 0.005
+"""What has moved farther than this in the hand is not held [m], as the experiments ask."""
+
+TURN: Final = math.radians(10.0)
+"""Nor is what has turned by more than this [rad]."""
+
+_BESIDE: Final = 0.002
+"""How far off the middle an object is along each axis at most [m]: as a person presents it."""
+
+_FRICTION: Final = (0.6, 1.0)
+"""Range of the friction."""
+
+_SLIPPERY: Final = 0.05
+"""Friction of what slips out of the hand: that of ice."""
+
+_HEAVY: Final = 4.0
+"""Weight of what is too heavy, in forces asked: twice what two sides hold at a friction of 1."""
+
+_LIGHT: Final = 0.2
+"""Weight of other objects, in forces asked: a third of what two sides hold at 0.3."""
+
+_UNASKED: Final = 10.0
+"""Force that is thought of where none is asked for [N]."""
+
+_GRAVITY: Final = 9.81
+"""Acceleration of gravity [m/s²]."""
+
+_MASS: Final = (0.01, 0.1)
+"""Least and largest mass of such objects [kg]: a nut's and a cup's."""
+
+_SOFT: Final = (0.02, 1.0), (0.1, 0.9, 0.006, 0.5, 2.0)
+"""Time constant [s], damping ratio and impedance of the contact of a soft object: it yields by some
+millimetres, as foam does."""
+
+_DEPTH: Final = 0.03
+"""Extents of a box across the closing [m]: those of a fingertip or two."""
+
+
+class Thing(StrEnum):
+    """The object; the value is what people read."""
+
+    NONE = "none"
+    BOX = "box"
+    SPHERE = "sphere"
+    CYLINDER = "cylinder"
+    SOFT = "soft"
+    HEAVY = "too heavy"
+    SLIPPERY = "too slippery"
+
+    @property
+    def holds(self) -> bool:
+        """Whether a hand that grasps it can keep it."""
+        return self not in (Thing.NONE, Thing.HEAVY, Thing.SLIPPERY)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One try.
+
+    Attributes:
+        thing: The object.
+        width: Its width [m]; of nothing: the width that is asked for.
+        force: The force asked for [N]; ``None``: none.
+        speed: Closing speed of the opening [m/s]; ``None``: the hand's own choice.
+        numb: Whether the hand feels with efforts alone, as most devices.
+        seed: Seed of place and friction.
+        on_contact: What the fingers do on contact, if anything is asked.
+        elements: Fingers to use; empty: those of the hand's best action.
+    """
+
+    thing: Thing
+    width: float
+    force: float | None
+    speed: float | None = None
+    numb: bool = False
+    seed: int = 0
+    on_contact: OnContact | None = None
+    elements: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a try came to; forces [N], lengths [m].
+
+    Attributes:
+        result: What the hand says.
+        lost: Whether it has said afterwards that it lost the object.
+        held: Whether the object is in the hand.
+        peak: The largest force between the tips until it is judged.
+        low: The least force between the tips from then on.
+        high: The largest one.
+        own: The largest force of fingers on one another.
+        gap: Distance of the meshes of the two sides when the force is judged; ``NaN``: not known.
+    """
+
+    result: Result
+    lost: bool
+    held: bool
+    peak: float
+    low: float
+    high: float
+    own: float
+    gap: float
+
+    @property
+    def said(self) -> bool:
+        """Whether the hand says that it holds something, and has not taken it back."""
+        return self.result.grasped and not self.lost
+
+    @property
+    def unknown(self) -> bool:
+        """Whether the hand says that it cannot tell."""
+        return self.result.unknown
+
+
+class Unfit(GoalRejected):
+    """The object fits nowhere between the fingers."""
+
+
+def _shape(case: Case) -> str:
+    """Return the object as on the command line; empty: none."""
+    width = f"{case.width:.6f}"
+    match case.thing:
+        case Thing.NONE:
+            return ""
+        case Thing.SPHERE:
+            return f"sphere:{0.5 * case.width:.6f}"
+        case Thing.CYLINDER:
+            return f"cylinder:{0.5 * case.width:.6f}x0.06"
+        case _:
+            # As wide along z, which may lie along the closing, too.
+            return f"box:{width}x{_DEPTH}x{max(case.width, _DEPTH):.6f}"
+
+
+def _mass(case: Case) -> float:
+    """Return the mass of the object [kg]."""
+    force = _UNASKED if case.force is None else case.force
+    if case.thing is Thing.HEAVY:
+        return _HEAVY * force / _GRAVITY
+    if case.thing is Thing.SLIPPERY:
+        return _HEAVY * _SLIPPERY * force / _GRAVITY
+    least, most = _MASS
+    return min(max(_LIGHT * force / _GRAVITY, least), most)
+
+
+def _soften(simulation: Simulation) -> None:
+    """Make the contacts of the object soft."""
+    model = simulation.model
+    body = model.body(OBJECT).id
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] == body:
+            # The contact of the shape with the higher priority counts for both, friction included.
+            model.geom_priority[geom] = 1
+            model.geom_friction[geom, 0] = 1.0
+            model.geom_solref[geom], model.geom_solimp[geom] = _SOFT
+
+
+class NumbHand(HeadlessHand[Simulation]):
+    """A hand that measures no forces at its fingers."""
+
+    def _measured(self, position: FloatArray, effort: FloatArray, forces: FloatArray) -> Measured:
+        return super()._measured(position, effort, np.full_like(forces, np.nan))
+
+
+class Contacts:
+    """The contacts of the fingers in a running simulation."""
+
+    def __init__(self, simulation: Simulation, hand: Hand, plan: Plan) -> None:
+        model = simulation.model
+        self._model, self._data = model, simulation.data
+        thing = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, OBJECT)
+        self._thing = thing
+        shared = [link for finger in hand.fingers for link in finger.links]
+        self._finger_of = {
+            model.body(LINK + link).id: number
+            for number, finger in enumerate(hand.fingers)
+            for link in finger.links
+            if shared.count(link) == 1 or link == finger.tip
+        }
+        self._fingers = len(hand.fingers)
+        grip = plan.grip
+        sides = ((), ()) if grip is None else (grip.fingers, grip.others)
+        self._sides = [list(side) for side in sides]
+        self._around = grip is not None and grip.around
+        tips = [[hand.fingers[f].tip for f in side] for side in self._sides]
+        self._tips = [
+            [g for g in range(model.ngeom) if model.geom_bodyid[g] in bodies]
+            for bodies in (
+                {model.body(LINK + tip).id for tip in side if tip is not None} for side in tips
+            )
+        ]
+
+    def between(self) -> float:
+        """Return the force between the tips on the object [N]: its normal component alone."""
+        each, _ = self._normals()
+        one, other = (float(sum(np.linalg.norm(each[f]) for f in side)) for side in self._sides)
+        # An object at rest is pressed equally from both sides; while it moves, the larger counts.
+        return one + other if self._around else max(one, other)
+
+    def own(self) -> float:
+        """Return the largest force of fingers on one another [N]."""
+        return self._normals()[1]
+
+    def _normals(self) -> tuple[FloatArray, float]:
+        """Return the normal forces of the fingers on the object ``(n, 3)``, and on one another."""
+        found, own, force = np.zeros((self._fingers, 3)), 0.0, np.zeros(6)
+        data, model = self._data, self._model
+        for number in range(data.ncon):
+            contact = data.contact[number]
+            if contact.efc_address < 0:
+                continue
+            one, other = (int(model.geom_bodyid[geom]) for geom in contact.geom)
+            first, second = self._finger_of.get(one), self._finger_of.get(other)
+            mujoco.mj_contactForce(model, data, number, force)
+            if self._thing in (one, other):
+                finger = first if other == self._thing else second
+                if finger is not None:
+                    found[finger] += force[0] * contact.frame[:3]
+            elif first is not None and second is not None and first != second:
+                own = max(own, float(force[0]))
+        return found, own
+
+    def gap(self) -> float:
+        """Return the least distance of the tips of the two sides [m], by MuJoCo's own measure."""
+        best, far = math.inf, 0.5
+        for one in self._tips[0]:
+            for other in self._tips[1]:
+                best = min(
+                    best, mujoco.mj_geomDistance(self._model, self._data, one, other, far, None)
+                )
+        return best if best < far else math.nan
+
+
+def try_case(ready: Bench, case: Case) -> Truth:
+    """Do one try.
+
+    Args:
+        ready: The hand; its settings must be for `RATE`.
+        case: What to try.
+
+    Raises:
+        GoalRejected: if the hand cannot grasp such an object, or exert such a force.
+        Unfit: if the object fits nowhere between the fingers.
+        SimulationUnstable: if the equations blew up.
+    """
+    hand, library, settings = ready.hand, ready.library, ready.settings
+    goal = Goal(
+        "",
+        case.elements,
+        opening=case.width,
+        force=case.force,
+        grasp=True,
+        tip_speed=case.speed,
+        on_contact={} if case.on_contact is None else {"": case.on_contact},
+    )
+    plan = make_plan(goal, hand, library, settings)
+    varied = np.random.default_rng(case.seed)
+    friction = varied.uniform(*_FRICTION)
+    beside = varied.uniform(-_BESIDE, _BESIDE, 3)
+    options = SimOptions(
+        object=_shape(case),
+        object_mass=_mass(case),
+        carrier="lift",  # so that the hand reaches down, and the object falls out of it
+        friction=_SLIPPERY if case.thing is Thing.SLIPPERY else friction,
+    )
+    simulation = make_simulation(hand, options, hand.actuator_names, settings.period)
+    around = simulation.surroundings
+    if around.has_object:
+        places = Places(simulation, hand, library.find(plan.action, plan.elements)).find(1)
+        if not places:
+            raise Unfit(f"{options.object} fits nowhere between the fingers of {plan.action}")
+        pose = places[0].pose.copy()
+        pose[:3, 3] += beside
+        simulation.reset()
+        if case.thing is Thing.SOFT:
+            _soften(simulation)
+        around.place(around.base_pose @ pose)
+    return _Try(ready, case, goal, plan, simulation).run()
+
+
+class _Try:
+    """One try, from the goal to the verdict."""
+
+    def __init__(
+        self, ready: Bench, case: Case, goal: Goal, plan: Plan, simulation: Simulation
+    ) -> None:
+        self._goal, self._simulation = goal, simulation
+        self._contacts = Contacts(simulation, ready.hand, plan)
+        self._around = simulation.surroundings
+        kind = NumbHand if case.numb else HeadlessHand[Simulation]
+        self._headless = kind(ready.hand, ready.library, ready.settings, simulation)
+        self._forces: list[float] = []
+        self._own = 0.0
+        self._headless.before_tick(self._watch)
+
+    def _watch(self, _: float) -> None:
+        self._forces.append(self._contacts.between())
+        self._own = max(self._own, self._contacts.own())
+
+    def run(self) -> Truth:
+        """Grasp, wait, and judge."""
+        headless, around = self._headless, self._around
+        result = headless.do(self._goal)
+        before = len(headless.events)  # what was lost on the way is not this grasp
+        start = around.object_frame if around.has_object else np.eye(4)
+        place = around.position_in_hand if around.has_object else np.zeros(3)
+        headless.wait(SETTLED)
+        until = len(self._forces)
+        if around.has_object:
+            around.remove_support()
+        gap = self._contacts.gap()
+        headless.wait(WATCHED - SETTLED)
+        held = False
+        if around.has_object:
+            moved = float(np.linalg.norm(around.position_in_hand - place))
+            turned = (float(np.trace(start[:3, :3].T @ around.object_frame[:3, :3])) - 1.0) / 2.0
+            turned = math.acos(min(max(turned, -1.0), 1.0))
+            held = moved <= SLIP and turned <= TURN and len(around.touching()) > 1
+        after = self._forces[until:] or [0.0]
+        return Truth(
+            result,
+            any(event.kind == "grasp_lost" for event in headless.events[before:]),
+            held,
+            max(self._forces[:until], default=0.0),
+            min(after),
+            max(after),
+            self._own,
+            gap,
+        )

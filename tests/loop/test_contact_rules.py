@@ -1,0 +1,135 @@
+"""The rules of contact: what evidence comes to, one rule after the other."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rtee.loop import contact_rules as rules
+
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("forces", "every", "expected"),
+    [
+        ([0.2, 0.0], False, True),
+        ([0.2, 0.0], True, False),
+        ([0.2, 0.3], True, True),
+        ([0.05, 0.0], False, False),
+        ([0.2, NAN], False, None),  # the other one is not measured
+        ([], False, None),
+    ],
+)
+def test_forces_on_fingers(forces: list[float], every: bool, expected: bool | None) -> None:
+    assert rules.any_touch(forces, 0.1, every=every) is expected
+
+
+@pytest.mark.parametrize(
+    ("sides", "expected"),
+    [
+        ([[0.2], [0.3]], True),
+        ([[0.2, 0.3], [0.0]], False),  # two fingers of one side hold nothing
+        ([[0.2], [NAN, 0.2]], True),
+        ([[0.2], [NAN]], None),
+        ([[0.2], []], None),
+    ],
+)
+def test_both_sides(sides: list[list[float]], expected: bool | None) -> None:
+    assert rules.both_sides_touch(sides, 0.1) is expected
+
+
+def test_a_finger_that_is_not_measured_may_be_the_one_that_touches() -> None:
+    assert rules.one_touches([False, True, None]) is True
+    assert rules.one_touches([False, None]) is None
+    assert rules.one_touches([False, False]) is False
+    assert rules.one_touches([]) is None
+
+
+def test_forces_come_before_efforts_and_stalls() -> None:
+    assert not rules.touches(False, pushes=True, blocked=True)
+    assert rules.touches(True, pushes=False, blocked=False)
+    assert rules.touches(None, pushes=True, blocked=False)
+    assert rules.touches(None, pushes=False, blocked=True)
+    assert not rules.touches(None, pushes=False, blocked=False)
+
+
+@pytest.mark.parametrize(
+    ("felt", "change", "expected"),
+    [
+        (None, {}, True),
+        (None, {"effort": 0.9}, False),
+        (None, {"effort": NAN}, False),
+        (None, {"effort": NAN, "word": True}, True),
+        (None, {"denied": True}, False),
+        (None, {"moved": False}, False),  # friction alone may have stopped it
+        (None, {"moved": False, "word": True}, True),
+        (True, {"moved": False}, True),
+        (None, {"away": True}, False),
+        (False, {"word": True}, False),
+        (True, {"effort": 0.0, "denied": True}, True),
+        (True, {"away": True}, False),
+    ],
+)
+def test_what_is_held(felt: bool | None, change: dict[str, object], expected: bool) -> None:
+    usual = {
+        "word": False, "denied": False, "away": False, "moved": True, "effort": 2.0, "least": 1.0,
+    }  # fmt: skip
+    assert rules.holds(felt, **(usual | change)) is expected  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("felt", "change", "expected"),
+    [
+        (None, {}, False),
+        (False, {}, True),
+        (True, {"word": False}, True),
+        (None, {"word": True, "moved": 1.0}, False),
+        (None, {"moved": 0.1, "effort": 0.1}, True),
+        (None, {"moved": 0.1, "effort": 0.6}, False),  # it still presses
+        (None, {"moved": 0.1, "effort": NAN}, True),
+        (None, {"moved": 0.025, "effort": 0.1}, False),  # soft things give way as far
+        (None, {"moved": 0.02, "push": 0.03, "effort": 0.1}, True),  # half of what is left
+    ],
+)
+def test_what_is_lost(felt: bool | None, change: dict[str, object], expected: bool) -> None:
+    usual = {
+        "word": None, "moved": 0.0, "push": 0.5, "tolerance": 0.01,
+        "span": 1.0, "effort": 1.0, "least": 1.0,
+    }  # fmt: skip
+    assert rules.lost(felt, **(usual | change)) is expected  # type: ignore[arg-type]
+
+
+def test_an_opening_of_the_empty_hand_holds_nothing_that_is_known() -> None:
+    assert rules.may_be_nothing(0.0004, 0.0005, word=False)
+    assert not rules.may_be_nothing(0.0004, 0.0005, word=True)  # the device knows better
+    assert not rules.may_be_nothing(0.002, 0.0005, word=False)
+    assert not rules.may_be_nothing(NAN, 0.0005, word=False)
+
+
+def test_a_result_waits_until_the_force_has_settled() -> None:
+    assert not rules.settled(steady=1.0, least=0.25, building=True)
+    assert not rules.settled(steady=0.2, least=0.25, building=False)
+    assert rules.settled(steady=0.25, least=0.25, building=False)
+
+
+def test_a_slip_is_a_creep_a_drop_or_a_pull() -> None:
+    assert rules.creeps(0.006, 0.01)
+    assert not rules.creeps(0.004, 0.01)
+    assert not rules.pulled(1.0, 1.0, 5.0, 5.0, 0.1)
+    assert rules.pulled(0.6, 1.0, 5.0, 5.0, 0.1)
+    assert rules.pulled(1.0, 1.0, 3.0, 5.0, 0.1)
+    assert rules.pulled(1.0, 1.0, 6.0, 5.0, 0.1)
+    assert not rules.pulled(1.0, 1.0, 0.15, 0.1, 0.1)  # noise of a sensor that feels little
+    assert not rules.pulled(1.0, 1.0, NAN, NAN, 0.1)
+
+
+def test_enough_fingers_are_one_on_each_side_or_so_many() -> None:
+    sides = (frozenset({"index", "middle"}), frozenset({"thumb"}))
+    everyone = {"index", "middle", "thumb"}
+    assert not rules.enough_touch({"index", "middle"}, sides, everyone, 2)
+    assert rules.enough_touch({"index", "thumb"}, sides, everyone, 2)
+    assert rules.enough_touch({"index", "middle"}, (), everyone, 2)
+    assert rules.enough_touch({"index"}, (), {"index"}, 2)
+    assert not rules.enough_touch(set(), (), everyone, 0)

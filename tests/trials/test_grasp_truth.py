@@ -1,0 +1,59 @@
+"""What hands say of a grasp, beside what the contacts of the simulation say."""
+
+from __future__ import annotations
+
+import pytest
+
+from rtee.trials.grasp_truth import RATE, Case, Thing, try_case
+from rtee.trials.sweep import bench
+
+FORCES = {"wsg50": 20.0, "robotiq_hand_e": 30.0, "schunk_egu": 40.0, "onrobot_rg2": 12.0}
+"""The force asked for [N]: of linear grippers with heavy drives, and of a linkage."""
+
+
+@pytest.mark.parametrize("numb", [False, True])
+@pytest.mark.parametrize("speed", [None, 0.02])
+@pytest.mark.parametrize("hand", FORCES)
+def test_a_grasp_is_what_it_says(hand: str, speed: float | None, numb: bool) -> None:
+    force, width = FORCES[hand], 0.03
+    truth = try_case(bench(hand, RATE), Case(Thing.BOX, width, force, speed, numb, seed=3))
+    assert truth.said
+    assert truth.held
+    assert truth.peak <= max(1.3 * force, force + 1.0), "the blow"
+    assert truth.low >= 0.9 * force
+    assert truth.high <= 1.1 * force
+    result = truth.result
+    assert result.force is not None
+    assert result.force_error is not None
+    assert abs(result.force - truth.low) <= result.force_error
+    assert result.opening == pytest.approx(width, abs=3e-4)
+
+
+@pytest.mark.parametrize("numb", [False, True])
+@pytest.mark.parametrize("hand", ["wsg50", "schunk_egu", "robotiq_hand_e"])
+def test_a_plate_of_two_millimetres_is_grasped(hand: str, numb: bool) -> None:
+    case = Case(Thing.BOX, 0.002, FORCES[hand], None, numb, seed=4)
+    truth = try_case(bench(hand, RATE), case)
+    assert (truth.said, truth.held) == (True, True)
+
+
+@pytest.mark.parametrize("numb", [False, True])
+@pytest.mark.parametrize(
+    ("hand", "force"), [("schunk_svh", 2.0), ("wsg50", 20.0), ("robotiq_2f_85", 20.0)]
+)
+def test_nothing_is_never_grasped(hand: str, force: float, numb: bool) -> None:
+    truth = try_case(bench(hand, RATE), Case(Thing.NONE, 0.004, force, None, numb, seed=5))
+    assert not truth.said
+    assert not truth.result.within
+
+
+@pytest.mark.parametrize("thing", [Thing.HEAVY, Thing.SLIPPERY])
+def test_what_falls_out_is_not_said_to_be_held(thing: Thing) -> None:
+    truth = try_case(bench("wsg50", RATE), Case(thing, 0.03, 20.0, None, seed=6))
+    assert (truth.said, truth.held) == (False, False)
+
+
+@pytest.mark.parametrize("numb", [False, True])
+def test_a_force_that_does_not_move_the_fingers_grasps_nothing(numb: bool) -> None:
+    truth = try_case(bench("robotiq_2f_85", RATE), Case(Thing.NONE, 0.04, 2.0, None, numb))
+    assert not truth.said
