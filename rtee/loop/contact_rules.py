@@ -109,6 +109,20 @@ def holds(
     return word or (moved and not denied and not away and effort >= least)
 
 
+def shows(grasping: bool, *, word: bool, effort: float, hard: float) -> bool:
+    """Return whether more than its position shows that an actuator presses on something.
+
+    It is not enough that it stands still: a broken encoder does so, too.
+
+    Args:
+        grasping: Whether it holds something.
+        word: Whether its device says that it holds something.
+        effort: Size of its effort [N·m | N]; ``NaN``: not measured.
+        hard: Effort from which on it presses [N·m | N].
+    """
+    return effort >= hard or word or grasping
+
+
 def may_be_nothing(opening: float, doubt: float, *, word: bool) -> bool:
     """Return whether what seems to be held may be the hand itself.
 

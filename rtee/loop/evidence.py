@@ -236,6 +236,17 @@ class Evidence:
             (w := self._watched.get(i)) is not None and w.grasping and w.own_report for i in indices
         )
 
+    def shows(self, i: int, measured: Measured, hard: float) -> bool:
+        """Return whether more than its position shows that an actuator presses on something.
+
+        Args:
+            i: The actuator.
+            measured: The measured state.
+            hard: Effort from which on it presses [N·m | N].
+        """
+        word = bool(measured.grasped) and measured.grasped[i] == 1
+        return rules.shows(self.grasping(i), word=word, effort=abs(measured.effort[i]), hard=hard)
+
     def presses(self, i: int, reference: float, position: float) -> bool:
         """Return whether an actuator holds an object, or is still kept from its reference."""
         if not self.blocked(i):

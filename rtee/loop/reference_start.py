@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
-from rtee.loop.contact import ContactWatch, Measured
+from rtee.loop.evidence import Evidence
 from rtee.loop.limiter import Limiter
+from rtee.loop.measured import Measured
 from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
 
@@ -32,7 +33,7 @@ class ReferenceStart:
         self,
         profile: Profile,
         limiter: Limiter,
-        contact: ContactWatch,
+        contact: Evidence,
         plausible: Plausibility,
         active: Sequence[bool],
         effort: Sequence[float],
@@ -59,14 +60,8 @@ class ReferenceStart:
         return self._plausible.start(i, stamp, self._limiter.position[i], touching=touching)
 
     def _touches(self, i: int) -> bool:
-        """Return whether more than its position shows that an actuator presses against an object.
-
-        It is not enough that it stands still: a broken encoder does so, too.
-        """
-        measured = self._measured
-        hard = abs(measured.effort[i]) >= self._pressing * self._effort[i]
-        reported = bool(measured.grasped) and measured.grasped[i] == 1
-        return hard or reported or self._contact.grasping(i)
+        """Return whether more than its position shows that an actuator presses on something."""
+        return self._contact.shows(i, self._measured, self._pressing * self._effort[i])
 
     def set(self, positions: Mapping[int, float]) -> None:
         """Start references, at rest, from positions by actuator [rad | m]."""

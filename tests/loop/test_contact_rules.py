@@ -101,6 +101,14 @@ def test_what_is_lost(felt: bool | None, change: dict[str, object], expected: bo
     assert rules.lost(felt, **(usual | change)) is expected  # type: ignore[arg-type]
 
 
+def test_to_stand_still_shows_no_contact() -> None:
+    assert not rules.shows(False, word=False, effort=0.5, hard=1.0)
+    assert not rules.shows(False, word=False, effort=NAN, hard=1.0)
+    assert rules.shows(False, word=False, effort=1.0, hard=1.0)
+    assert rules.shows(False, word=True, effort=NAN, hard=1.0)
+    assert rules.shows(True, word=False, effort=NAN, hard=1.0)
+
+
 def test_an_opening_of_the_empty_hand_holds_nothing_that_is_known() -> None:
     assert rules.may_be_nothing(0.0004, 0.0005, word=False)
     assert not rules.may_be_nothing(0.0004, 0.0005, word=True)  # the device knows better
