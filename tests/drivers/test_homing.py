@@ -18,13 +18,13 @@ from rtee.types import DeviceSpec
 
 
 def svh(tmp_path: Path, *, home: bool) -> DeviceSpec:
-    """Return the SVH of the hand as shipped, but quick, as `rtee run` would make it."""
+    """Return the SVH of the hand as shipped, as `rtee run` would make it."""
     folder = tmp_path / "schunk_svh"
     shutil.copytree(hand_folder("schunk_svh")[0], folder)
     file = folder / "hand.yaml"
     text = file.read_text()
     assert "      home: on_demand" in text
-    file.write_text(text + "      emulator: {haste: 300.0, start: 0.05}\n")
+    file.write_text(text + "      emulator: {start: 0.05}\n")
     options = RunOptions(driver="devices", emulated=True, home=home)
     [device] = prepare(str(folder), options).devices
     return device.spec
