@@ -127,7 +127,7 @@ async def test_what_a_full_disk_loses_is_counted_and_told(folder: Path) -> None:
     async with anyio.create_task_group() as group:
         group.start_soon(main)
         try:
-            async with rtee.connect("jaw", wait=20.0) as hand:
+            async with rtee.connect("jaw", wait=300.0) as hand:
                 events = hand.events()
                 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, present[1]))
                 with anyio.fail_after(300):

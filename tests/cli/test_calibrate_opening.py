@@ -44,12 +44,12 @@ def place(repository: Path, tmp_path: Path) -> Iterator[Path]:
     """A folder with a gripper that runs on its emulator, which holds an object half way."""
     tmp_path.chmod(0o700)
     shutil.copytree(repository / "config" / HAND, tmp_path / "config" / HAND)
-    # As on any busy computer: the 31 ms that follow from its wire may pass before a thread runs.
+    # The 31 ms that follow from its wire may pass on a busy computer before a thread runs.
     file = tmp_path / "config" / HAND / "hand.yaml"
     text = file.read_text()
     assert text.count("    driver: robotiq_2f\n") == 1
     file.write_text(
-        text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 0.5\n")
+        text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 60.0\n")
     )
     run = subprocess.Popen(
         [*RTEE, "run", HAND, "--emulated", "--object", "0.5", "--no-log"],
@@ -146,12 +146,12 @@ def standing_in(repository: Path, tmp_path: Path) -> Iterator[Path]:
     """A folder with a gripper whose stand-in runs."""
     tmp_path.chmod(0o700)
     shutil.copytree(repository / "config" / HAND, tmp_path / "config" / HAND)
-    # As on any busy computer: the 31 ms that follow from its wire may pass before a thread runs.
+    # The 31 ms that follow from its wire may pass on a busy computer before a thread runs.
     file = tmp_path / "config" / HAND / "hand.yaml"
     text = file.read_text()
     assert text.count("    driver: robotiq_2f\n") == 1
     file.write_text(
-        text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 0.5\n")
+        text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 60.0\n")
     )
     run = subprocess.Popen(
         [*RTEE, *RUN], env=environment(tmp_path), stdout=subprocess.PIPE, text=True

@@ -63,7 +63,6 @@ def test_all_files_of_the_layout_are_there(package: Path) -> None:
     }
 
 
-@pytest.mark.timeout(300)
 def test_it_passes_the_contract_suite(package: Path) -> None:
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "tests")
     said = run(package, "-m", "pytest", *options, RTEE_CONTRACT_CYCLES="100")
@@ -90,7 +89,6 @@ def test_its_code_is_tidy(package: Path, repository: Path) -> None:
     )
 
 
-@pytest.mark.timeout(120)
 def test_the_hand_runs_on_its_emulator(
     package: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -107,7 +105,7 @@ def test_the_hand_runs_on_its_emulator(
             group.start_soon(
                 lambda: run_hands(["hexa_hand"], options, say=lambda _: None, until=end)
             )
-            async with rtee.connect("hexa_hand", wait=20.0) as hand:
+            async with rtee.connect("hexa_hand", wait=300.0) as hand:
                 (device,) = (await hand.status()).devices
                 assert device.identity == {"model": "600", "firmware": "1.4"}
                 result = await hand.do("Trig", "index")

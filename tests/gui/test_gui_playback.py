@@ -32,7 +32,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         options = RunOptions(driver="kinematic", rate=200.0, log=folder)
         async with anyio.create_task_group() as group:
             group.start_soon(lambda: run_hands([HAND], options, say=lambda _: None, until=end))
-            async with rtee.connect(HAND, wait=20.0) as remote:
+            async with rtee.connect(HAND, wait=300.0) as remote:
                 assert (await remote.status()).recording.startswith(str(folder))
                 assert (await remote.do("PinchTight", "finger_1", "finger_2")).succeeded
                 await remote.record("mark", "closed <now>")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+
+from rtee_process import RTEE
 
 URDF = """<robot name="claw">
   <link name="palm"><collision><geometry><box size="0.08 0.03 0.02"/></geometry></collision></link>
@@ -165,7 +166,7 @@ def write_hand(folder: Path) -> None:
     (folder / "foreign").mkdir()
     (folder / "foreign" / "trig.yaml").write_text(TRIG)
     for line in ("new claw --urdf claw.urdf", "extract claw --save"):
-        words = [sys.executable, "-m", "rtee", *line.split()]
+        words = [*RTEE, *line.split()]
         subprocess.run(words, cwd=folder, env=with_rtee(), check=True, capture_output=True)
 
 

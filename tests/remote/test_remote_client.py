@@ -403,7 +403,7 @@ async def test_a_hand_that_goes_ends_everything(hand: Hand, library: ActionLibra
     end = anyio.Event()
     async with anyio.create_task_group() as group:
         group.start_soon(run)
-        async with rtee.connect("small", wait=10.0) as remote:
+        async with rtee.connect("small", wait=300.0) as remote:
             states = remote.states(50.0)
             await anext(states)
             running = await remote.start("fist", **LASTING)
@@ -460,7 +460,7 @@ async def test_the_same_hand_runs_once(hand: Hand, library: ActionLibrary) -> No
 
 async def test_waiting_for_a_hand(hand: Hand, library: ActionLibrary) -> None:
     async def look() -> None:
-        async with rtee.connect("small", wait=10.0) as remote:
+        async with rtee.connect("small", wait=300.0) as remote:
             names.append(remote.name)
             there.set()
 

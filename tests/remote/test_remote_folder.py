@@ -64,7 +64,7 @@ def keep_locked(path: Path) -> threading.Event:
         os.close(descriptor)
 
     threading.Thread(target=keep, daemon=True).start()
-    assert ready.wait(20)
+    assert ready.wait(300)
     return end
 
 
@@ -239,7 +239,7 @@ def test_a_name_that_another_user_keeps_prevents_nothing(
     process = multiprocessing.get_context("fork").Process(target=squat)
     process.start()
     try:
-        assert ready.wait(20)
+        assert ready.wait(300)
         with announced("svh", ["a"]):
             assert set(running()) == {"svh"}
     finally:

@@ -51,7 +51,7 @@ class Robot:
         """Call a service of the hand."""
         client = self.node.client(service, type_)
         try:
-            await client.wait(20.0)
+            await client.wait(300)
             return await client.call(client.type.request(**fields), 20.0)
         finally:
             self.node.discard(client)

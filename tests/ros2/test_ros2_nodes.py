@@ -103,7 +103,7 @@ async def test_services_answer_and_errors_are_silence(settings: Ros2Settings) ->
         node.service("~/fail", trigger, fail)
         asking = user.node("user")
         client = asking.client("/hand/stop", trigger)
-        await client.wait(10)
+        await client.wait(300)
         answers: list[Any] = []
 
         async def ask() -> None:
@@ -303,7 +303,7 @@ async def test_parameters_are_read_changed_and_described(settings: Ros2Settings)
 
         async def ask(name: str, service: str, **fields: Any) -> Any:
             client = asking.client(f"/hand/{name}", f"rcl_interfaces/srv/{service}")
-            await client.wait(10)
+            await client.wait(300)
             return await client.call(client.type.request(**fields), 10)
 
         listed = await ask("list_parameters", "ListParameters")
@@ -374,7 +374,7 @@ async def test_types_are_described(settings: Ros2Settings) -> None:
         TypeDescriptions(hand.node("hand"))
         service = "type_description_interfaces/srv/GetTypeDescription"
         client = user.node("user").client("/hand/get_type_description", service)
-        await client.wait(10)
+        await client.wait(300)
         for name in (JOINTS, "rtee_msgs/action/Grasp_SendGoal", "std_srvs/srv/Trigger"):
             known = hand.interfaces.hash(name)
             answer = await client.call(client.type.request(type_name=name, type_hash=known), 10)

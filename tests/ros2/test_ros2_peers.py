@@ -204,7 +204,7 @@ async def test_a_service_of_theirs_is_called(peer: Open, node: Node) -> None:
     client = node.client("/theirs/set", SET)
     async with peer("serve", "/theirs/set", SET, '{"success": true, "message": "hi"}') as other:
         assert await other.said() == {"ready": True}
-        await client.wait(20)
+        await client.wait(300)
         answer = await client.call(client.type.request(data=True), 20)
         assert (answer.success, answer.message) == (True, "hi")
 

@@ -38,7 +38,7 @@ async def asking(settings: Ros2Settings, folder: Path) -> AsyncIterator[Any]:
 
         async def ask(name: str, kind: str, **fields: Any) -> Any:
             client = node.client(f"/{name}", f"rosee_msg/srv/{kind}")
-            await client.wait(20)
+            await client.wait(300)
             return await client.call(client.type.request(**fields), 20)
 
         yield ask

@@ -88,7 +88,7 @@ async def test_the_router_decides_who_steers_and_who_watches(
             node.service("~/stop", trigger, stop)
             publisher = node.publisher("/news", STRING)
             client = planner.node("planner").client("/hand/stop", trigger)
-            await client.wait(20)
+            await client.wait(300)
             assert (await client.call(trigger.request(), 20)).success
 
             got: list[Any] = []
@@ -98,7 +98,7 @@ async def test_the_router_decides_who_steers_and_who_watches(
             publisher.publish(publisher.type.message(data="seen"))
             await until(lambda: bool(got))
             refused = watching.client("/hand/stop", trigger)
-            await refused.wait(20)
+            await refused.wait(300)
             with pytest.raises(TimeoutError):
                 await refused.call(trigger.request(), 0.5)
             await planner.graph.ready()

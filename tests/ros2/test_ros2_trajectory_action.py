@@ -55,12 +55,12 @@ async def acting(
 ) -> AsyncIterator[tuple[Served, Robot, ActionClient]]:
     async with a_hand_in_ros(hand, library, settings) as (served, robot):
         client = ActionClient(robot.node, ACTION, KIND)
-        await client.wait_for_server(20.0)
+        await client.wait_for_server(300.0)
         yield served, robot, client
 
 
 async def done(client: ActionClient, message: Any) -> Outcome:
-    return await (await client.send_goal(message)).result(20.0)
+    return await (await client.send_goal(message)).result(300.0)
 
 
 def told(outcome: Outcome) -> tuple[GoalState, Code, str]:
@@ -80,7 +80,7 @@ async def test_reached(hand: Hand, library: ActionLibrary, settings: Ros2Setting
             goal_tolerance=[TOLERANCE(name="far", position=0.01, velocity=0.05)],
         )
         made = await client.send_goal(message, heard.append)
-        state, code, text = told(await made.result(20.0))
+        state, code, text = told(await made.result(300.0))
         assert (state, code) == (GoalState.SUCCEEDED, Code.SUCCESSFUL), text
         await until(lambda: near(served, [0.5, 0.3, 0.0]))
         assert len(heard) > 3
@@ -110,7 +110,7 @@ async def test_feedback_counts_from_the_stamp(
         await until(lambda: bool(heard))
         # More than three seconds of it were over when it came.
         assert heard[0].desired.time_from_start.sec >= 3
-        assert told(await made.result(20.0))[1] is Code.SUCCESSFUL
+        assert told(await made.result(300.0))[1] is Code.SUCCESSFUL
 
 
 async def test_violated(hand: Hand, library: ActionLibrary, settings: Ros2Settings) -> None:
@@ -143,7 +143,7 @@ async def test_cancelled(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         made = await client.send_goal(LONG)
         await until(lambda: where(served)[1] > 0.05)
         await made.cancel()
-        assert (await made.result(20.0)).state is GoalState.CANCELED
+        assert (await made.result(300.0)).state is GoalState.CANCELED
         before = where(served)
         await until(lambda: not served.loop.streams.stream)
         assert near(served, before)
@@ -151,7 +151,7 @@ async def test_cancelled(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         made = await client.send_goal(LONG)
         await until(lambda: where(served)[1] > before[1] + 0.05)
         assert told(await done(client, goal([])))[0] is GoalState.SUCCEEDED
-        assert told(await made.result(20.0))[0] is GoalState.ABORTED
+        assert told(await made.result(300.0))[0] is GoalState.ABORTED
         before = where(served)
         await until(lambda: not served.loop.streams.stream)
         assert near(served, before)
@@ -162,11 +162,11 @@ async def test_preempted(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         publisher = await robot.talk("/small/joint_trajectory", TRAJECTORY)
         first = await client.send_goal(LONG)
         second = await client.send_goal(LONG)
-        state, code, text = told(await first.result(20.0))
+        state, code, text = told(await first.result(300.0))
         assert (state, code) == (GoalState.ABORTED, Code.INVALID_GOAL)
         assert "pre-empted by a goal" in text
         publisher.publish(trajectory(["thumb"], (0.2, [-0.2])))
-        state, _, text = told(await second.result(20.0))
+        state, _, text = told(await second.result(300.0))
         assert state is GoalState.ABORTED
         assert "pre-empted by a message on ~/joint_trajectory" in text
         await until(lambda: abs(where(served)[1] + 0.2) < 0.01)
@@ -174,7 +174,7 @@ async def test_preempted(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         third = await client.send_goal(LONG)
         await until(lambda: bool(served.loop.streams.stream))
         assert (await robot.call("/small/open", "std_srvs/srv/Trigger")).success
-        state, code, text = told(await third.result(20.0))
+        state, code, text = told(await third.result(300.0))
         assert (state, code) == (GoalState.ABORTED, Code.INVALID_GOAL)
         # A sample on its way may learn of it before the goal does.
         assert "the stream ended" in text or "it may have ended" in text
@@ -182,7 +182,7 @@ async def test_preempted(hand: Hand, library: ActionLibrary, settings: Ros2Setti
         await until(lambda: bool(served.loop.streams.stream))
         async with connect("small") as other:
             await other.stop()
-            state, _, text = told(await third.result(20.0))
+            state, _, text = told(await third.result(300.0))
             assert (state, bool(text)) == (GoalState.ABORTED, True)
 
 
@@ -202,10 +202,10 @@ async def test_the_hand_goes(hand: Hand, library: ActionLibrary, settings: Ros2S
     ):
         client = ActionClient(robot.node, ACTION, KIND)
         async with serving(hand, library) as served:
-            await client.wait_for_server(20.0)
+            await client.wait_for_server(300.0)
             made = await client.send_goal(LONG)
             await until(lambda: where(served)[1] > 0.01)
-            waiting = asyncio.ensure_future(made.result(20.0))
+            waiting = asyncio.ensure_future(made.result(300.0))
             await anyio.sleep(0.1)  # the server knows that somebody waits
         state, code, text = told(await waiting)
         assert (state, code) == (GoalState.ABORTED, Code.INVALID_GOAL)
