@@ -1,0 +1,1 @@
+"""Bytes of real devices, with their sources."""
