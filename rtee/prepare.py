@@ -33,6 +33,7 @@ class RunOptions:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Whether to talk to emulators instead of the real devices.
+        ideal: Whether emulated devices are as their sheets have them, instead of worn.
         object_in_hand: The object between the fingers of emulated devices, as on the command line.
         driver_options: Options of the driver, which take precedence over those in hand.yaml.
         home: Whether to home devices that need it at the start; this moves them.
@@ -49,6 +50,7 @@ class RunOptions:
 
     driver: str | None = None
     emulated: bool = False
+    ideal: bool = False
     object_in_hand: str | None = None
     driver_options: Mapping[str, object] = field(default_factory=dict)
     home: bool = False
@@ -136,6 +138,7 @@ def prepare(name: str, options: RunOptions) -> PreparedHand:
     choice = DeviceChoice(
         options.driver,
         options.emulated,
+        options.ideal,
         tuple(options.driver_options.items()),
         str(file),
         {device: document.line(("devices", device)) or 1 for device in config.devices},

@@ -121,6 +121,7 @@ class DeviceSpec:
         deadline: Longest time that an exchange may take [s]; ``None``: two of its periods, but at
             least 50 ms.
         emulated: Whether to talk to the device's emulator instead of the address in the options.
+        worn: Whether the emulator differs from the sheet as real devices do.
         source: ``file:line`` of the configuration, for messages.
         folder: The hand's folder, for drivers that need its model; empty: look it up by name.
     """
@@ -134,6 +135,7 @@ class DeviceSpec:
     every: int | None = None
     deadline: float | None = None
     emulated: bool = False
+    worn: bool = False
     source: str = ""
     folder: str = ""
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, ClassVar, Self
 
+from rtee.buses.wear import IDEAL, TYPICAL, Wear
 from rtee.errors import ConfigError, suggestion
 
 
@@ -54,9 +55,13 @@ class Emulator(ABC):
         SCHEME: Of its address on TCP: ``tcp`` where it then speaks Modbus TCP, ``socket`` where its
             bytes are the same as on a line.
         duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
+        WEAR: How the real device differs from its sheet, as far as it was measured.
         faults: Faults injected at present.
+        wear: How this one differs from its sheet.
+        fresh: Whether no program has had an answer since the line was connected.
     """
 
+    WEAR: ClassVar[Wear] = TYPICAL
     FAULTS: ClassVar[frozenset[str]] = frozenset({"stuck", "wrong_device"})
     BAUDRATES: ClassVar[frozenset[int]] = frozenset()
     SCHEME: ClassVar[str] = "tcp"
@@ -67,6 +72,8 @@ class Emulator(ABC):
 
     def __init__(self) -> None:
         self.faults: set[str] = set()
+        self.wear = IDEAL
+        self.fresh = True
         self._clock: float | None = None
 
     @classmethod
@@ -92,6 +99,16 @@ class Emulator(ABC):
     @abstractmethod
     def power_cycle(self, now: float) -> None:
         """Lose what the device loses when its supply is cut and comes back."""
+
+    def motors(self) -> Sequence[Any]:
+        """Return its motors, which `wear_down` wears down, too."""
+        return ()
+
+    def wear_down(self, wear: Wear) -> None:
+        """Make it differ from its sheet."""
+        self.wear = wear
+        for motor in self.motors():
+            motor.wear_down(wear)
 
     def inject(self, fault: str) -> None:
         """Put a fault into the device, until `clear`.

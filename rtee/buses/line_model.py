@@ -93,6 +93,7 @@ class Wire(_Schedule[bytes]):
         spoken: Bit rate at which the host sends [bit/s]; devices with another one receive nothing.
             ``None``: all devices receive.
         bits: Bits on the line per byte.
+        garbles: Whether a worn device's first answer is damaged on it: not on a network.
         faults: Faults of the line.
         busy: Total time so far in which a message or a turn-around was in progress [s]. Together
             with the silence that the host keeps, this is the least time that a program needs that
@@ -111,9 +112,11 @@ class Wire(_Schedule[bytes]):
         faults: Faults | None = None,
         timed: bool = True,
         duplex: Duplex | None = None,
+        garbles: bool = True,
     ) -> None:
         super().__init__(emulators, faults)
         self.timed = timed
+        self.garbles = garbles
         self._duplex = duplex
         self.baudrate = baudrate if timed else None
         self.spoken: int | None = None
@@ -148,6 +151,7 @@ class Wire(_Schedule[bytes]):
         self._inward = self._outward = 0.0
         for emulator in self.emulators:
             emulator.line_reset()
+            emulator.fresh = True
 
     def _arrive(self, message: bytes, when: float) -> None:
         for emulator in self.emulators:
@@ -160,6 +164,11 @@ class Wire(_Schedule[bytes]):
 
     def _answer(self, emulator: Emulator, messages: Sequence[bytes], when: float) -> None:
         turnaround = emulator.turnaround if self.timed else 0.0
+        if messages and emulator.fresh:
+            emulator.fresh = False
+            turnaround += emulator.wear.late
+            if emulator.wear.garbled and self.garbles:
+                messages = [bytes([messages[0][0] ^ 0xFF]) + messages[0][1:], *messages[1:]]
         for answer in messages:
             # The turn-around counts as busy, since the host cannot use that time.
             since = max(when, self._outward)
@@ -210,6 +219,8 @@ class CanWire(_Schedule[CanFrame]):
         """Discard all frames in transit."""
         self._events.clear()
         self._free = 0.0
+        for emulator in self.emulators:
+            emulator.fresh = True
 
     def _arrive(self, message: CanFrame, when: float) -> None:
         for emulator in self.emulators:
@@ -219,9 +230,11 @@ class CanWire(_Schedule[CanFrame]):
         return [frame for frame in emulator.step(now) if isinstance(frame, CanFrame)]
 
     def _answer(self, emulator: Emulator, messages: Sequence[CanFrame], when: float) -> None:
+        late = emulator.wear.late if messages and emulator.fresh else 0.0
+        emulator.fresh = emulator.fresh and not messages
         for frame in messages:
             since = max(when, self._free)
-            start = max(when + emulator.turnaround, self._free)
+            start = max(when + emulator.turnaround + late, self._free)
             self._free = start + frame_time(frame, self.bitrate)
             self.busy += self._free - since
             for late in self.faults.copies():

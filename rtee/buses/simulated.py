@@ -242,6 +242,7 @@ class SimulatedLine(Simulation):
             faults=faults,
             timed=wire_time,
             duplex=Duplex.FULL if network else None,
+            garbles=not tcp,
         )
         self.emulators = self.wire.emulators
         self._end: Pty | Tcp | DirectEnd

@@ -142,6 +142,12 @@ TimeoutOption = Annotated[
 EmulatedOption = Annotated[
     bool, typer.Option("--emulated", help="Talk to emulators instead of the real devices.")
 ]
+IdealOption = Annotated[
+    bool,
+    typer.Option(
+        "--ideal", help="Emulated devices as their sheets have them: no lag, backlash, noise."
+    ),
+]
 FrictionOption = Annotated[
     float | None,
     typer.Option(

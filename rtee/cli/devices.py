@@ -14,6 +14,7 @@ import typer
 from rtee.cli._common import (
     EmulatedOption,
     Hand,
+    IdealOption,
     JsonOption,
     complete_hand,
     hand_folder,
@@ -33,12 +34,14 @@ _MODEL = "the hand"
 """Heading of the checks of the model; no device can have this name."""
 
 
-def _devices_of(name: str, only: str | None, emulated: bool) -> list[DeviceSpec]:
+def _devices_of(
+    name: str, only: str | None, emulated: bool, ideal: bool = False
+) -> list[DeviceSpec]:
     """Return the devices of a hand, or only the one named; raise `UserError` if there is none."""
     from rtee.errors import ConfigError, suggestion
     from rtee.run import RunOptions, prepare
 
-    prepared = prepare(name, RunOptions(driver="devices", emulated=emulated))
+    prepared = prepare(name, RunOptions(driver="devices", emulated=emulated, ideal=ideal))
     specs = [device.spec for device in prepared.devices]
     if only is None:
         return specs
@@ -66,6 +69,7 @@ def doctor(
     ] = None,
     device: DeviceOption = None,
     emulated: EmulatedOption = False,
+    ideal: IdealOption = False,
     files: Annotated[
         Path | None,
         typer.Option(
@@ -107,7 +111,7 @@ def doctor(
         # A hand without devices is no mistake, unless the user names one of them.
         if hand and (device is not None or has_devices(hand)):
             async with BusPool() as pool:
-                for spec in _devices_of(hand, device, emulated):
+                for spec in _devices_of(hand, device, emulated, ideal):
                     results[spec.name] = await check_device(spec, pool)
         return results
 
@@ -174,6 +178,7 @@ def locate(
         bool, typer.Option("--home", help="Home a device that needs it, which moves it fully.")
     ] = False,
     emulated: EmulatedOption = False,
+    ideal: IdealOption = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't ask for confirmation.")] = False,
 ) -> None:
     """Move a hand's actuators a little and back, one device after the other."""
@@ -181,7 +186,7 @@ def locate(
     from rtee.drivers.diagnosis.locate import twitch
     from rtee.drivers.registry import find_driver
 
-    specs = _devices_of(hand, device, emulated)
+    specs = _devices_of(hand, device, emulated, ideal)
     if not yes:
         typer.confirm(f"{hand} will move; is it free?", abort=True)
 
@@ -222,6 +227,7 @@ def calibrate(
         ),
     ] = None,
     emulated: EmulatedOption = False,
+    ideal: IdealOption = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Don't wait for Enter.")] = False,
 ) -> None:
     """Find a device's offsets or end stops and store them; it may move fully.
@@ -244,7 +250,7 @@ def calibrate(
     from rtee.drivers import calibration
     from rtee.drivers.registry import find_driver
 
-    specs = _devices_of(hand, device, emulated)
+    specs = _devices_of(hand, device, emulated, ideal)
 
     async def ready(text: str) -> None:
         print(text, flush=True)

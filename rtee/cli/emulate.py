@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rtee.cli._common import named_values
+from rtee.cli._common import IdealOption, named_values
 
 if TYPE_CHECKING:
     from rtee.drivers.emulator_server import Player
@@ -60,17 +60,19 @@ def emulate(
             help="Object between its fingers: 50mm, or the part of the way that they close, 0.4.",
         ),
     ] = None,
+    ideal: IdealOption = False,
     fault: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A fault that it has from the start.")
     ] = None,
 ) -> None:
     """Emulate a device for other software until Ctrl-C; lines typed meanwhile cause faults."""
     from rtee.drivers.emulator_server import Player
-    from rtee.drivers.objects import ObjectInHand, grasping
+    from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, ObjectInHand, grasping
 
+    properties = named_values(set_ or [], "--set", "the property")
     player = Player(
         device,
-        named_values(set_ or [], "--set", "the property"),
+        {WEAR: IDEAL_STATE if ideal else WORN_STATE, **properties},
         link=link,
         tcp=tcp,
         raw=raw,

@@ -12,6 +12,7 @@ from rtee.cli._common import (
     EmulatedOption,
     FrictionOption,
     HandsArgument,
+    IdealOption,
     VerboseOption,
     check_files,
     log_to_stderr,
@@ -87,6 +88,7 @@ def run(
     ] = None,
     friction: FrictionOption = None,
     emulated: EmulatedOption = False,
+    ideal: IdealOption = False,
     home: Annotated[
         bool,
         typer.Option("--home", help="Home devices that need it, which moves them all the way."),
@@ -134,6 +136,7 @@ def run(
     options = RunOptions(
         driver=driver,
         emulated=emulated,
+        ideal=ideal,
         # There, the object is an option of the driver, see `_scene`.
         object_in_hand=None if driver == "mujoco" else object_,
         driver_options=driver_options,

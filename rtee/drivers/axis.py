@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
+
+from rtee.buses.wear import Wear, WornSensor
 
 _STEP = 0.001
 """Longest integration step [s], short compared with the time constants of motors."""
 _MOST_STEPS = 400
 """Largest number of steps in one call: a longer time is integrated in longer steps."""
+
+
+_ENDLESS = 1e6
+"""Distance of stops from which an axis counts as turning without end [axis units]."""
 
 
 @dataclass(slots=True)
@@ -55,6 +62,11 @@ class Axis:
         heating: Heating rate at the effort `rating` [K/s].
         cooling: Share of the difference to `ambient` lost per second [1/s].
         rating: Effort at which `heating` applies.
+        way: Its whole way, to which shares of wear refer; by default that between the stops.
+        lag: Time from a change of `target` until it is followed [s]; a stop, the target at the
+            present position, is followed at once.
+        pace: Share of `max_velocity` that it reaches.
+        sensor: Its encoder.
     """
 
     def __init__(
@@ -92,12 +104,36 @@ class Axis:
         self.heating = 0.5
         self.cooling = 0.01
         self.rating = max_effort
+        self.way = upper - lower if upper - lower < _ENDLESS else 0.0
+        self.lag = 0.0
+        self.pace = 1.0
+        self.sensor = WornSensor()
+        self._followed = position
+        self._asked = position
+        self._due: deque[tuple[float, float]] = deque()
+        self._age = 0.0
         self._now: float | None = None
+
+    def wear_down(self, wear: Wear) -> None:
+        """Differ from the sheet, and be warm after a while."""
+        self.lag, self.pace = wear.lag, wear.pace
+        self.sensor = WornSensor.of(wear, self.way)
+        self.ambient += wear.warmth
+
+    @property
+    def measured(self) -> float:
+        """The position that its encoder reports."""
+        return self.sensor.read(self.position)
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves, or is about to."""
+        return self.velocity != 0.0 or bool(self._due)
 
     @property
     def blocked(self) -> bool:
         """Whether it is held at rest short of its target, exerting effort."""
-        return self.enabled and self.velocity == 0.0 and self.position != self.target
+        return self.enabled and not self.moving and self.position != self.target
 
     def _bounds(self) -> tuple[float, float]:
         """Return the range that it can reach, limited by the stops and by the squeezed object."""
@@ -140,14 +176,28 @@ class Axis:
         for _ in range(steps):
             self._advance(dt / steps)
 
+    def _follow(self, dt: float) -> None:
+        """Determine the target that it follows by now."""
+        self._age += dt
+        if self.lag <= 0.0 or self.target == self.position:
+            self._due.clear()
+            self._followed = self._asked = self.target
+            return
+        if self.target != self._asked:
+            self._asked = self.target
+            self._due.append((self._age + self.lag, self.target))
+        while self._due and self._due[0][0] <= self._age:
+            self._followed = self._due.popleft()[1]
+
     def _advance(self, dt: float) -> None:
+        self._follow(dt)
         if self.enabled and not self.stuck:
             lower, upper = self._bounds()
-            goal = min(max(self.target, lower), upper)
+            goal = min(max(self._followed, lower), upper)
             error = goal - self.position
             # The exact solution over a step, which is stable for steps of any length.
             approach = error * -math.expm1(-dt / self.time_constant)
-            limit = self.max_velocity * dt
+            limit = self.max_velocity * self.pace * dt
             change = min(max(approach, -limit), limit)
             if abs(error) <= self.resolution:
                 # An exponential never arrives, so the last bit is covered at once.
@@ -166,7 +216,7 @@ class Axis:
         if not self.enabled:
             self.effort = 0.0
             return
-        error = self.target - self.position
+        error = self._followed - self.position
         if error == 0.0:
             pull = self._contact()
             direction = 1.0 if self.obstacle is None else self.obstacle.closing

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from rtee.buses.emulator import Emulator, EmulatorFactory
-from rtee.drivers.objects import make_with_object
+from rtee.drivers.objects import IDEAL_STATE, WEAR, WORN_STATE, made_by
 from rtee.drivers.registry import find_emulator
 from rtee.types import DeviceSpec
 
 
 def make_emulator(name: str, options: Mapping[str, Any]) -> Emulator:
-    """Return a new emulator made from a driver's options, with an object if they give one.
+    """Return a new emulator made from a driver's options, with the object and wear they give.
 
     Raises:
         ConfigError: if there is no emulator of that name, or the options do not suit it.
     """
-    return make_with_object(find_emulator(name), options)
+    return made_by(find_emulator(name), options)
 
 
 def emulator_of(
@@ -39,4 +39,7 @@ def emulator_of(
     if not spec.emulated:
         return None
     emulator = kind if isinstance(kind, type) else find_emulator(kind or spec.driver)
-    return lambda: make_with_object(emulator, {**spec.options, **options})
+    given = {**spec.options, **options}
+    state = WORN_STATE if spec.worn else IDEAL_STATE
+    given["emulator"] = {WEAR: state, **(given.get("emulator") or {})}
+    return lambda: made_by(emulator, given)

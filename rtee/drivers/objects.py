@@ -6,16 +6,23 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol
 
 from rtee.buses.emulator import Emulator
-from rtee.drivers.axis import VirtualObject
-from rtee.errors import ConfigError
+from rtee.buses.wear import Wear
+from rtee.drivers.axis import Axis, VirtualObject
+from rtee.errors import ConfigError, suggestion
 from rtee.types import DeviceSpec
 
 OPTION = "object"
 """The property of every emulated device that puts an object between its fingers at the start."""
+
+WEAR = "wear"
+"""The property of every emulated device that makes it worn or ideal."""
+
+IDEAL_STATE, WORN_STATE = "ideal", "worn"
+"""Values of `WEAR`: as the sheet has it, or with what is known of real ones."""
 
 STIFFNESS = 50.0
 """Default stiffness of an object; for its unit, see `ObjectInHand`."""
@@ -199,18 +206,43 @@ def between_fingers(hand: str, specs: Sequence[DeviceSpec], text: str) -> tuple[
     return tuple(holding(spec) if spec.emulated else spec for spec in specs)
 
 
-def make_with_object(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
-    """Make an emulator from a driver's options, with their object between its fingers.
+def made_by(kind: type[Emulator], options: Mapping[str, Any]) -> Emulator:
+    """Make an emulator from a driver's options: worn, and with an object between its fingers.
 
     Raises:
         ConfigError: if the options do not suit the emulator.
     """
     properties = dict(options.get("emulator") or {})
     # Removed, since the emulator would refuse a name that is not a property of its device.
-    given = properties.pop(OPTION, None)
-    if given is None:
-        return kind.from_options(options)
-    thing = ObjectInHand.parse(given)
+    given, state = properties.pop(OPTION, None), properties.pop(WEAR, IDEAL_STATE)
     emulator = kind.from_options({**options, "emulator": properties})
-    grasping(emulator).place_object(thing)
+    if state != IDEAL_STATE:
+        wear_down(emulator, _wear_of(kind, state))
+    if given is not None:
+        grasping(emulator).place_object(ObjectInHand.parse(given))
     return emulator
+
+
+def _wear_of(kind: type[Emulator], state: object) -> Wear:
+    """Return the wear that the property `WEAR` describes; raises `ConfigError`."""
+    if state == WORN_STATE:
+        return kind.WEAR
+    if not isinstance(state, Mapping):
+        raise ConfigError(
+            f"the emulated device's wear is '{state}'; write worn, ideal, or what differs from "
+            "worn, such as {lag: 0.05}"
+        )
+    try:
+        return replace(kind.WEAR, **state)
+    except TypeError:
+        names = [one.name for one in fields(Wear)]
+        wrong = next(name for name in state if name not in names)
+        raise ConfigError(f"nothing wears by '{wrong}'; {suggestion(str(wrong), names)}") from None
+
+
+def wear_down(emulator: Emulator, wear: Wear) -> None:
+    """Make an emulated device differ from its sheet."""
+    for one in emulator.closings() if isinstance(emulator, Grasps) else ():
+        if isinstance(one.motor, Axis):
+            one.motor.way = abs(one.closed - one.opened)
+    emulator.wear_down(wear)

@@ -125,7 +125,7 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
     def _advance_by(self, dt: float) -> None:
         """Let ``dt`` seconds pass; at an object, the force is built up."""
         self.axis.advance(dt)
-        if not self._busy or self.axis.velocity != 0.0:
+        if not self._busy or self.axis.moving:
             return
         there = abs(self.axis.target - self.axis.position) < self.NEAR
         # A motor that is stuck has met no object, so no force builds up.
@@ -161,6 +161,10 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
     def _reachable(self) -> None:
         if "no_tool" in self.faults:
             raise Refused(_GATEWAY_NO_TARGET)
+
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [self.axis]
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""

@@ -116,6 +116,10 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
     def _release(self, command: Any) -> None:
         """Set the motors' speeds and targets for the automatic release."""
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return self.axes
+
     # --- faults and objects ------------------------------------------------------------------
 
     def power_cycle(self, now: float) -> None:
@@ -247,7 +251,7 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
             self._halt()
         for axis in self.axes:
             axis.advance(dt)
-        if self._releasing and dt > 0.0 and all(axis.velocity == 0.0 for axis in self.axes):
+        if self._releasing and dt > 0.0 and all(not axis.moving for axis in self.axes):
             self._fault = _RELEASED
 
     def _progress_by(self, dt: float) -> None:

@@ -92,6 +92,10 @@ class ServoLine(Emulator, Generic[S]):
         found = [servos[n] for n in numbers if n in servos]
         return [servo for servo in found if now >= servo.silent_until]
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [servo.axis for servo in self.ordered]
+
     def power_cycle(self, now: float) -> None:
         """Cut the supply of all servos and bring it back."""
         for servo in self.ordered:

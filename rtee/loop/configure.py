@@ -61,6 +61,7 @@ class DeviceChoice:
     Attributes:
         driver: ``kinematic``, ``devices``, or a driver's name; ``None``: as in hand.yaml.
         emulated: Talk to emulators instead of the real devices.
+        ideal: Emulated devices are as their sheets have them, instead of worn.
         options: Options of the driver, which take precedence over those in hand.yaml.
         source: The hand.yaml, for messages.
         lines: Line of each device in it, for messages.
@@ -69,6 +70,7 @@ class DeviceChoice:
 
     driver: str | None = None
     emulated: bool = False
+    ideal: bool = False
     options: tuple[tuple[str, object], ...] = ()
     source: str = ""
     lines: Mapping[str, int] = field(default_factory=dict)
@@ -128,6 +130,7 @@ def device_settings(
         options=dict(choice.options) if stand_in == driver else {},
         rate=rate,
         emulated=choice.emulated,
+        worn=choice.emulated and not choice.ideal,
         source=f"--driver {driver}" if choice.driver or choice.options else choice.source,
         folder=choice.folder,
     )
@@ -157,6 +160,7 @@ def _settings_of(
         every=device.every,
         deadline=device.deadline,
         emulated=choice.emulated,
+        worn=choice.emulated and not choice.ideal,
         source=f"{choice.source}:{choice.lines[name]}" if name in choice.lines else choice.source,
         folder=choice.folder,
     )

@@ -77,6 +77,7 @@ class DeviceCase:
         max_efforts: Effort limits for the test of effort limits, within the device's range.
         fault: A fault of the emulator that the driver must report as `DeviceFault`.
         homes: Whether the device must home again after a power cycle.
+        worn: Whether the emulator differs from the sheet as real devices do: lag, backlash, noise.
         wire: Whether the device is connected by a wire with its emulator at the other end; without
             one, tests that need the wire or the emulator are skipped.
         answers: Whether it answers requests; what a device sends by itself is not missed when it is
@@ -104,6 +105,7 @@ class DeviceCase:
     max_efforts: Sequence[float] | None = None
     fault: str | None = None
     homes: bool = True
+    worn: bool = False
     wire: bool = True
     answers: bool = True
     checksums: bool = True
@@ -122,6 +124,7 @@ class DeviceCase:
             rate=self.rate,
             deadline=self.deadline,
             emulated=True,
+            worn=self.worn,
             source="contract",
         )
 

@@ -8,13 +8,15 @@ or for another address.
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
 from rtee.buses.emulator import Duplex, Emulator
+from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.ability_hand import codec
 from rtee.drivers.ability_hand.codec import (
     API_TIME,
@@ -85,8 +87,13 @@ class AbilityHandEmulator(Emulator, Grasps):
         moves: Number of set-points received.
         api: Whether it is in API mode.
         limited: Whether it limits a motor.
+        rest: Words of the six touch sensors of each finger while nothing touches them.
     """
 
+    # Words of the sensors of one finger of a real hand, while nothing touches them.
+    WEAR: ClassVar[Wear] = replace(
+        TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0
+    )
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "hot"}
     BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction
@@ -122,6 +129,8 @@ class AbilityHandEmulator(Emulator, Grasps):
         self._blocked = [0.0] * COUNT
         self._collided = [0.0] * COUNT
         self._most = list(EFFORTS)
+        self.rest: tuple[int, ...] = made.touch_rest
+        self._random = random.Random(1)  # noqa: S311 - noise, the same in every run
         self._variant = 1
         self._heard = -math.inf
         self._parser = CommandParser()
@@ -132,6 +141,15 @@ class AbilityHandEmulator(Emulator, Grasps):
         given = cls._given(options, "address", "turnaround")
         rate = int(options.get("baudrate", codec.BAUDRATES[0]))
         return cls(read_properties(AbilityProperties, options, **given), baudrate=rate)
+
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return self.axes
+
+    def wear_down(self, wear: Wear) -> None:
+        """Make it differ from its sheet; its touch sensors are not zero at rest, and noisy."""
+        super().wear_down(wear)
+        self.rest = wear.touch or self.rest
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors of the five digits close."""
@@ -277,7 +295,7 @@ class AbilityHandEmulator(Emulator, Grasps):
         rates = tuple(codec.velocity_counts(a.velocity, motor) for motor, a in enumerate(self.axes))
         return Reply(
             variant,
-            tuple(codec.angle_counts(axis.position) for axis in self.axes),
+            tuple(codec.angle_counts(axis.measured) for axis in self.axes),
             () if variant == codec.VELOCITIES else currents,
             () if variant == 1 else rates,
             () if variant == codec.NO_TOUCH else self._touch(),
@@ -292,9 +310,10 @@ class AbilityHandEmulator(Emulator, Grasps):
             thing = axis.obstacle
             depth = 0.0 if thing is None else (axis.position - thing.contact) * thing.closing
             force = 0.0 if thing is None else max(0.0, depth) * thing.stiffness / _ARM
-            rest = map(codec.touch_force, self.properties.touch_rest)
-            words += (
-                codec.touch_word(force * part + least)
-                for part, least in zip(_SPREAD, rest, strict=True)
-            )
+            noise = self.wear.touch_noise
+            for part, rest in zip(_SPREAD, self.rest, strict=True):
+                word = codec.touch_word(force * part + codec.touch_force(rest))
+                if noise:
+                    word = min(max(round(self._random.gauss(word, noise)), 0), 4095)
+                words.append(word)
         return tuple(words)

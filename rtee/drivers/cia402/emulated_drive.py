@@ -317,7 +317,7 @@ class Drive:
                 self.zero = axis.position
                 self.homed = True
             self._aim(self._legs[0].end if self._legs else axis.position)
-        elif not self._halted and axis.target == leg.end and axis.velocity == 0.0:
+        elif not self._halted and axis.target == leg.end and not axis.moving:
             blocked = axis.position in (axis.lower, axis.upper)
             if blocked:  # at a stop, before the switch or index pulse
                 self._stay()
@@ -394,7 +394,7 @@ class Drive:
         axis, node = self.axis, self.node
         word = self.state.value[1] | StatusBit.VOLTAGE | StatusBit.REMOTE
         mode = node.get(Object.MODE_DISPLAY)
-        stands = axis.velocity == 0.0
+        stands = not axis.moving
         if mode == Mode.HOMING:
             under_way = bool(self._legs) and not self._halted
             word |= StatusBit.REACHED if not under_way and stands else 0
@@ -406,7 +406,7 @@ class Drive:
             cyclic = mode == Mode.CYCLIC_POSITION and self.state is State.ENABLED
             word |= StatusBit.ACKNOWLEDGED if self._acknowledged or cyclic else 0
         node.set(Object.STATUSWORD, word)
-        node.set(Object.POSITION, round(axis.position - self.zero))
+        node.set(Object.POSITION, round(axis.measured - self.zero))
         node.set(Object.VELOCITY, round(axis.velocity))
         node.set(Object.TORQUE, round(axis.effort))
         node.set(Object.CURRENT, round(axis.effort))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
+from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
 from rtee.drivers.cia402.emulated_drive import RATED, Drive, DriveProperties
@@ -71,6 +72,10 @@ class Cia402Emulator(Emulator, Grasps):
             # The low half of the device type is the profile; 2 in the high half is a servo drive.
             kind = 401 if "wrong_device" in self.faults else self.properties.device_type
             drive.node.objects[Object.DEVICE_TYPE, 0].value = struct.pack("<I", 0x20000 | kind)
+
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [drive.axis for drive in self.drives.values()]
 
     def closings(self) -> Sequence[Closing]:
         """Return how the drives close."""

@@ -236,7 +236,7 @@ class Servo(EmulatedServo):
     @property
     def position(self) -> int:
         """Reported present position [pulse]."""
-        return round(self._sign * self.axis.position) + self._offset
+        return round(self._sign * self.axis.measured) + self._offset
 
     def heard(self, now: float) -> None:
         """Note the time of an instruction on the bus, for any servo."""

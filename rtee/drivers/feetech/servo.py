@@ -122,7 +122,7 @@ class Servo(EmulatedServo):
     @property
     def position(self) -> int:
         """Reported present position [counts]."""
-        position = round(self.axis.position) - self._offset
+        position = round(self.axis.measured) - self._offset
         if self._turns:
             return position
         return min(max(position, 0), self._family.counts - 1)
@@ -256,7 +256,7 @@ class Servo(EmulatedServo):
         self.set(table.PRESENT_VOLTAGE, round(self.properties.voltage / table.VOLTAGE_UNIT))
         self.set(table.PRESENT_TEMPERATURE, min(round(axis.temperature), 255))
         self.set(table.STATUS, self.status)
-        self.set(table.MOVING, int(axis.velocity != 0.0))
+        self.set(table.MOVING, int(axis.moving))
         if family.has_current:
             full = self.get(table.PROTECTION_CURRENT)
             self.set(table.PRESENT_CURRENT, round(axis.effort / FULL * full))

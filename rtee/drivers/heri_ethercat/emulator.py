@@ -159,6 +159,10 @@ class HeriEmulator(Emulator, Grasps):
             for motor in board.motors:
                 motor.stuck = "stuck" in self.faults
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [motor for board in self.boards for motor in board.motors]
+
     def closings(self) -> Sequence[Closing]:
         """Return how the motors close the fingers."""
         made = self.properties
@@ -230,7 +234,7 @@ class HeriEmulator(Emulator, Grasps):
         board.beat ^= Fault.ALIVE
         first, second = board.motors
         return Reply(
-            (first.position, second.position),
+            (first.measured, second.measured),
             (first.velocity, second.velocity),
             (self._pressures(first), self._pressures(second)),
             (first.effort, second.effort),

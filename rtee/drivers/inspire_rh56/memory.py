@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -148,6 +149,10 @@ class Memory:
         self._put(Register.ANGLE_SET, table([KEEP] * COUNT))
         self._limit()
 
+    def bias(self, grams: Sequence[int]) -> None:
+        """Let the force sensors of an idle hand read some grams more, until they are calibrated."""
+        self._bias = [a + b for a, b in zip(self._bias, grams or (0,) * COUNT, strict=True)]
+
     def set_faults(self, faults: set[str]) -> None:
         """Set the injected faults; errors stay until they are cleared."""
         self._faults = frozenset(faults & FAULTS)
@@ -206,7 +211,7 @@ class Memory:
     def report(self) -> Report:
         """Return its measurements."""
         return Report(
-            tuple(round(axis.position) for axis in self.axes),
+            tuple(round(axis.measured) for axis in self.axes),
             tuple(round(self._force(i)) for i in range(COUNT)),
             tuple(round(self._current(axis)) for axis in self.axes),
             tuple(self.errors),

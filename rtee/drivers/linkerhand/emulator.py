@@ -113,6 +113,10 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         given = cls._given(options, "model", "unit", "travel_time")
         return cls(read_properties(LinkerProperties, options, **given))
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return self.axes
+
     def closings(self) -> Sequence[Closing]:
         """Return how the motors that bend the digits close."""
         pairs = zip(self.model.motors, self.axes, strict=True)
@@ -153,7 +157,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
     def table(self, table: Table) -> list[int]:
         """Return the values of all motors."""
         if table is Table.POSITION:
-            return [round(axis.position) for axis in self.axes]
+            return [min(max(round(axis.measured), 0), MOST) for axis in self.axes]
         if table is Table.TORQUE:
             return list(self._torques)
         if table is Table.SPEED:

@@ -170,7 +170,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
 
     def status(self) -> Status:
         """Return the gripper's state."""
-        raw = self.axis.position
+        raw = self.axis.measured
         kind = GripType(self._targets[2] & 1)
         force = abs(self.axis.effort) if self._contact else 0.0
         return Status(

@@ -132,7 +132,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
     @property
     def _width(self) -> float:
         """Width without fingertips [m]."""
-        return self.model.width(self.axis.position)
+        return self.model.width(self.axis.measured)
 
     @property
     def _pushed(self) -> tuple[bool, bool]:

@@ -143,6 +143,10 @@ class QbSoftHandEmulator(Emulator, Grasps):
         for axis in self.axes:
             axis.stuck = "stuck" in self.faults
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return self.axes
+
     def closings(self) -> Sequence[Closing]:
         """Return how the motors close the fingers."""
         made = self.options
@@ -219,7 +223,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
     def _query(self, command: int) -> bytes | None:
         """Return the data of the answer to a short query; ``None``: not a query."""
         currents = [self.axes[0].effort, self.axes[1].effort if len(self.axes) == 2 else 0.0]
-        positions = self._by_encoder([axis.position for axis in self.axes])
+        positions = self._by_encoder([axis.measured for axis in self.axes])
         match command:
             case Command.PING:
                 return b""

@@ -141,21 +141,25 @@ class Robotiq2FEmulator(RobotiqEmulator):
         """Return what the gripper reports."""
         command = self._command()
         going = self._going(command)
+        grasp = self._grasp() if going else Grasp.MOVING
+        # At rest without an object it draws nothing, also at the end of its travel.
+        holds = grasp in (Grasp.CONTACT_CLOSING, Grasp.CONTACT_OPENING)
+        effort = abs(self.axis.effort) if holds or self.axis.velocity != 0.0 else 0.0
         fault = self._reported_fault(command) or (_SILENT if self._silent else 0)
         self._silent = False
         return Status(
             activated=command.activate,
             going=going,
             progress=Progress.RESET if self._releasing else self._progress,
-            grasp=self._grasp() if going else Grasp.MOVING,
+            grasp=grasp,
             fault=fault,
             requested=command.position,
-            position=round(min(max(self.axis.position, 0.0), 255.0)),
-            raw_current=min(round(abs(self.axis.effort) / self.axis.rating * 100), 255),
+            position=round(min(max(self.axis.measured, 0.0), 255.0)),
+            raw_current=min(round(effort / self.axis.rating * 100), 255),
         )
 
     def _grasp(self) -> Grasp:
-        if self._started or self.axis.velocity != 0.0:
+        if self._started or self.axis.moving:
             return Grasp.MOVING
         error = self.axis.target - self.axis.position
         blocked = abs(error) > 1.0 and self.axis.lower < self.axis.position < self.axis.upper

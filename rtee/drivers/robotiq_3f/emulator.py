@@ -116,7 +116,7 @@ class Robotiq3FEmulator(RobotiqEmulator):
             command.axes[3].position if command.scissor else 0,
         ]
         axes = tuple(
-            AxisStatus(contact, echo, _count(axis.position), _current(axis))
+            AxisStatus(contact, echo, _count(axis.measured), _current(axis))
             for contact, echo, axis in zip(contacts, echoes, self.axes, strict=True)
         )
         return Status(
@@ -195,7 +195,7 @@ def _axis(position: float, lower: int) -> Axis:
 
 
 def _contact(axis: Axis, moving: bool) -> Contact:
-    if moving or axis.velocity != 0.0:
+    if moving or axis.moving:
         return Contact.MOVING
     error = axis.target - axis.position
     if abs(error) <= 1.0:

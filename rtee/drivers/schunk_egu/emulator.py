@@ -171,6 +171,10 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     # --- objects and faults ------------------------------------------------------------------
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [self.axis]
+
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""
         return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
@@ -234,7 +238,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
             Parameter.INPUT: self.image().to_registers(),
             Parameter.OUTPUT: self._output.to_registers(),
             Parameter.ERROR: (self._error << 8,),
-            Parameter.POSITION: float_registers(self.axis.position),
+            Parameter.POSITION: float_registers(self.axis.measured),
             Parameter.SPEED: float_registers(self.axis.velocity),
             Parameter.MODULE: (module << 8,),
             Parameter.STROKE: float_registers(made.stroke),
@@ -258,7 +262,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         # As captured from a real gripper, which after power-up reports error and brake.
         status |= Status.READY if ready else Status.ERROR | Status.BRAKE
         status |= Status.RECEIVED if self._toggle else Status(0)
-        return Input(status, round(1e3 * self.axis.position), self._error)
+        return Input(status, round(1e3 * self.axis.measured), self._error)
 
     # --- behaviour ---------------------------------------------------------------------------
 
@@ -369,7 +373,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def _advance_by(self, dt: float) -> None:
         self.axis.advance(dt)
-        if not self._running or self.axis.velocity != 0.0:
+        if not self._running or self.axis.moving:
             return
         there = abs(self.axis.position - self.axis.target) < _NEAR
         if self._running in (Control.GRIP, Control.GRIP_AT):

@@ -167,6 +167,10 @@ class SchunkSvhEmulator(Emulator, Grasps):
         zero = spec.zero(self.stop_of(channel))
         return spec.to_rad(self.channels[channel].axis.position, zero) / spec.range
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [channel.axis for channel in self.channels]
+
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close; spread and opposition do not close on an object."""
         return [
@@ -212,7 +216,7 @@ class SchunkSvhEmulator(Emulator, Grasps):
 
     def _feedback(self, index: int) -> codec.Feedback:
         axis = self.channels[index].axis
-        return codec.Feedback(round(axis.position), round(axis.effort))
+        return codec.Feedback(round(axis.measured), round(axis.effort))
 
     def _answer(self, packet: Packet) -> bytes:
         command = packet.command

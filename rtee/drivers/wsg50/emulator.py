@@ -175,6 +175,10 @@ class Wsg50Emulator(Emulator, Grasps):
 
     # --- objects -----------------------------------------------------------------------------
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return [self.axis]
+
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""
         return [Closing(self.axis, self.limits.stroke, 0.0, self.limits.force[1])]
@@ -233,7 +237,7 @@ class Wsg50Emulator(Emulator, Grasps):
         values: Mapping[int, Callable[[], bytes]] = {
             Command.STATE: lambda: int(self.state()).to_bytes(4, "little"),
             Command.GRASPING: lambda: bytes([self._grasping]),
-            Command.WIDTH: lambda: _floats(self.axis.position),
+            Command.WIDTH: lambda: _floats(self.axis.measured),
             Command.SPEED: lambda: _floats(self.axis.velocity),
             Command.FORCE: lambda: _floats(abs(self.axis.effort)),
             Command.TEMPERATURE: lambda: round(10 * self.axis.temperature).to_bytes(2, "little"),
@@ -379,7 +383,7 @@ class Wsg50Emulator(Emulator, Grasps):
     def _advance(self, dt: float) -> Status | None:
         """Let time pass; return the result of a motion that has ended."""
         self.axis.advance(dt)
-        if self._running is None or self.axis.velocity != 0.0:
+        if self._running is None or self.axis.moving:
             return None
         there = abs(self.axis.position - self.axis.target) < _NEAR
         if self._running == Command.GRASP:

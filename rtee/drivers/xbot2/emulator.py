@@ -100,6 +100,10 @@ class XBot2Emulator(Emulator, Grasps):
         for axis in self.axes.values():
             axis.stuck = "stuck" in self.faults
 
+    def motors(self) -> Sequence[Axis]:
+        """Return its motors."""
+        return list(self.axes.values())
+
     def closings(self) -> Sequence[Closing]:
         """Return how the joints close."""
         made = self.properties
@@ -115,7 +119,7 @@ class XBot2Emulator(Emulator, Grasps):
         state = State(
             self._sequence,
             tuple(self.axes),
-            tuple(a.position for a in self.axes.values()),
+            tuple(a.measured for a in self.axes.values()),
             tuple(a.velocity for a in self.axes.values()),
             tuple(a.effort for a in self.axes.values()),
             (),

@@ -1,0 +1,90 @@
+"""How a real device differs from a tidy one, as data that every emulator shares."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Wear:
+    """What an emulated device has that its sheet does not tell.
+
+    The shares are of a motor's whole way.
+
+    Attributes:
+        lag: Time from a command until a motor at rest or on its way follows it [s].
+        pace: Share of the sheet's speed that its motors reach.
+        backlash: Way between motor and encoder in which the encoder does not follow [share].
+        offset: Constant error of a position [share].
+        noise: Standard deviation of a measured position [share].
+        warmth: How far its motors get above the ambient temperature while it only waits [K].
+        late: Delay of the first answer to a program that connects [s].
+        garbled: Whether the first byte of that answer is damaged, on a serial line.
+        touch: What its touch sensors read while nothing touches them [their counts].
+        touch_noise: Standard deviation of a touch sensor [counts].
+        force: What its force sensors read while nothing is held [their counts].
+    """
+
+    lag: float = 0.0
+    pace: float = 1.0
+    backlash: float = 0.0
+    offset: float = 0.0
+    noise: float = 0.0
+    warmth: float = 0.0
+    late: float = 0.0
+    garbled: bool = False
+    touch: tuple[int, ...] = ()
+    touch_noise: float = 0.0
+    force: tuple[int, ...] = ()
+
+
+IDEAL = Wear()
+"""A device as its sheet has it."""
+
+TYPICAL = Wear(
+    lag=0.02,
+    pace=0.9,
+    backlash=0.004,
+    offset=0.002,
+    noise=0.0003,
+    warmth=15.0,
+    late=0.05,
+    garbled=True,
+)
+"""Assumed where nothing was measured: a hobby or industrial drive in use. Two exchanges of lag, a
+tenth less speed, half a per cent of play and offset, and an adapter that is slow and noisy when its
+port is opened."""
+
+
+@dataclass(slots=True)
+class WornSensor:
+    """A position sensor with backlash, an offset and noise.
+
+    Attributes:
+        backlash: Way in which it does not follow [units of the position].
+        offset: Constant error [units of the position].
+        noise: Standard deviation [units of the position].
+    """
+
+    backlash: float = 0.0
+    offset: float = 0.0
+    noise: float = 0.0
+    _held: float | None = None
+    # One seed for all: what an emulated device measures must be the same in every run.
+    _random: random.Random = field(default_factory=lambda: random.Random(1), repr=False)  # noqa: S311
+
+    @classmethod
+    def of(cls, wear: Wear, way: float) -> WornSensor:
+        """Return the sensor of a motor with a way [units of the position]."""
+        return cls(wear.backlash * way, wear.offset * way, wear.noise * way)
+
+    def read(self, position: float) -> float:
+        """Return what it measures at a position."""
+        half = self.backlash / 2.0
+        if half > 0.0:
+            held = position if self._held is None else self._held
+            self._held = position = min(max(held, position - half), position + half)
+        if self.noise > 0.0:
+            position += self._random.gauss(0.0, self.noise)
+        return position + self.offset
