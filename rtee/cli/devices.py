@@ -70,6 +70,18 @@ def doctor(
     device: DeviceOption = None,
     emulated: EmulatedOption = False,
     ideal: IdealOption = False,
+    first_contact: Annotated[
+        bool,
+        typer.Option(
+            "--first-contact",
+            help="Lead through the first hour with a real device: it asks, moves little by little, "
+            "and writes a report.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of that report; by default logs/."),
+    ] = None,
     files: Annotated[
         Path | None,
         typer.Option(
@@ -88,6 +100,13 @@ def doctor(
         for path in write_files(files):
             print(path)
         return
+
+    if first_contact:
+        from rtee.errors import ConfigError
+
+        if hand is None:
+            raise ConfigError("give the hand: rtee doctor --first-contact HAND")
+        raise typer.Exit(_first_contact(_devices_of(hand, device, emulated, ideal), out))
 
     from rtee.buses.pool import BusPool
     from rtee.cli.secure import checks as check_certificates
@@ -123,6 +142,48 @@ def doctor(
             _print(name, checks)
     wrong = any(check.verdict is Verdict.WRONG for checks in results.values() for check in checks)
     raise typer.Exit(1 if wrong else 0)
+
+
+def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
+    """Go through the first contact with each device; return the exit status."""
+    from rtee.buses.pool import BusPool
+    from rtee.drivers.connection import owner_of
+    from rtee.drivers.diagnosis.first_contact import FirstContact, Question, Verdict
+    from rtee.drivers.registry import find_driver
+    from rtee.log.first_contact import write
+
+    async def ask(question: Question) -> str:
+        tail = {"yes": " [y/n] ", "number": " ", "enter": " "}[question.kind]
+        # In a thread: the driver goes on reading while a person thinks.
+        return await asyncio.to_thread(input, f"\n{question.text}{tail}")
+
+    async def execute() -> bool:
+        refuted = False
+        async with BusPool() as pool:
+            for spec in specs:
+                driver = find_driver(spec.driver, source=spec.source)(spec, pool)
+
+                def unplug(off: bool, owner: str = owner_of(spec)) -> None:
+                    wire = pool.simulation(owner)
+                    wire.unplug() if off else wire.replug()
+
+                print(f"{spec.name}: first contact; q ends it at every question", flush=True)
+                contact = FirstContact(driver, ask, unplug=unplug if spec.emulated else None)
+                report = await contact.run()
+                names = [actuator.name for actuator in spec.actuators]
+                recording, page = write(report, names, out or Path("logs"))
+                for one in report.findings:
+                    where = f" ({one.actuator})" if one.actuator else ""
+                    print(f"  {one.verdict:9} {one.topic}{where}: {one.text}")
+                if report.ended:
+                    print(f"  it ended early, {report.ended}")
+                print(f"{spec.name}: {page} and {recording.name}: please send both to the project")
+                refuted |= bool(report.ended) or any(
+                    one.verdict is Verdict.REFUTED for one in report.findings
+                )
+        return refuted
+
+    return 1 if asyncio.run(execute()) else 0
 
 
 def _service(hand: str) -> tuple[list[Check], Needs | None]:

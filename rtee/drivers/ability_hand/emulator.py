@@ -91,9 +91,7 @@ class AbilityHandEmulator(Emulator, Grasps):
     """
 
     # Words of the sensors of one finger of a real hand, while nothing touches them.
-    WEAR: ClassVar[Wear] = replace(
-        TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0
-    )
+    WEAR: ClassVar[Wear] = replace(TYPICAL, touch=(138, 149, 188, 811, 102, 218), touch_noise=3.0)
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"silent", "hot"}
     BAUDRATES: ClassVar[frozenset[int]] = frozenset(codec.BAUDRATES)
     duplex = Duplex.FULL  # a UART, or RS-485 with a pair of wires for each direction

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import CanFrame, Emulator
+from rtee.buses.wear import TYPICAL, Wear
 from rtee.drivers.axis import Axis
 from rtee.drivers.cia402 import cia301
 from rtee.drivers.cia402.codec import Object
@@ -25,6 +27,8 @@ class Cia402Emulator(Emulator, Grasps):
         drives: The drives by node id.
     """
 
+    # The encoder of a drive sits on its motor and is homed: it sees neither play nor an offset.
+    WEAR: ClassVar[Wear] = replace(TYPICAL, backlash=0.0, offset=0.0, noise=0.0)
     FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | frozenset(_CODES) | {"silent"}
     period = 0.001
 

@@ -1,0 +1,536 @@
+"""The first hour with a real device: what a person sees beside what the driver believes.
+
+Each step is small and says before what it does. What it finds confirms or refutes assumptions of
+the device's page; the report is made for being sent to the project.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from rtee import monotonic
+from rtee.buses.retry import patiently
+from rtee.drivers.assumptions import ASSUMPTIONS, Assumption, Topic
+from rtee.drivers.base import Driver
+from rtee.errors import BusError, DeviceFault, NotConnected, RteeError
+from rtee.sample import ActuatorState, FloatArray
+from rtee.types import ActuatorSpec, JointKind, Reference
+
+_PERIOD = 0.05
+"""Time between two references [s]: long enough for every bus, short enough to be smooth."""
+_REST = 2.0
+"""Time for which it is watched at rest [s]: long enough for a hundred readings."""
+_SLOW = 0.1
+"""Share of its way that an actuator is moved in a second: a hand can be taken away in time."""
+_ARRIVES = 8.0
+"""Longest time from the last reference until it stands [s]; some devices grip over seconds."""
+_PLACES = (0.25, 0.75)
+"""Parts of the way at which a person measures."""
+_NEAR = 0.15
+"""Error of a scale that a ruler and a person explain [share]: 2 mm of 13."""
+_ZERO = 0.08
+"""Error of a zero that a ruler and a person explain [share of the way]."""
+_HARDLY = (0.005, 0.01, 0.02, 0.04, 0.08)
+"""Steps with which the smallest motion is looked for [share of the way]."""
+_STOPS = 0.05
+"""Way after a stop that counts as standing [share]: 0.3 s of lag at the speed of this test."""
+_LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
+"""Range of the measured by the told force within which a rough gauge confirms it."""
+
+
+class Verdict(StrEnum):
+    """What a step says of an assumption."""
+
+    CONFIRMED = "confirmed"
+    REFUTED = "refuted"
+    OPEN = "not tried"
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question to the person at the device.
+
+    Attributes:
+        topic: What it is about.
+        text: The question.
+        kind: ``yes`` (y or n), ``number`` or ``enter``; a number may be left out by Enter.
+        actuator: The actuator that it is about; empty: the device.
+        unit: Unit of a number.
+    """
+
+    topic: Topic
+    text: str
+    kind: str = "yes"
+    actuator: str = ""
+    unit: str = ""
+
+
+Ask = Callable[[Question], Awaitable[str]]
+"""Puts a question to the person and returns the answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What one step found.
+
+    Attributes:
+        topic: The topic of the assumptions that it speaks of.
+        verdict: Whether it confirms or refutes them.
+        text: What was found, in words.
+        actuator: The actuator; empty: the device.
+    """
+
+    topic: Topic
+    verdict: Verdict
+    text: str
+    actuator: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A measurement, with what was commanded.
+
+    Attributes:
+        stamp: Time, CLOCK_MONOTONIC [s].
+        step: The step that was under way.
+        state: What was measured.
+        reference: Positions commanded; empty: none.
+    """
+
+    stamp: float
+    step: str
+    state: ActuatorState
+    reference: tuple[float, ...] = ()
+
+
+@dataclass
+class Report:
+    """The record of a first contact.
+
+    Attributes:
+        device: The device's name.
+        driver: The driver's name.
+        identity: What the device says of itself.
+        findings: What the steps found, in order.
+        answers: Questions and answers, in order.
+        samples: Measurements, in order.
+        ended: Why it ended early; empty: it did not.
+    """
+
+    device: str
+    driver: str
+    identity: dict[str, str] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    answers: list[tuple[Question, str]] = field(default_factory=list)
+    samples: list[Sample] = field(default_factory=list)
+    ended: str = ""
+
+    def judged(self) -> list[tuple[Assumption, Verdict]]:
+        """Return the assumptions of the device's page with what was found about their topic."""
+        return [
+            (assumption, self.verdict(assumption.topic))
+            for assumption in ASSUMPTIONS.get(self.driver, ())
+        ]
+
+    def verdict(self, topic: Topic) -> Verdict:
+        """Return what all findings say of a topic: one refutes it, else one confirms it."""
+        said = {one.verdict for one in self.findings if one.topic is topic}
+        for verdict in (Verdict.REFUTED, Verdict.CONFIRMED):
+            if verdict in said:
+                return verdict
+        return Verdict.OPEN
+
+
+def _ends(one: ActuatorSpec) -> tuple[float, float]:
+    """Return the limits at which an actuator is open and closed: it rests where it is open."""
+    opens_low = one.rest - one.lower <= one.upper - one.rest
+    return (one.lower, one.upper) if opens_low else (one.upper, one.lower)
+
+
+class _Ended(Exception):
+    """The person ends it."""
+
+
+class FirstContact:
+    """Leads a person through the first hour with a device.
+
+    Args:
+        driver: The device's driver, not yet connected; it is closed afterwards.
+        ask: Puts a question to the person.
+        unplug: Cuts the link and restores it, for a device that no person can unplug: an emulator;
+            ``None``: the person does.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        ask: Ask,
+        *,
+        unplug: Callable[[bool], None] | None = None,
+    ) -> None:
+        self._driver = driver
+        self._ask = ask
+        self._unplug = unplug
+        self._step = ""
+        self.report = Report(driver.spec.name, driver.spec.driver)
+
+    async def run(self) -> Report:
+        """Go through all steps; the report is complete as far as it came."""
+        steps: Sequence[tuple[str, Callable[[], Awaitable[None]]]] = (
+            ("identify", self._identify),
+            ("rest", self._rest),
+            ("limits", self._limits),
+            ("activate", self._activate),
+            ("smallest motion", self._smallest),
+            ("measure", self._measure),
+            ("force", self._force),
+            ("stop", self._stop),
+            ("unplug", self._cut),
+        )
+        try:
+            for self._step, step in steps:
+                await step()
+        except _Ended:
+            self.report.ended = f"ended by the person at '{self._step}'"
+        except RteeError as error:
+            self.report.ended = f"at '{self._step}': {error}"
+        finally:
+            with contextlib.suppress(RteeError, OSError):
+                await self._driver.stop()
+            await self._driver.close()
+        return self.report
+
+    # --- asking and finding --------------------------------------------------------------------
+
+    async def _put(self, question: Question) -> str:
+        answer = (await self._ask(question)).strip().lower()
+        self.report.answers.append((question, answer))
+        if answer in ("q", "quit"):
+            raise _Ended
+        return answer
+
+    async def _yes(self, topic: Topic, text: str, actuator: str = "") -> bool | None:
+        """Return whether a person says yes; ``None``: no answer."""
+        answer = await self._put(Question(topic, text, "yes", actuator))
+        return {"y": True, "n": False}.get(answer[:1])
+
+    async def _number(self, topic: Topic, text: str, actuator: str, unit: str) -> float | None:
+        """Return a number that a person measured; ``None``: none."""
+        while True:
+            answer = await self._put(Question(topic, text, "number", actuator, unit))
+            if not answer:
+                return None
+            with contextlib.suppress(ValueError):
+                number = float(answer.replace(",", "."))
+                if math.isfinite(number):
+                    return number
+            text = f"'{answer}' is no number; a number in {unit}, or Enter to leave it out"
+
+    def _find(self, topic: Topic, confirmed: bool | None, text: str, actuator: str = "") -> None:
+        verdict = {True: Verdict.CONFIRMED, False: Verdict.REFUTED, None: Verdict.OPEN}[confirmed]
+        self.report.findings.append(Finding(topic, verdict, text, actuator))
+
+    # --- measuring and moving ------------------------------------------------------------------
+
+    async def _sense(self, reference: FloatArray | None = None) -> ActuatorState:
+        state = await patiently(self._driver.sense)
+        sent = () if reference is None else tuple(reference.tolist())
+        self.report.samples.append(Sample(monotonic.now(), self._step, state, sent))
+        return state
+
+    @property
+    def _actuators(self) -> Sequence[ActuatorSpec]:
+        return self._driver.spec.actuators
+
+    async def _glide(self, index: int, goal: float, *, until: Callable[[], bool] = bool) -> float:
+        """Move one actuator slowly to a position; return where it stands then."""
+        one = self._actuators[index]
+        state = await self._sense()
+        start = float(state.position[index])
+        way = one.upper - one.lower
+        speed = min(_SLOW * way, one.velocity)
+        begun, lasts = monotonic.now(), abs(goal - start) / speed
+        mask = [i == index for i in range(len(self._actuators))]
+        fastest = [2.0 * speed if i == index else math.inf for i in range(len(mask))]
+        before, still = math.nan, 0.0
+        while True:
+            now = monotonic.now()
+            part = min((now - begun) / lasts, 1.0) if lasts > 0.0 else 1.0
+            target = np.nan_to_num(np.array(state.position, dtype=np.float64))
+            target[index] = start + part * (goal - start)
+            with contextlib.suppress(BusError):
+                # Its own limit of speed may be lower than the least that the device takes.
+                await self._driver.move(Reference.at(target, mask=mask, max_velocity=fastest))
+            with contextlib.suppress(BusError):
+                state = await self._sense(target)
+            here = float(state.position[index])
+            moved = not abs(here - before) < 0.001 * way
+            if moved:
+                before, still = here, now
+            if until() or now > begun + lasts + _ARRIVES:
+                return here
+            if part >= 1.0 and now - max(still, begun + lasts) > 1.0:
+                return here
+            await asyncio.sleep(_PERIOD)
+
+    # --- the steps -------------------------------------------------------------------------------
+
+    async def _identify(self) -> None:
+        await patiently(self._driver.configure)
+        identity = self.report.identity = dict(self._driver.capabilities.identity)
+        told = ", ".join(f"{name} {value}" for name, value in identity.items()) or "nothing"
+        said = await self._yes(
+            Topic.IDENTITY, f"It says of itself: {told}. Is that the device in front of you?"
+        )
+        self._find(Topic.IDENTITY, said, f"it says: {told}")
+
+    async def _rest(self) -> None:
+        await self._put(
+            Question(
+                Topic.REST,
+                "Nothing may touch it now, and it must stand still. Press Enter; it is read for "
+                f"{_REST:g} s and does not move.",
+                "enter",
+            )
+        )
+        end, states = monotonic.now() + _REST, []
+        while monotonic.now() < end:
+            states.append(await self._sense())
+            await asyncio.sleep(_PERIOD)
+        positions = np.array([state.position for state in states])
+        if positions.size:
+            ways = np.array([one.upper - one.lower for one in self._actuators])
+            noise = float(np.nanmax(np.nanstd(positions, axis=0) / ways))
+            self._find(
+                Topic.REST, noise < 0.01, f"positions have a noise of {noise:.2%} of their way"
+            )
+        holding = [state for state in states if any(state.grasped or ())]
+        if holding:
+            self._find(Topic.REST, False, "it tells that it holds something, though nothing does")
+        touch = [state.touch.values for state in states if state.touch is not None]
+        if touch:
+            # The first readings may be those from which a driver takes what they read at rest.
+            largest = float(np.nanmax(np.array(touch[len(touch) // 4 :]), initial=0.0))
+            self._find(Topic.REST, largest < 0.2, f"touch sensors read up to {largest:.2f} at rest")
+        for text in sorted({text for state in states for text in state.warnings}):
+            self._find(Topic.POWER_UP, None, f"it warns: {text}")
+
+    async def _limits(self) -> None:
+        state = await self._sense()
+        for one, here in zip(self._actuators, state.position.tolist(), strict=True):
+            if not math.isfinite(here):
+                self._find(Topic.LIMITS, None, "its position is not known before homing", one.name)
+                continue
+            slack = 0.05 * (one.upper - one.lower)
+            inside = one.lower - slack <= here <= one.upper + slack
+            self._find(
+                Topic.LIMITS,
+                inside,
+                f"it stands at {here:.4f}, between {one.lower:.4f} and {one.upper:.4f}"
+                + ("" if inside else ": beyond the model's limits"),
+                one.name,
+            )
+
+    async def _activate(self) -> None:
+        needs = await patiently(self._driver.examine)
+        self._find(Topic.POWER_UP, True, f"it is {needs or 'ready'} when it is connected")
+        if needs:
+            await self._put(
+                Question(
+                    Topic.POWER_UP,
+                    f"It is {needs}: press Enter, and it moves over its whole way. Keep clear.",
+                    "enter",
+                )
+            )
+            await patiently(self._driver.recover)
+        else:
+            await self._put(
+                Question(
+                    Topic.POWER_UP,
+                    "It is powered next and moved slowly, one actuator after the other. Keep "
+                    "clear and press Enter; q ends it.",
+                    "enter",
+                )
+            )
+        await patiently(self._driver.activate)
+
+    async def _smallest(self) -> None:
+        for index, one in enumerate(self._actuators):
+            state = await self._sense()
+            start, way = float(state.position[index]), one.upper - one.lower
+            onward = 1.0 if start < 0.5 * (one.lower + one.upper) else -1.0
+            for step in _HARDLY:
+                here = await self._glide(index, start + onward * step * way)
+                if (here - start) * onward > 0.4 * step * way:
+                    self._find(
+                        Topic.LIMITS, True, f"it follows steps of {step:.1%} of its way", one.name
+                    )
+                    break
+            else:
+                self._find(Topic.LIMITS, False, "it follows no step up to 8% of its way", one.name)
+
+    async def _measure(self) -> None:
+        """Have a person measure where each actuator is: direction, scale and zero follow."""
+        for index, one in enumerate(self._actuators):
+            linear = one.kind is JointKind.PRISMATIC
+            unit, per = ("mm", 1e3) if linear else ("degrees", math.degrees(1.0))
+            tool, part_of = (
+                ("ruler or gauge block", "finger") if linear else ("protractor", "joint")
+            )
+            opened, closed = _ends(one)
+            told, seen = [], []
+            for part in _PLACES:
+                here = await self._glide(index, opened + part * (closed - opened))
+                number = await self._number(
+                    Topic.SCALE,
+                    f"Measure {one.name} with a {tool}: how far is the {part_of} itself from its "
+                    f"open end? [{unit}, Enter to leave it out]",
+                    one.name,
+                    unit,
+                )
+                if number is None:
+                    break
+                told.append(abs(here - opened) * per)
+                seen.append(number)
+            await self._glide(index, opened + 0.02 * (closed - opened))
+            if len(seen) == len(_PLACES):
+                self._compare(one, told, seen, (one.upper - one.lower) * per, unit)
+            else:
+                self._find(Topic.SCALE, None, "nobody measured", one.name)
+
+    def _compare(
+        self, one: ActuatorSpec, told: Sequence[float], seen: Sequence[float], way: float, unit: str
+    ) -> None:
+        """Judge direction, scale and zero by two places that were told and seen."""
+        ratio = (seen[1] - seen[0]) / (told[1] - told[0])
+        if ratio < -0.2:
+            self._find(Topic.DIRECTION, False, "it opened where it was told to close", one.name)
+        elif ratio > 0.2:
+            self._find(Topic.DIRECTION, True, "it closed where it was told to close", one.name)
+        size = abs(ratio)
+        self._find(
+            Topic.SCALE,
+            abs(size - 1.0) <= _NEAR,
+            f"{told[1] - told[0]:.1f} {unit} told, {abs(seen[1] - seen[0]):.1f} {unit} seen: "
+            f"{size:.2f} times",
+            one.name,
+        )
+        # The zero by the scale that was found, so that a wrong scale is not told as both.
+        zero = seen[0] - ratio * told[0] if ratio > 0.0 else math.nan
+        if math.isfinite(zero):
+            self._find(
+                Topic.OFFSET,
+                abs(zero) <= _ZERO * way,
+                f"it is {zero:+.1f} {unit} from its open end where it is told to be there",
+                one.name,
+            )
+
+    async def _force(self) -> None:
+        can = self._driver.capabilities
+        for index, one in enumerate(self._actuators):
+            grip = can.grip.get(one.name)
+            if grip is None or "max_effort" not in can.accepts:
+                continue
+            weakest = grip.weakest[0]
+            answer = await self._put(
+                Question(
+                    Topic.FORCE,
+                    "Hold a force gauge (a kitchen scale, a spring) between the fingertips. "
+                    f"{one.name} closes with its least force, {weakest:.1f} N. Press Enter when it "
+                    "is there, n to leave it out.",
+                    "enter",
+                    one.name,
+                )
+            )
+            if answer.startswith("n"):
+                self._find(Topic.FORCE, None, "nobody measured", one.name)
+                continue
+            mask = [i == index for i in range(len(self._actuators))]
+            effort = [grip.effort[0] if i == index else math.inf for i in range(len(mask))]
+            state = await self._sense()
+            target = np.nan_to_num(np.array(state.position))
+            opened, target[index] = _ends(one)
+            end = monotonic.now() + _ARRIVES
+            while monotonic.now() < end:
+                with contextlib.suppress(BusError):
+                    await self._driver.move(Reference.at(target, max_effort=effort, mask=mask))
+                    await self._sense(target)
+                await asyncio.sleep(_PERIOD)
+            seen = await self._number(
+                Topic.FORCE, "What does the gauge show? [N, Enter to leave it out]", one.name, "N"
+            )
+            text = f"{weakest:.1f} N told"
+            if seen is None:
+                self._find(Topic.FORCE, None, f"{text}, nobody measured", one.name)
+            else:
+                right = _LEAST_FORCE <= seen / weakest <= _MOST_FORCE
+                self._find(Topic.FORCE, right, f"{text}, {seen:.1f} N seen", one.name)
+            await self._glide(index, opened)
+
+    async def _stop(self) -> None:
+        if not self._actuators:
+            return
+        index, one = 0, self._actuators[0]
+        way = one.upper - one.lower
+        state = await self._sense()
+        start = float(state.position[index])
+        far = one.upper if start < 0.5 * (one.lower + one.upper) else one.lower
+        await self._put(
+            Question(
+                Topic.STOP,
+                f"{one.name} moves slowly, and is stopped on its way. Press Enter and watch.",
+                "enter",
+                one.name,
+            )
+        )
+        begun = monotonic.now()
+        await self._glide(index, far, until=lambda: monotonic.now() > begun + 2.0)
+        here = float((await self._sense()).position[index])
+        await self._driver.stop()
+        end = monotonic.now() + 2.0
+        while monotonic.now() < end:
+            state = await self._sense()
+            await asyncio.sleep(_PERIOD)
+        after = abs(float(state.position[index]) - here) / way
+        said = await self._yes(Topic.STOP, "Did it stop at once, without jumping?", one.name)
+        right = None if said is None else said and after <= _STOPS
+        self._find(Topic.STOP, right, f"it moved on by {after:.1%} of its way after the stop")
+
+    async def _cut(self) -> None:
+        if self._unplug is None:
+            await self._put(
+                Question(Topic.LINK, "Pull its data cable now, then press Enter.", "enter")
+            )
+        before = self.report.samples[-1].state.position
+        if self._unplug is not None:
+            self._unplug(True)
+        noticed, begun = False, monotonic.now()
+        while monotonic.now() < begun + 5.0 and not noticed:
+            try:
+                await self._driver.sense()
+            except (BusError, NotConnected, DeviceFault):
+                noticed = True
+            await asyncio.sleep(_PERIOD)
+        await self._driver.close()
+        text = "the driver noticed it" if noticed else "the driver did not notice it within 5 s"
+        if self._unplug is not None:
+            self._unplug(False)
+        else:
+            await self._put(Question(Topic.LINK, "Plug it in again, then press Enter.", "enter"))
+        await asyncio.sleep(1.0)
+        await patiently(self._driver.configure)
+        state = await self._sense()
+        gone = 0.0
+        if len(before):
+            ways = np.array([one.upper - one.lower for one in self._actuators])
+            gone = float(np.nanmax(np.abs(state.position - before) / ways, initial=0.0))
+        self._find(
+            Topic.LINK, noticed, f"{text}; meanwhile it moved by {gone:.1%} of its way at most"
+        )

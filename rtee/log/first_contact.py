@@ -1,0 +1,149 @@
+"""Write what a first contact with a device found: a recording and one page."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import time
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from rtee import monotonic
+from rtee.drivers.diagnosis.first_contact import Finding, Report, Verdict
+from rtee.errors import ConfigError
+from rtee.hand.files import write_together
+
+_VERSION = f"rtee {version('rtee')}"
+_SCHEMA = json.dumps({"type": "object"}).encode()
+"""Of every channel: objects of JSON, whose keys name what they hold."""
+
+
+def write(report: Report, actuators: Iterable[str], folder: Path) -> tuple[Path, Path]:
+    """Write the recording and the page; return their paths.
+
+    Args:
+        report: What was found.
+        actuators: The names of the device's actuators.
+        folder: The folder for both; it is made.
+
+    Raises:
+        ConfigError: if they cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"the folder cannot be made: {error.strerror}", path=folder) from error
+    name = f"first-contact-{report.device}-{time.strftime('%Y%m%d-%H%M%S')}"
+    recording, page = folder / f"{name}.mcap", folder / f"{name}.md"
+    write_together({recording: _recorded(report, list(actuators)), page: text_of(report)})
+    return recording, page
+
+
+def _recorded(report: Report, actuators: list[str]) -> bytes:
+    from mcap.writer import Writer
+
+    # Stamps of the computer's clock, from those that only grow.
+    wall = time.time_ns() - monotonic.now_ns()
+    with io.BytesIO() as file:
+        writer = Writer(file)
+        writer.start(profile="", library=_VERSION)
+        schema = writer.register_schema("rtee.FirstContact", "jsonschema", _SCHEMA)
+        channels = {
+            topic: writer.register_channel(f"/{report.device}/{topic}", "json", schema)
+            for topic in ("state", "question", "finding", "device")
+        }
+        start = int(report.samples[0].stamp * 1e9) + wall if report.samples else time.time_ns()
+
+        def put(topic: str, stamp: int, data: Mapping[str, Any]) -> None:
+            writer.add_message(channels[topic], stamp, json.dumps(data).encode(), stamp)
+
+        put("device", start, {"driver": report.driver, "identity": report.identity})
+        for sample in report.samples:
+            state = sample.state
+            put(
+                "state",
+                int(sample.stamp * 1e9) + wall,
+                {
+                    "step": sample.step,
+                    "actuators": actuators,
+                    "position": _plain(state.position),
+                    "velocity": _plain(state.velocity),
+                    "effort": _plain(state.effort),
+                    "current": _plain(state.current),
+                    "temperature": _plain(state.temperature),
+                    "touch": [] if state.touch is None else _plain(state.touch.values),
+                    "reference": list(sample.reference),
+                    "warnings": list(state.warnings),
+                },
+            )
+        last = int(report.samples[-1].stamp * 1e9) + wall if report.samples else start
+        for question, answer in report.answers:
+            put(
+                "question",
+                last,
+                {"topic": str(question.topic), "text": question.text, "answer": answer},
+            )
+        for one in report.findings:
+            put("finding", last, _finding(one))
+        writer.finish()  # type: ignore[no-untyped-call]
+        return file.getvalue()
+
+
+def _plain(values: Iterable[float]) -> list[float | None]:
+    return [float(value) if math.isfinite(value) else None for value in values]
+
+
+def _finding(one: Finding) -> dict[str, str]:
+    return {
+        "topic": str(one.topic),
+        "verdict": str(one.verdict),
+        "actuator": one.actuator,
+        "text": one.text,
+    }
+
+
+def text_of(report: Report) -> str:
+    """Return the page, in Markdown."""
+    identity = ", ".join(f"{name} {value}" for name, value in report.identity.items())
+    lines = [
+        f"# First contact: {report.device}",
+        "",
+        f"Driver `{report.driver}`, {_VERSION}, {time.strftime('%Y-%m-%d %H:%M')}.",
+        f"The device says of itself: {identity or 'nothing'}.",
+        "",
+    ]
+    if report.ended:
+        lines += [f"**It ended early**, {report.ended}.", ""]
+    lines += [
+        "## Assumptions",
+        "",
+        "| assumption | about | source | now |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| {assumption.text} | {assumption.topic} | {assumption.source or 'none'} | "
+        f"{f'**{verdict}**' if verdict is Verdict.REFUTED else verdict} |"
+        for assumption, verdict in report.judged()
+    ]
+    lines += [
+        "",
+        "## Findings",
+        "",
+        "| about | actuator | verdict | |",
+        "| --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| {one.topic} | {one.actuator} | {one.verdict} | {one.text} |" for one in report.findings
+    ]
+    lines += ["", "## Answers", ""]
+    lines += [f"- {question.text} **{answer or '(Enter)'}**" for question, answer in report.answers]
+    lines += [
+        "",
+        "Send this page and the recording beside it to the project: they hold no more than what "
+        "the device measured and what you answered.",
+        "",
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,82 @@
+"""The suite of all drivers once more, each family against its worn device: as real ones are.
+
+Motors follow late and more slowly than the sheet says, encoders have play, an offset and noise, the
+first answer comes late and damaged, sensors are not zero at rest.
+"""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+
+import pytest
+
+from rtee.buses.wear import IDEAL
+from rtee.testing import DeviceCase, DriverContract, cycles
+
+FAMILIES = {
+    "ability_hand": "TestPositions",
+    "allegro": "TestAllegro",
+    "cia402": "TestProfilePosition",
+    "dynamixel": "TestDynamixel",
+    "feetech": "TestSts",
+    "heri_ethercat": "TestHeriII",
+    "inspire_rh56": "TestFrames",
+    "linkerhand": "TestO6",
+    "onrobot_3fg": "TestThroughTheComputeBox",
+    "onrobot_rg": "TestOnALine",
+    "orca_touch": "TestOrcaTouch",
+    "qb_softhand": "TestSoftHand",
+    "robotiq_2f": "TestRtu",
+    "robotiq_3f": "TestFingersAndScissor",
+    "schunk_egu": "TestOnTheLine",
+    "schunk_svh": "TestSvh",
+    "wsg50": "TestOnTheNetwork",
+    "xbot2": "TestXBot2",
+}
+
+_SHARE = 0.02
+"""How near a worn device comes to a posture: twice its play, offset and noise together, as a share
+of the way, since where it stops depends on them as well."""
+
+
+def suite_of(family: str) -> type[DriverContract]:
+    """Return the suite of a family, with what it tests differently."""
+    module = importlib.import_module(f"tests.drivers.{family}.test_{family}_contract")
+    suite: type[DriverContract] = getattr(module, FAMILIES[family])
+    return suite
+
+
+def worn(case: DeviceCase) -> DeviceCase:
+    """Return a case with a worn device."""
+    ways = [actuator.upper - actuator.lower for actuator in case.actuators]
+    return replace(
+        case,
+        worn=True,
+        tolerance=max([case.tolerance, *(_SHARE * way for way in ways)]),
+        within=2.0 * case.within,
+        # The lag, during which a command to stop has not been taken yet.
+        stopping=case.stopping + 0.1,
+        # The wire's faults are tested beside the tidy device; here they need only to occur.
+        cycles=cycles(20),
+    )
+
+
+for _family in FAMILIES:
+    _name = "Test" + "".join(word.capitalize() for word in _family.split("_"))
+    _suite = suite_of(_family)
+    globals()[_name] = type(_name, (_suite,), {"case": worn(_suite.case)})
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES))
+def test_a_worn_device_differs_from_its_sheet(family: str) -> None:
+    from rtee.drivers.emulators import make_emulator
+
+    ideal = make_emulator(family, {"port": "/dev/x"})
+    used = make_emulator(family, {"port": "/dev/x", "emulator": {"wear": "worn"}})
+    assert ideal.wear is IDEAL
+    assert used.wear == type(used).WEAR
+    assert used.wear.late > 0.0
+    for motor in used.motors():
+        assert motor.lag > 0.0
+        assert motor.pace < 1.0
