@@ -43,7 +43,7 @@ times: .ros2-peers/.ready .device-peers/.ready
 
 # What is too long for every commit: whole experiments in dynamics, and every hand where a test of
 # each commit takes one of each kind.
-heavy: .venv/.ready
+heavy: .venv/.ready .device-peers/.ready
 	RTEE_HEAVY=1 $(BIN)/python -m pytest -v -m heavy -n 2
 
 # Other implementations of ROS 2 over Zenoh, which tests run against in processes of their own.
@@ -51,13 +51,14 @@ heavy: .venv/.ready
 	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .ros2-peers -r $<
 	@touch $@
 
-# Device makers' own software, which tests let drive the emulators.
-.device-peers/.ready: tests/drivers/peers/requirements.txt .venv/.ready
-	$(BIN)/python -m pip install --quiet --upgrade --no-deps --target .device-peers -r $<
+# Software by device makers and others, which tests let drive the emulators, each in a folder of its own.
+.device-peers/.ready: tests/drivers/peers/peers.yaml .venv/.ready
+	$(BIN)/python tests/drivers/peers/install.py .device-peers
 	@touch $@
 
 device-peers: .device-peers/.ready
-	$(BIN)/python -m pytest -v tests/drivers/feetech/test_feetech_clients.py tests/drivers/ability_hand/test_ability_hand_client.py
+	RTEE_HEAVY=1 $(BIN)/python -m pytest -v tests/drivers/feetech/test_feetech_clients.py \
+		tests/drivers/ability_hand/test_ability_hand_client.py tests/drivers/inspire_rh56/test_inspire_rh56_clients.py
 
 ros2-peers: .ros2-peers/.ready
 	$(BIN)/python -m pytest -v tests/ros2/test_ros2_peers.py

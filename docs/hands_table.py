@@ -7,6 +7,7 @@ and accepts is what its driver says once it has connected to the device's emulat
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from rtee.prepare import PreparedHand, RunOptions, prepare
 from rtee.types import JointKind
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
 PAGE = ROOT / "docs" / "hands" / "index.md"
 BEGIN = "<!-- Made by `python docs/hands_table.py`; a test keeps it current. -->"
 END = "<!-- End of what is made. -->"
@@ -58,7 +60,7 @@ class Connected:
 def hands() -> list[PreparedHand]:
     """Return the hands in ``config/`` with their devices, those with most fingers first."""
     folders = sorted(path.parent for path in (ROOT / "config").glob("*/hand.yaml"))
-    found = [prepare(str(folder), RunOptions(emulated=True)) for folder in folders]
+    found = [prepare(str(folder), RunOptions(emulated=True, ideal=True)) for folder in folders]
     return sorted(found, key=lambda one: (-len(one.hand.fingers), one.hand.name))
 
 
@@ -157,6 +159,32 @@ def _of_motors(found: list[PreparedHand]) -> list[str]:
     return rows
 
 
+def _of_judges(found: list[PreparedHand]) -> list[str]:
+    from tests.drivers.peers.running import peers
+    from tests.drivers.recorded.table import recorded
+
+    rows = [
+        "| hand | driver | sheet | maker's software | software by others | recorded bytes "
+        "| hardware |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    bytes_of, software = recorded(), peers()
+    for one in found:
+        for driver in dict.fromkeys(device.spec.driver for device in one.devices):
+            by = {
+                who: ", ".join(
+                    f"`{peer['package']}`"
+                    for peer in software
+                    if peer["by"] == who and driver in peer["drivers"]
+                )
+                for who in ("maker", "others")
+            }
+            many = f"{len(bytes_of[driver].frames)}" if driver in bytes_of else ""
+            cells = (_named(one), f"`{driver}`", "yes", by["maker"], by["others"], many, "none yet")
+            rows.append(f"| {' | '.join(cells)} |")
+    return rows
+
+
 def tables() -> str:
     """Return the tables as Markdown."""
     found = hands()
@@ -167,7 +195,19 @@ def tables() -> str:
         "",
         *_of_motors(found),
     ]
-    return "\n".join([*_of_hands(found), "", *_between(), "", *_of_devices(found), *motors])
+    judged = ["", *_trust(), "", *_of_judges(found)]
+    devices = [*_of_devices(found), *judged]
+    return "\n".join([*_of_hands(found), "", *_between(), "", *devices, *motors])
+
+
+def _trust() -> list[str]:
+    return [
+        "How far to trust each: what judged its driver and its emulator. The sheet is made from",
+        "the maker's documents and from programs for the device; software by the maker or by",
+        "others drives the emulator in the tests (`make heavy`); recorded bytes are frames of real",
+        "devices that the tests decode. No driver has been tried on hardware by its authors;",
+        "[the first hour with a device](../how-to/first-contact.md) is how you can.",
+    ]
 
 
 def _between() -> list[str]:

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 
 import pytest
-from drivers.peers.running import installed, told_by
+from drivers.peers.running import told_by
 
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.ability_hand.codec import touch_force
@@ -25,7 +25,6 @@ def by_the_client(word: int) -> float:
     return 121591.0 / (33000.0 / (word * 3.3 / 4096) + 10000.0) + 0.878894 if word else 0.0
 
 
-@installed
 @pytest.mark.parametrize("reply", [0, 1, 2])
 def test_the_makers_client_moves_the_hand_and_reads_it(tmp_path: Path, reply: int) -> None:
     hand = AbilityHandEmulator()
@@ -33,7 +32,9 @@ def test_the_makers_client_moves_the_hand_and_reads_it(tmp_path: Path, reply: in
     hand.axes[0].obstacle = VirtualObject(0.4, 2.0)
     with SimulatedLine([hand], wire_time=False) as line:
         words = (line.address, json.dumps(GOAL), str(reply))
-        position, touch, current, velocity = told_by("ability_peer.py", words, tmp_path)
+        position, touch, current, velocity = told_by(
+            "ability-hand", "ability_peer.py", words, tmp_path
+        )
     assert position[1:] == pytest.approx(GOAL[1:], abs=1.0)
     if reply != 2:
         felt = hand.reply(1).touch

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,18 +15,11 @@ from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.feetech import table
 from rtee.drivers.feetech.emulator import FeetechEmulator, LineProperties
 from rtee.drivers.feetech.table import FamilyName
+from tests.drivers.peers.running import environment
 
-PEERS = Path(__file__).parents[3] / ".device-peers"
 _LATE = -6  # the SDK's word for no answer in time
 OPEN = {n: math.radians(-35.0 if n % 2 else 35.0) for n in range(1, 9)}
 """The AmazingHand's open pose [rad], by id."""
-
-
-@pytest.fixture(autouse=True)
-def installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Find them where they are installed for tests alone."""
-    if (PEERS / ".ready").exists():
-        monkeypatch.syspath_prepend(PEERS)
 
 
 def servos(family: FamilyName, ids: tuple[int, ...], **more: Any) -> FeetechEmulator:
@@ -51,7 +43,8 @@ def heard(ask: Callable[[], tuple[int, ...]]) -> tuple[int, ...]:
     return ask()
 
 
-def test_the_amazing_hands_own_client_opens_it() -> None:
+def test_the_amazing_hands_own_client_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(environment("rustypot"))
     rustypot = pytest.importorskip("rustypot", reason="rustypot is not installed")
     hand = servos("scs", tuple(range(1, 9)), sync_read=True)
     with SimulatedLine([hand], wire_time=False) as line:
@@ -82,8 +75,9 @@ def test_the_amazing_hands_own_client_opens_it() -> None:
     ("family", "end", "model", "center"), [("sts", 0, 777, 2048), ("scs", 1, 1284, 511)]
 )
 def test_the_vendors_sdk_finds_reads_and_moves_servos(
-    family: FamilyName, end: int, model: int, center: int
+    family: FamilyName, end: int, model: int, center: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.syspath_prepend(environment("feetech-servo-sdk"))
     sdk = pytest.importorskip("scservo_sdk", reason="feetech-servo-sdk is not installed")
     made = servos(family, (1, 2))
     with SimulatedLine([made], wire_time=False) as line:

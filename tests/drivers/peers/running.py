@@ -1,4 +1,4 @@
-"""Runs device makers' own software, which `make device-peers` and `make test` install."""
+"""Runs software by others, which `make device-peers` installs, in processes of their own."""
 
 from __future__ import annotations
 
@@ -10,25 +10,45 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 SCRIPTS = Path(__file__).parent
 PEERS = Path(__file__).parents[3] / ".device-peers"
 
-installed = pytest.mark.skipif(
-    not (PEERS / ".ready").exists(),
-    reason="device makers' software is not installed: make device-peers",
-)
+
+def environment(package: str) -> Path:
+    """Return the folder in which a package is installed; skips the test where it is not."""
+    folder = PEERS / package
+    if not (PEERS / ".ready").exists() or not folder.exists():
+        pytest.skip(f"{package} is not installed: make device-peers")
+    failed = folder / "FAILED"
+    if failed.exists():
+        pytest.skip(f"{package} could not be installed: {failed.read_text('utf-8')}")
+    return folder
 
 
-def told_by(script: str, words: Sequence[str], folder: Path) -> Any:
-    """Return what a script prints last, from JSON; it runs in a folder of its own."""
-    done = subprocess.run(
+def peers() -> list[dict[str, Any]]:
+    """Return the table of the software by others."""
+    table: list[dict[str, Any]] = yaml.safe_load((SCRIPTS / "peers.yaml").read_text("utf-8"))
+    return table
+
+
+def started(package: str, script: str, words: Sequence[str], folder: Path) -> subprocess.Popen[str]:
+    """Start a script with a package, in a folder of its own; it is spoken to by lines."""
+    return subprocess.Popen(
         [sys.executable, str(SCRIPTS / script), *words],
-        env={"PYTHONPATH": str(PEERS)},
+        env={"PYTHONPATH": str(environment(package))},
         cwd=folder,
-        capture_output=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        timeout=90,
     )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
+
+
+def told_by(package: str, script: str, words: Sequence[str], folder: Path) -> Any:
+    """Return what a script prints last, from JSON."""
+    with started(package, script, words, folder) as program:
+        out, error = program.communicate(timeout=90)
+    assert program.returncode == 0, error
+    return json.loads(out.splitlines()[-1])
