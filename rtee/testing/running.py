@@ -135,7 +135,8 @@ def _driven(config: HandConfig, driver: str | None) -> list[str]:
         return ["--driver", "kinematic"]
     drivers = [find_driver(device.driver) for device in config.devices.values()]
     homes = any("home" in default_options(driver.Options) for driver in drivers)
-    return ["--driver", "devices", "--emulated", *(["--home"] if homes else [])]
+    # Ideal: an application's tests compare numbers, and must not fail on a computer for its noise.
+    return ["--driver", "devices", "--emulated", "--ideal", *(["--home"] if homes else [])]
 
 
 @contextlib.contextmanager

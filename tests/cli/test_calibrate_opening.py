@@ -52,7 +52,7 @@ def place(repository: Path, tmp_path: Path) -> Iterator[Path]:
         text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 60.0\n")
     )
     run = subprocess.Popen(
-        [*RTEE, "run", HAND, "--emulated", "--object", "0.5", "--no-log"],
+        [*RTEE, "run", HAND, "--emulated", "--ideal", "--object", "0.5", "--no-log"],
         env=environment(tmp_path),
         stdout=subprocess.PIPE,
         text=True,

@@ -40,7 +40,9 @@ def test_a_hand_is_located_and_calibrated(tmp_path: Path) -> None:
     text = rtee("locate", "robotiq_2f_85", "--emulated", "--yes", "--times", "1")
     assert "gripper: that was 2F-85" in text
     file = tmp_path / "end stops.json"
-    text = rtee("calibrate", "robotiq_2f_85", "--emulated", "--out", str(file), typed="\n")
+    text = rtee(
+        "calibrate", "robotiq_2f_85", "--emulated", "--ideal", "--out", str(file), typed="\n"
+    )
     assert "open at 3, closed at 230" in text
     assert json.loads(file.read_text())["model"] == "2f_85"
 

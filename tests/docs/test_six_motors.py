@@ -100,7 +100,7 @@ def test_the_hand_runs_on_its_emulator(
 
     async def main() -> None:
         end = anyio.Event()
-        options = RunOptions(emulated=True, object_in_hand="0.5", record=False)
+        options = RunOptions(emulated=True, ideal=True, object_in_hand="0.5", record=False)
         async with anyio.create_task_group() as group:
             group.start_soon(
                 lambda: run_hands(["hexa_hand"], options, say=lambda _: None, until=end)

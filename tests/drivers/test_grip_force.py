@@ -48,7 +48,7 @@ class Wires:
 async def on_wires(name: str, **options: Any) -> AsyncIterator[Wires]:
     wires = Wires()
     async with BusPool(wire_time=False, trace=wires.trace) as pool, AsyncExitStack() as stack:
-        ready = prepare(name, RunOptions(emulated=True, rate=RATE, **options))
+        ready = prepare(name, RunOptions(emulated=True, ideal=True, rate=RATE, **options))
         devices = [(d, find_driver(d.spec.driver)(d.spec, pool)) for d in ready.devices]
         loop = HandLoop(ready.hand, ready.library, ready.settings, devices)
         wires.loop = await stack.enter_async_context(loop)

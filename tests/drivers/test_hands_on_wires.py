@@ -84,7 +84,7 @@ async def on_wires(*names: str, **options: Any) -> AsyncIterator[list[Wired]]:
     async with BusPool() as pool, AsyncExitStack() as stack:
         found = []
         for name in names:
-            ready = prepare(name, RunOptions(emulated=True, rate=RATE, **options))
+            ready = prepare(name, RunOptions(emulated=True, ideal=True, rate=RATE, **options))
             devices = [(d, find_driver(d.spec.driver)(d.spec, pool)) for d in ready.devices]
             loop = HandLoop(ready.hand, ready.library, ready.settings, devices)
             await stack.enter_async_context(loop)

@@ -179,6 +179,7 @@ class FirstContact:
         self._ask = ask
         self._unplug = unplug
         self._step = ""
+        self._connected = False
         self.report = Report(driver.spec.name, driver.spec.driver)
 
     async def run(self) -> Report:
@@ -210,7 +211,14 @@ class FirstContact:
     # --- asking and finding --------------------------------------------------------------------
 
     async def _put(self, question: Question) -> str:
-        answer = (await self._ask(question)).strip().lower()
+        asked = asyncio.ensure_future(self._ask(question))
+        # A device that hears nothing while a person measures may stop or leave its mode.
+        while not asked.done():
+            if self._connected:
+                with contextlib.suppress(RteeError):
+                    await self._driver.sense()
+            await asyncio.wait({asked}, timeout=_PERIOD)
+        answer = asked.result().strip().lower()
         self.report.answers.append((question, answer))
         if answer in ("q", "quit"):
             raise _Ended
@@ -284,6 +292,7 @@ class FirstContact:
 
     async def _identify(self) -> None:
         await patiently(self._driver.configure)
+        self._connected = True
         identity = self.report.identity = dict(self._driver.capabilities.identity)
         told = ", ".join(f"{name} {value}" for name, value in identity.items()) or "nothing"
         said = await self._yes(
@@ -304,10 +313,12 @@ class FirstContact:
         while monotonic.now() < end:
             states.append(await self._sense())
             await asyncio.sleep(_PERIOD)
-        positions = np.array([state.position for state in states])
-        if positions.size:
-            ways = np.array([one.upper - one.lower for one in self._actuators])
-            noise = float(np.nanmax(np.nanstd(positions, axis=0) / ways))
+        ways = np.array([one.upper - one.lower for one in self._actuators])
+        # A device that is not homed measures no positions.
+        known = np.isfinite(np.array([state.position for state in states])).all(axis=0)
+        if known.any():
+            positions = np.array([state.position for state in states])[:, known]
+            noise = float((positions.std(axis=0) / ways[known]).max())
             self._find(
                 Topic.REST, noise < 0.01, f"positions have a noise of {noise:.2%} of their way"
             )
@@ -317,7 +328,7 @@ class FirstContact:
         touch = [state.touch.values for state in states if state.touch is not None]
         if touch:
             # The first readings may be those from which a driver takes what they read at rest.
-            largest = float(np.nanmax(np.array(touch[len(touch) // 4 :]), initial=0.0))
+            largest = float(np.nan_to_num(np.array(touch[len(touch) // 4 :])).max())
             self._find(Topic.REST, largest < 0.2, f"touch sensors read up to {largest:.2f} at rest")
         for text in sorted({text for state in states for text in state.warnings}):
             self._find(Topic.POWER_UP, None, f"it warns: {text}")
@@ -511,6 +522,7 @@ class FirstContact:
         before = self.report.samples[-1].state.position
         if self._unplug is not None:
             self._unplug(True)
+        self._connected = False
         noticed, begun = False, monotonic.now()
         while monotonic.now() < begun + 5.0 and not noticed:
             try:
@@ -530,7 +542,7 @@ class FirstContact:
         gone = 0.0
         if len(before):
             ways = np.array([one.upper - one.lower for one in self._actuators])
-            gone = float(np.nanmax(np.abs(state.position - before) / ways, initial=0.0))
+            gone = float(np.nan_to_num(np.abs(state.position - before) / ways).max())
         self._find(
             Topic.LINK, noticed, f"{text}; meanwhile it moved by {gone:.1%} of its way at most"
         )

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import anyio
 import pytest
 from mcap.reader import make_reader
 
@@ -62,13 +63,18 @@ class Person:
             return self.words[question.topic.name]
         if question.kind == "yes":
             return "y"
-        if question.topic is Topic.SCALE and len(self.spec.actuators) == 1:
+        if question.topic is Topic.SCALE and measurable(self.spec):
             one = self.spec.actuators[0]
             per = 1e3 if one.kind is JointKind.PRISMATIC else math.degrees(1.0)
             part = self.truth(self.pool.played(owner_of(self.spec)))
             # A ruler: a fiftieth of the way at best.
             return f"{round(part * 50) / 50 * (one.upper - one.lower) * per:.2f}"
         return "n" if question.topic is Topic.FORCE else ""
+
+
+def measurable(spec: DeviceSpec) -> bool:
+    """Return whether the emulator knows how far the fingers close: a drive knows only counts."""
+    return len(spec.actuators) == 1 and spec.driver not in ("cia402", "schunk_svh", "dynamixel")
 
 
 def closed(emulator: Any) -> float:
@@ -109,7 +115,7 @@ async def test_nothing_is_refuted_of_a_device_as_it_is_assumed(family: str, worn
     assert refuted(report) == set(), text_of(report)
     assert report.verdict(Topic.IDENTITY) is Verdict.CONFIRMED
     assert report.verdict(Topic.LINK) is Verdict.CONFIRMED
-    if len(spec_of(family, worn=worn).actuators) == 1:
+    if measurable(spec_of(family, worn=worn)):
         for topic in (Topic.DIRECTION, Topic.SCALE, Topic.OFFSET, Topic.STOP):
             assert report.verdict(topic) is Verdict.CONFIRMED, (topic, text_of(report))
     assert len(person.asked) == len(report.answers)
@@ -133,6 +139,28 @@ async def test_a_planted_fault_is_found(
 ) -> None:
     report, _ = await played(family, worn=worn, truth=truth)
     assert refuted(report) == found, text_of(report)
+
+
+async def test_a_device_is_kept_awake_while_a_person_measures() -> None:
+    """An EGU that hears nothing for a second stops with an error."""
+
+    class Slow(Person):
+        async def __call__(self, question: Question) -> str:
+            await anyio.sleep(5.0)
+            return await super().__call__(question)
+
+    spec = spec_of("schunk_egu", worn=True)
+    spec = replace(spec, options={**spec.options, "emulator": {"watch": 1.0}})
+    async with BusPool(wire_time=False) as pool:
+        driver = find_driver(spec.driver)(spec, pool)
+        wire = {True: "unplug", False: "replug"}
+
+        def unplug(off: bool) -> None:
+            getattr(pool.simulation(owner_of(spec)), wire[off])()
+
+        report = await FirstContact(driver, Slow(spec, pool, closed), unplug=unplug).run()
+    assert report.ended == ""
+    assert refuted(report) == set(), text_of(report)
 
 
 async def test_a_wrong_device_and_a_hand_that_runs_on_are_refuted() -> None:

@@ -25,19 +25,21 @@ def hand(port: str, wear: str, **properties: Any) -> InspireRh56Emulator:
 @pytest.mark.parametrize("wear", ["ideal", "worn"])
 def test_pyrh56_identifies_moves_reads_and_clears(tmp_path: Path, wear: str) -> None:
     made = hand("/dev/x", wear)
-    with SimulatedLine([made], wire_time=False) as line:
-        with started("pyrh56", "rh56_peer.py", [line.address], tmp_path) as program:
-            assert program.stdin is not None
-            assert program.stdout is not None
-            first = program.stdout.readline()
-            assert first, program.communicate(timeout=60)[1]
-            line.call(lambda: made.inject("over_current"))
-            program.stdin.write("\n")
-            program.stdin.flush()
-            second = program.stdout.readline()
-            line.call(lambda: made.clear())
-            out, error = program.communicate("\n", timeout=60)
-            assert program.returncode == 0, error
+    with (
+        SimulatedLine([made], wire_time=False) as line,
+        started("pyrh56", "rh56_peer.py", [line.address], tmp_path) as program,
+    ):
+        assert program.stdin is not None
+        assert program.stdout is not None
+        first = program.stdout.readline()
+        assert first, program.communicate(timeout=60)[1]
+        line.call(lambda: made.inject("over_current"))
+        program.stdin.write("\n")
+        program.stdin.flush()
+        second = program.stdout.readline()
+        line.call(lambda: made.clear())
+        out, error = program.communicate("\n", timeout=60)
+        assert program.returncode == 0, error
     told, fault = json.loads(first), json.loads(second)
     assert told["before"] == [255] * 6
     assert told["angles"] == pytest.approx([900, 800, 700, 600, 500, 500], abs=20)
