@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtee import monotonic
 from rtee.buses.bus import Bus, listen
-from rtee.buses.can_guard import Guarded, frame_of, message_of
+from rtee.buses.can_guard import Guarded, frame_of, message_of, open_bus
 from rtee.buses.emulator import CanFrame
 from rtee.errors import BusBroken, BusTimeout
 
@@ -193,9 +193,7 @@ class CanBus(Bus):
         self._notifier = can.Notifier(bus, [self._on_message], timeout=0.05, loop=loop)
 
     def _opened(self) -> Any:
-        import can
-
-        raw = can.Bus(interface=self.interface, channel=self.name, bitrate=self.bitrate)
+        raw = open_bus(self.interface, self.name, self.bitrate)
         return Guarded(raw, self._failed_elsewhere)
 
     async def _close(self) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from rtee import monotonic
 from rtee.buses.emulator import CanFrame
 from rtee.buses.timing import ask_for_short_slices, wake_exactly
 
@@ -36,6 +38,53 @@ def frame_of(message: Any, stamp: float = 0.0) -> CanFrame:
         message.is_remote_frame,
         stamp,
     )
+
+
+_RETURNS = 0.5
+"""Time within which a frame comes back to its sender, where it does [s]: on one computer."""
+_RETURNING = frozenset({"udp_multicast"})
+"""Interfaces of python-can that give programs their own frames, too."""
+
+
+class Unechoed:
+    """A python-can bus that does not receive the frames that it sent, as no CAN node does."""
+
+    def __init__(self, bus: Any) -> None:
+        self._bus = bus
+        self._sent: deque[tuple[float, CanFrame]] = deque()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bus, name)
+
+    def send(self, message: Any, timeout: float | None = None) -> None:
+        """Send a message; raises what the bus raises."""
+        self._sent.append((monotonic.now(), frame_of(message)))
+        self._bus.send(message, timeout)
+
+    def recv(self, timeout: float | None = None) -> Any:
+        """Return the next message; ``None`` if none came in time [s], or only its own."""
+        message = self._bus.recv(timeout)
+        if message is None:
+            return None
+        now = monotonic.now()
+        # A frame that was lost on its way back must not hide a later one of another node.
+        while self._sent and now - self._sent[0][0] > _RETURNS:
+            self._sent.popleft()
+        frame = frame_of(message)
+        for i, (_, sent) in enumerate(self._sent):
+            if sent == frame:
+                del self._sent[i]
+                return None
+        return message
+
+
+def open_bus(interface: str, channel: str, bitrate: int | None = None) -> Any:
+    """Open a bus of python-can; raises what that raises."""
+    import can
+
+    settings: dict[str, Any] = {} if bitrate is None else {"bitrate": bitrate}
+    bus = can.Bus(interface=interface, channel=channel, **settings)
+    return Unechoed(bus) if interface in _RETURNING else bus
 
 
 class Guarded:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from rtee import monotonic
-from rtee.buses.can_guard import frame_of, message_of, wake
+from rtee.buses.can_guard import frame_of, message_of, open_bus, wake
 from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.line_model import CanWire
@@ -70,12 +70,10 @@ class SimulatedCan(Simulation):
         return host
 
     def _plug(self) -> None:
-        import can
-
         if self._loop is not None:
             self._there = True
         elif self._bus is None:
-            self._bus = can.Bus(interface=self._interface, channel=self._channel)
+            self._bus = open_bus(self._interface, self._channel)
             self.wire.reset()
 
     def _unplug(self) -> None:

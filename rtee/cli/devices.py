@@ -246,6 +246,7 @@ def locate(
     from rtee.buses.pool import BusPool
     from rtee.drivers.diagnosis.locate import twitch
     from rtee.drivers.registry import find_driver
+    from rtee.errors import DeviceFault
 
     specs = _devices_of(hand, device, emulated, ideal)
     if not yes:
@@ -258,7 +259,13 @@ def locate(
                 driver = find_driver(spec.driver, source=spec.source)(configured, pool)
                 # Printed before it moves, so that people look in time.
                 print(f"{spec.name}: twitching", flush=True)
-                await twitch(driver, times=times, share=share)
+                try:
+                    await twitch(driver, times=times, share=share)
+                except DeviceFault as fault:
+                    if home or not fault.name.startswith("not "):  # homed, or activated
+                        raise
+                    hint = f"rtee locate {hand} --home   # which moves it fully"
+                    raise DeviceFault(spec.name, fault.code, fault.name, hint=hint) from fault
                 identity = driver.capabilities.identity
                 print(f"{spec.name}: that was {', '.join(identity.values()) or 'it'}")
 

@@ -260,6 +260,9 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
         return self._fault(code, name or fault.name, hint)
 
     def _warnings(self, status: S) -> tuple[str, ...]:
+        if not any(status.to_registers()):
+            # As an inactive gripper whose encoder is at 0, or as a device that lacks the registers.
+            return (f"all its registers are 0; is it a {self.MODEL}?",)
         fault = self.FAULTS.get(status.fault)
         return (fault.name,) if fault is not None and fault.warning else ()
 

@@ -10,7 +10,7 @@ from typing import cast
 import pytest
 
 from rtee.buses.can import CanBus
-from rtee.buses.emulator import CanFrame
+from rtee.buses.emulator import CanFrame, Emulator
 from rtee.buses.faults import Faults
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated_can import SimulatedCan
@@ -124,6 +124,47 @@ async def test_udp_multicast_carries_frames_too() -> None:
             except (BusTimeout, BusBroken) as error:
                 pytest.skip(f"multicast does not come back here: {error}")
             assert found.data == b"ten"
+    finally:
+        simulation.close()
+
+
+class Talkative(Emulator):
+    """Answers every frame with the same identifier, as a LinkerHand does."""
+
+    heard = 0
+
+    def on_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        self.heard += 1
+        return [CanFrame(frame.id, frame.data + b"!")]
+
+    def power_cycle(self, now: float) -> None:
+        pass
+
+
+@in_real_time
+async def test_a_node_does_not_hear_itself_on_udp_multicast() -> None:
+    channel, node = "239.74.163.78", Talkative()
+    try:
+        simulation = SimulatedCan([node], channel=channel, interface="udp_multicast").start()
+    except Exception as error:  # the machine may have no multicast route
+        pytest.skip(f"no multicast here: {error}")
+    heard: list[CanFrame] = []
+    try:
+        async with BusPool() as pool:
+            bus = await pool.can(channel, owner="a", interface="udp_multicast")
+            bus.subscribe(heard.append)
+            try:
+                found = await bus.request(
+                    CanFrame(0x27, b"x"), lambda frame: frame.data == b"x!", 1.0, retries=3
+                )
+            except (BusTimeout, BusBroken) as error:
+                pytest.skip(f"multicast does not come back here: {error}")
+            asked = node.heard
+            # An echo would have been answered within the time of one exchange more.
+            await bus.request(CanFrame(0x27, b"y"), lambda frame: frame.data == b"y!", 1.0)
+            assert found.data == b"x!"
+            assert node.heard == asked + 1
+            assert b"x" not in {frame.data for frame in heard}
     finally:
         simulation.close()
 

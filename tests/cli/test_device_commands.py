@@ -48,6 +48,10 @@ def test_a_hand_is_located_and_calibrated(tmp_path: Path) -> None:
 
 
 def test_a_device_that_is_none_is_named() -> None:
+    # Its own option, and not `rtee recover`, which needs a running hand.
+    text = rtee("locate", "schunk_svh", "--emulated", "--yes", status=1)
+    assert "not homed" in text
+    assert "rtee locate schunk_svh --home" in text
     text = rtee("locate", "robotiq_2f_85", "--device", "griper", "--yes", status=2)
     assert "has no device 'griper'; did you mean 'gripper'?" in text
 

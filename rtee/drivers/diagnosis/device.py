@@ -38,6 +38,8 @@ _CAN_RATE = 1_000_000
 
 def address_of(options: Mapping[str, Any]) -> str | None:
     """Return the tty or network address in a driver's options, ``None`` if it has none."""
+    if options.get("channel"):
+        return None  # the device is on a CAN bus, whatever the default of its port is
     if options.get("port"):
         return str(options["port"])
     host = options.get("host")

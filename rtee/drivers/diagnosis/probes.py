@@ -196,7 +196,7 @@ def rh56(units: Sequence[int]) -> Probe:
             except (BusTimeout, FrameError):
                 continue
             if number[0] == unit:
-                options = {"port": address, "unit": unit}
+                options = {"port": address, "unit": unit, "protocol": "frames"}
                 found.append(Found("inspire_rh56", f"Inspire RH56, unit {unit}", options))
         return found
 

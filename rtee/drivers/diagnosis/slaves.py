@@ -7,8 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus_frames import READ_HOLDING, READ_INPUT
 from rtee.errors import BusTimeout, FrameError
 
+_ROBOTIQ = 9
+"""Modbus number of Robotiq's grippers from the factory."""
 _HANDS = (1, 2)
 """Modbus numbers of an RH56 from the factory, and of the second of a pair."""
 ANSWER = 0.04  # longest time for a Modbus answer [s]: slaves need about 10 ms
@@ -33,20 +36,25 @@ async def slave(bus: ModbusBus, address: str, unit: int) -> Found | None:
     """Return the Modbus slave with a number, with its driver if it is known."""
     options: dict[str, Any] = {"port": address, "unit": unit}
     robotiq = await _registers(bus, unit, 0x07D0, 8)
-    # For registers that it does not have, a hand may return zeros, like an inactive gripper, or
+    if robotiq is None and unit == _ROBOTIQ:
+        robotiq = await _registers(bus, unit, 0x07D0, 8, READ_INPUT)
+    # For registers that they do not have, devices may return zeros, like an inactive gripper, or
     # not answer.
     doubtful = robotiq is None and unit in _HANDS
-    if doubtful or isinstance(robotiq, ModbusRefusal) or (robotiq and not any(robotiq)):
+    zeros = isinstance(robotiq, tuple) and not any(robotiq)
+    refused = isinstance(robotiq, ModbusRefusal)
+    if doubtful or zeros or refused:
         rh56 = await _rh56(bus, unit, options)
         if rh56 is not None:
             return rh56
-    if isinstance(robotiq, tuple):
-        return _robotiq(robotiq, unit, options)
     # Robotiq's grippers do not answer requests for unknown registers; OnRobot's refuse them.
-    if robotiq is not None:
+    if zeros or refused:
         known = await _onrobot(bus, unit, options) or await _egu(bus, unit, options)
-        return known or Found("", f"a Modbus slave, unit {unit}", options)
-    return None
+        if known is not None:
+            return known
+        if refused or unit != _ROBOTIQ:
+            return Found("", f"a Modbus slave, unit {unit}", options)
+    return _robotiq(robotiq, unit, options) if isinstance(robotiq, tuple) else None
 
 
 async def _egu(bus: ModbusBus, unit: int, options: Mapping[str, Any]) -> Found | None:
@@ -112,10 +120,10 @@ def _robotiq(registers: Sequence[int], unit: int, options: dict[str, Any]) -> Fo
 
 
 async def _registers(
-    bus: ModbusBus, unit: int, address: int, count: int
+    bus: ModbusBus, unit: int, address: int, count: int, function: int = READ_HOLDING
 ) -> tuple[int, ...] | ModbusRefusal | None:
     try:
-        return await bus.read(unit, address, count, deadline=ANSWER, retries=0)
+        return await bus.read(unit, address, count, deadline=ANSWER, retries=0, function=function)
     # A refusal is an answer, which says that there is a slave.
     except ModbusRefusal as refusal:
         return refusal

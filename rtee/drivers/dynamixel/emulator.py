@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 from rtee.buses.emulator import Emulator
@@ -198,11 +198,17 @@ class DynamixelEmulator(ServoLine[Servo], Grasps):
                 return []
         everybody = packet.device == BROADCAST
         numbers = sorted(self.servos) if everybody else [packet.device]
-        answers = [self._single(servo, packet, now) for servo in self._listening(numbers, now)]
+        answers = []
+        for servo in self._listening(numbers, now):
+            number = servo.number
+            answer = self._single(servo, packet, now)
+            if answer is not None:
+                # Under the id at which it was asked, even where the packet has changed that.
+                answers.append(replace(answer, device=number).to_bytes())
         # All servos carry out a broadcast, but none answers it, except for a ping.
         if everybody and packet.instruction != Instruction.PING:
             return []
-        return self._delayed([a.to_bytes() for a in answers if a is not None], numbers)
+        return self._delayed(answers, numbers)
 
     def _bulk_write(self, params: bytes, now: float) -> None:
         at = 0

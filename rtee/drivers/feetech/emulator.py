@@ -1,8 +1,8 @@
 """Emulates a line of Feetech servos, all of one family.
 
 What sources leave open is a property: whether servos answer a sync read in families for which that
-is not known, and whether the adapter echoes what it sends. The answers of several servos to a
-broadcast ping collide on the wire: a bit is 0 if any of them sends a 0.
+is not known, and whether the adapter echoes what it sends. To a broadcast ping, families that
+answer a sync read answer in turn; the answers of others collide: a bit is 0 if any sends a 0.
 """
 
 from __future__ import annotations
@@ -167,28 +167,34 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
                 return []
             # Each servo answers in its turn; a missing one leaves a gap.
             found = self.listening(params[2:], now)
-            replies = [self._reply(servo, servo.read(params[0], params[1])) for servo in found]
+            replies = [
+                Frame(servo.number, servo.status, servo.read(*params[:2]) or b"").to_bytes()
+                for servo in found
+            ]
             return self._delayed(replies, found)
         everybody = request.device == BROADCAST
         found = self.listening(sorted(self.servos) if everybody else [request.device], now)
         replies = []
         for servo in found:
-            reply = self._single(servo, request, now)
-            if reply and (request.code in _READS or servo.get(table.RESPONSE_LEVEL)):
-                replies.append(reply)
+            number = servo.number
+            answer = self._single(servo, request, now)
+            if answer is None:
+                continue
+            if request.code in _READS or servo.get(table.RESPONSE_LEVEL):
+                # Under the id at which it was asked, even where the request has changed that.
+                replies.append(Frame(number, servo.status, answer).to_bytes())
         if everybody and request.code != Instruction.PING:
             return []
-        return self._delayed([_collided(replies)] if len(replies) > 1 else replies, found)
+        # Families that answer a sync read in turn do so here, too; the answers of others collide.
+        collide = len(replies) > 1 and not self.family.sync_read
+        return self._delayed([_collided(replies)] if collide else replies, found)
 
-    def _reply(self, servo: Servo, params: bytes | None) -> bytes:
-        return Frame(servo.number, servo.status, params or b"").to_bytes()
-
-    def _single(self, servo: Servo, request: Frame, now: float) -> bytes:
-        """Let a servo carry out a request; return its answer, empty if there is none."""
+    def _single(self, servo: Servo, request: Frame, now: float) -> bytes | None:
+        """Let a servo carry out a request; return its answer's data, ``None`` without an answer."""
         params = request.params
         match request.code:
             case Instruction.READ if len(params) == 2:
-                return self._reply(servo, servo.read(params[0], params[1]))
+                return servo.read(params[0], params[1]) or b""
             case Instruction.WRITE if len(params) > 1:
                 servo.write(params[0], params[1:])
             case Instruction.REG_WRITE if len(params) > 1:
@@ -199,7 +205,7 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
                 servo.memory.restore()
             case Instruction.REBOOT:
                 servo.reboot(now)
-                return b""
+                return None
             case Instruction.CALIBRATE if len(params) in (0, 2):
                 where = int.from_bytes(params, self.family.order) if params else MIDDLE
                 servo.make_present(where)
@@ -207,8 +213,8 @@ class FeetechEmulator(ServoLine[Servo], Grasps):
             case Instruction.PING | Instruction.BACK_UP | Instruction.RESET | Instruction.CALIBRATE:
                 pass
             case _:
-                return b""
-        return self._reply(servo, b"")
+                return None
+        return b""
 
     def _delayed(self, answers: list[bytes], servos: Iterable[Servo]) -> list[bytes]:
         """Set the turnaround of these answers: return delays of the servos, adapter's latency."""

@@ -27,8 +27,8 @@ FULL = 1000
 """Counts of full torque, of full load and of the torque limit: 0.1 % each."""
 RAM = 40
 """First address that does not survive a power cycle."""
-END = 80
-"""First address behind the table; the factory's own registers follow."""
+END = 87
+"""First address behind the table, whose last registers are the factory's own."""
 _RPM = 2.0 * math.pi / 60.0
 
 

@@ -18,6 +18,9 @@ T = TypeVar("T")
 RIGHT, LEFT = 0x27, 0x28
 """Modbus number, and identifier on CAN, of a right and of a left hand."""
 BAUDRATE = 115_200  # of RS-485 [baud]; the hands have no other
+VERSION_CODES = frozenset({0x64, 0xC2})
+"""Properties on CAN with the version; newer firmware answers the second. That they hold the version
+block of RS-485 is assumed."""
 BITRATE = 1_000_000  # of CAN [bit/s]
 MOST = 255
 """Largest value of a register."""

@@ -232,6 +232,9 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         mine = frame.id == self.unit and not (frame.remote or frame.extended)
         if not mine or not frame.data or "silent" in self.faults:
             return []
+        if frame.data[0] in codec.VERSION_CODES:
+            version = self.version().to_registers()
+            return [codec.property_frame(self.unit, frame.data[0], version)]
         for table, parts in self.model.properties.items():
             first = 0
             for code, count in parts:

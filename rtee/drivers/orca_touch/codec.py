@@ -292,6 +292,15 @@ def counts_bytes(counts: Mapping[str, int]) -> bytes:
     return struct.pack(f"<{len(table)}H", *table)
 
 
+def resultants_bytes(fingers: Sequence[str], resultants: bytes) -> bytes:
+    """Return `Register.RESULTANTS`, for the resultants of the connected fingertips."""
+    table = bytearray(COUNTS_SIZE // 2 * _RESULTANT)
+    for i, name in enumerate(fingers):
+        at = _RESULTANT * (_PER_SLOT * FINGERS.index(name) + _TIP)
+        table[at : at + _RESULTANT] = resultants[_RESULTANT * i : _RESULTANT * (i + 1)]
+    return bytes(table)
+
+
 def data_size(content: Content, counts: Sequence[int]) -> int:
     """Return the bytes of data of a frame with a content, for the taxels of each finger."""
     resultants = _RESULTANT * len(counts) if content & Content.RESULTANTS else 0

@@ -116,22 +116,26 @@ class OrcaTouchEmulator(Emulator):
         return [reply.to_bytes() for reply in replies if reply is not None]
 
     def step(self, now: float) -> list[bytes]:
-        """Return the frame that is due, if one is."""
-        if not self.streaming or "silent" in self.faults or now < self._due:
+        """Return the frames that are due, if any are; encoders send without being asked to."""
+        encoders = self.properties.encoders
+        if not (self.streaming or encoders) or "silent" in self.faults or now < self._due:
             return []
         # From now, not from the due time: missed frames are not sent later.
         self._due = now + self.period
-        frames = [self._frame().to_bytes()]
-        if self.properties.encoders:
+        frames = [self._frame().to_bytes()] if self.streaming else []
+        if encoders:
             words = [_with_parity(count) for count in self.angles]
             frames.append(Encoders(0, np.array(words, dtype="<u2").tobytes()).to_bytes())
         return frames
 
     def _frame(self) -> Stream:
         error = 1 if "error" in self.faults else 0
+        return Stream(error, self._forces(self.content))
+
+    def _forces(self, content: Content) -> bytes:
         taxels = [self.forces[finger] for finger in self.fingers]
         resultants = np.array([each.sum(axis=0) for each in taxels]).reshape(-1, 3)
-        return Stream(error, codec.forces_bytes(resultants, taxels, self.content))
+        return codec.forces_bytes(resultants, taxels, content)
 
     def _answer(self, request: Request) -> Reply | None:
         if request.function == Function.READ:
@@ -148,10 +152,13 @@ class OrcaTouchEmulator(Emulator):
             Register.CONTENT: bytes([self.content]),
             Register.STREAM: bytes([self.streaming]),
             Register.COUNTS: codec.counts_bytes({f: len(self.forces[f]) for f in self.fingers}),
+            Register.RESULTANTS: codec.resultants_bytes(
+                self.fingers, self._forces(Content.RESULTANTS)
+            ),
         }
         for register, data in tables.items():
-            if address == register:
-                return (data + bytes(count))[:count]
+            if register <= address < register + len(data):
+                return (data[address - register :] + bytes(count))[:count]
         return bytes(count)
 
     def _set(self, address: int, data: bytes) -> bool:

@@ -328,6 +328,8 @@ class Wsg50Emulator(Emulator, Grasps):
         # Read like the numbers of an answer, which follow a status of two bytes.
         width, speed = numbers(Frame(command, b"\0\0" + payload), 2)
         width += self.axis.position if flags & 1 else 0.0
+        # Beyond its stroke a real gripper goes to the end instead of refusing.
+        width = min(max(width, 0.0), self.limits.stroke)
         low, high = self.limits.speed
         inner, outer = self._settings[Command.SET_SOFT_LIMITS]
         if not (inner <= width <= outer and low <= speed <= high):

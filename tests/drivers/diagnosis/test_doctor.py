@@ -245,6 +245,42 @@ async def test_a_hand_that_speaks_modbus_alone_is_found_out() -> None:
     assert "set driver: inspire_rh56, unit: 1, protocol: modbus" in check.remedy
 
 
+async def test_a_hand_that_speaks_frames_is_told_with_its_protocol() -> None:
+    """Advice that leaves a wrong setting out is followed in vain."""
+    with SimulatedLine([make_emulator("inspire_rh56", {"port": "/dev/x"})]) as line:
+        spec = replace(
+            gripper(options={"port": real(line), "protocol": "modbus"}),
+            driver="inspire_rh56",
+            actuators=(actuator("index", 0.0, 1.47),),
+        )
+        async with BusPool() as pool:
+            found = wrong(await check_device(spec, pool))
+    assert "protocol: frames" in found.remedy
+
+
+async def test_a_hand_on_a_can_channel_is_not_looked_for_on_a_tty() -> None:
+    spec = replace(
+        gripper(),
+        driver="linkerhand",
+        actuators=(actuator("index", 0.0, 1.6),),
+        options={"channel": "rtee-nobody", "interface": "virtual"},
+    )
+    async with BusPool() as pool:
+        found = wrong(await check_device(spec, pool))
+    assert "/dev/" not in found.text
+    assert "rtee-nobody" in found.text
+
+
+async def test_registers_of_zeros_raise_a_doubt() -> None:
+    emulator = make_emulator("robotiq_2f", {"port": "/dev/x"})
+    emulator._input_block = lambda: [0] * 8
+    with SimulatedLine([emulator]) as line:
+        async with BusPool() as pool:
+            checks = await check_device(gripper(options={"port": real(line)}), pool)
+    text = "all its registers are 0; is it a Robotiq 2-finger gripper?"
+    assert named(checks, "warning").text == text
+
+
 async def test_a_device_without_supply() -> None:
     with SimulatedLine([]) as line:
         async with BusPool() as pool:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from rtee.buses.emulator import Emulator
+from rtee.buses.modbus_slave import ModbusEmulator, Refused
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.drivers.diagnosis import probes
@@ -76,6 +77,53 @@ async def test_a_touch_board_that_sends_is_found_at_its_rate() -> None:
             [found] = await scan([Plan(line.address, probes=serial_probes([9])[:4])], pool)
         options = {"port": line.address, "baudrate": 2_000_000}
         assert [one.options for one in found.found] == [options]
+
+
+class Bank(ModbusEmulator):
+    """Registers of another maker: 0 wherever it is asked."""
+
+    def read(self, function: int, address: int, count: int, now: float) -> list[int]:
+        return [0] * count
+
+    def write(self, address: int, values: Sequence[int], now: float) -> None:
+        pass
+
+    def advance(self, now: float) -> None:
+        pass
+
+    def power_cycle(self, now: float) -> None:
+        pass
+
+
+async def test_a_bank_of_zeros_is_no_gripper() -> None:
+    with SimulatedLine([Bank(12)], wire_time=False) as line:
+        found = await scanned(line, units=[12])
+    assert [(one.driver, one.what) for one in found.found] == [
+        ("", "a Modbus slave, unit 12, 115200 baud 8N1")
+    ]
+
+
+async def test_an_rg_that_has_registers_of_zeros_is_an_rg() -> None:
+    gripper = make_emulator("onrobot_rg", {"port": "/dev/emulated", "emulator": {"unit": 65}})
+    read = gripper.read
+
+    def lenient(function: int, address: int, count: int, now: float) -> Sequence[int]:
+        try:
+            return read(function, address, count, now)  # type: ignore[no-any-return]
+        except Refused:
+            return [0] * count
+
+    gripper.read = lenient
+    with SimulatedLine([gripper], wire_time=False) as line:
+        found = await scanned(line, units=[65])
+    assert [one.driver for one in found.found] == ["onrobot_rg"]
+
+
+async def test_a_gripper_that_knows_one_function_for_reading_is_found() -> None:
+    gripper = device("robotiq_2f", functions=[4, 16])
+    with SimulatedLine([gripper], wire_time=False) as line:
+        found = await scanned(line, units=[9])
+    assert [one.driver for one in found.found] == ["robotiq_2f"]
 
 
 async def test_two_slaves_on_a_line_are_both_found() -> None:

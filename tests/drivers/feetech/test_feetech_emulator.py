@@ -89,10 +89,26 @@ def test_what_is_sent_to_all_is_obeyed_by_all_and_answered_by_none() -> None:
     assert [servo.get(table.GOAL_POSITION) for servo in servos.ordered] == [391, 630] * 4
 
 
-def test_a_ping_to_all_is_answered_by_one_and_garbled_by_two() -> None:
+def test_a_ping_to_all_is_answered_in_turn_or_garbled_by_two() -> None:
     ping = "FF FF FE 02 01 FE"
     assert ask(line(ids=(5,)), ping) == ["FF FF 05 02 00 F8"]
-    assert ask(line(ids=(1, 2)), ping) == ["FF FF 00 02 00 F8"]  # FC and FB on one wire
+    assert ask(line(ids=(1, 2)), ping) == ["FF FF 01 02 00 FC", "FF FF 02 02 00 FB"]
+    assert ask(line("scs", ids=(1, 2)), ping) == ["FF FF 00 02 00 F8"]  # FC and FB on one wire
+
+
+def test_a_new_id_is_confirmed_under_the_old_one() -> None:
+    """LeRobot's set-up and ORCA's wait for that; the servo answers to the new id from then on."""
+    servos = line()
+    assert ask(servos, "FF FF 01 04 03 05 06 EC") == ["FF FF 01 02 00 FC"]
+    assert ask(servos, "FF FF 01 02 01 FB") == []
+    assert ask(servos, "FF FF 06 02 01 F6") == ["FF FF 06 02 00 F7"]
+
+
+def test_the_table_goes_on_to_the_factorys_registers() -> None:
+    """Rustypot reads 80 to 86: thresholds, speeds and accelerations that the factory sets."""
+    [answer] = ask(line(), "FF FF 01 04 02 50 07 A1")
+    assert answer.startswith("FF FF 01 09 00")
+    assert ask(line(), "FF FF 01 04 02 50 08 A0") == ["FF FF 01 02 00 FC"]
 
 
 def test_a_servo_of_another_id_or_a_wrong_checksum_gets_silence() -> None:

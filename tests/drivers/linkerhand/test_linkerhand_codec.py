@@ -132,6 +132,13 @@ def test_frames_on_can_are_those_of_the_sheet() -> None:
     assert codec.answers(answer, 0x27, 0x33, 6)
 
 
+@pytest.mark.parametrize("code", [0x64, 0xC2])
+def test_the_version_is_told_on_can(code: int) -> None:
+    hand = LinkerHandEmulator()
+    [answer] = hand.on_frame(CanFrame(0x27, bytes([code])), 1.0)
+    assert (answer.id, answer.data) == (0x27, bytes([code, 6, 1, 1, 82, 0x10, 0x10]))
+
+
 def test_an_l10_has_its_values_in_two_parts_on_can() -> None:
     l10 = hand("l10")
     l10.on_frame(codec.property_frame(0x27, 0x04, [10, 20, 30, 40]), 0.0)

@@ -16,7 +16,7 @@ from rtee.buses.pool import BusPool
 from rtee.drivers.connection import owner_of
 from rtee.drivers.orca_touch import driver as module
 from rtee.drivers.orca_touch.driver import OrcaTouchDriver
-from rtee.drivers.orca_touch.emulator import OrcaTouchEmulator
+from rtee.drivers.orca_touch.emulator import OrcaTouchEmulator, OrcaTouchProperties
 from rtee.errors import BusTimeout, ConfigError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.testing import actuator
@@ -48,6 +48,28 @@ async def sensed(
             if wanted(state):
                 return state
             await anyio.sleep(0.002)
+
+
+def asked(board: OrcaTouchEmulator, text: str) -> bytes:
+    return b"".join(board.feed(bytes.fromhex(text), 0.0))
+
+
+def test_the_encoders_send_without_being_asked_to() -> None:
+    board = OrcaTouchEmulator(OrcaTouchProperties(encoders=True))
+    [frame] = board.step(1.0)
+    assert frame == bytes.fromhex("AA A9 00 23 00 00" + "00" * 34 + "8A")
+    assert OrcaTouchEmulator().step(1.0) == []
+
+
+def test_the_resultants_can_be_read() -> None:
+    board = OrcaTouchEmulator()
+    press(board, "index", 2.0)
+    answer = asked(board, "55 AA 00 03 00 05 A8 00 51")
+    assert answer[:8] == bytes.fromhex("AA 55 00 03 00 05 A8 00")
+    # Module 6 is the tip of the index finger; its z is 20 counts of 0.1 N.
+    table = answer[8:-1]
+    assert table[36:42] == bytes([0, 0, 0, 0, 20, 0])
+    assert sum(table) == 20
 
 
 def press(emulator: OrcaTouchEmulator, finger: str, force: float, taxel: int | None = None) -> None:

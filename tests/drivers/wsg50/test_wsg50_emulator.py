@@ -100,7 +100,6 @@ def test_a_motion_takes_its_speed_and_refuses_another() -> None:
 def test_what_lies_outside_is_refused() -> None:
     host = Host()
     for request in (
-        move(111.0, 100.0, stop_on_block=True),
         move(50.0, 421.0, stop_on_block=True),
         move(50.0, 4.0, stop_on_block=True),
         setting(Command.SET_FORCE, 121.0),
@@ -111,6 +110,13 @@ def test_what_lies_outside_is_refused() -> None:
     assert host.status(Frame(Command.MOVE, b"\0")) is Status.TOO_FEW_PARAMETERS
     assert host.status(Frame(Command.STOP, b"\0")) is Status.NO_PARAMETER_EXPECTED
     assert host.status(Frame(Command.TARE)) is Status.NOT_AVAILABLE
+
+
+def test_a_width_beyond_the_stroke_is_the_end_of_it() -> None:
+    host = Host(position=80.0)
+    assert host.status(move(300.0, 100.0, stop_on_block=True)) is Status.PENDING
+    host.wait(2.0)
+    assert host.gripper.axis.position == pytest.approx(110.0, abs=0.1)
 
 
 @pytest.mark.parametrize("force", [5.0, 20.0, 80.0])
