@@ -108,6 +108,7 @@ async def test_an_interface_that_is_not_there_is_named() -> None:
             await pool.can("nocan7", owner="a")
 
 
+@in_real_time
 async def test_udp_multicast_carries_frames_too() -> None:
     channel = "239.74.163.77"
     try:
