@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.drivers.mujoco.driver import MujocoDriver
 from rtee.drivers.mujoco.simulation import Simulation
@@ -138,7 +139,7 @@ async def test_exchanges_that_were_given_up_never_overlap_with_another() -> None
 
 async def test_a_late_exchange_advances_further(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, now = await active(rate=100.0), [50.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(monotonic, "now", lambda: now[0])
     await driver.sense()
     for _ in range(10):
         now[0] += 0.03
