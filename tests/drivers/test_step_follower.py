@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+
+import pytest
+
 from rtee.drivers.step_follower import Order, StepFollower
 
 FORCE = 10.0
@@ -65,9 +69,14 @@ def test_what_holds_is_left_alone_until_it_opens_or_its_force_changes() -> None:
     assert made.next(60.0, 2.0 * FORCE, 35.0, busy=False, held=True) is Order.GO
 
 
-def test_a_command_without_effect_is_not_given_again_at_once() -> None:
+@pytest.mark.anyio
+async def test_a_command_without_effect_is_given_again_after_half_a_second() -> None:
     made = sent(follower(), 20.0, 50.0)
     assert made.next(20.0, FORCE, 50.0, busy=False, held=False) is Order.NOTHING
+    await asyncio.sleep(0.49)
+    assert made.next(20.0, FORCE, 50.0, busy=False, held=False) is Order.NOTHING
+    await asyncio.sleep(0.02)
+    assert made.next(20.0, FORCE, 50.0, busy=False, held=False) is Order.GO
 
 
 def test_after_a_stop_from_outside_it_is_as_just_attached() -> None:

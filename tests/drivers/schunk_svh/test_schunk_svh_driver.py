@@ -313,10 +313,13 @@ async def test_homing_that_meets_no_stop_fails_and_switches_off() -> None:
                     await anyio.sleep(0.005)
 
             watching.start_soon(watch)
+            begun = monotonic.now()
             with pytest.raises(
                 DeviceFault, match=r"Pinky does not move.*`rtee recover` homes again"
             ):
                 await made.activate()
+            # With the time that switching on and off takes.
+            assert 0.5 <= monotonic.now() - begun < 1.5
             watching.cancel_scope.cancel()
         assert "homing Pinky, 1 of 1" in told
         assert made.doing == ""
