@@ -14,6 +14,7 @@ from pathlib import Path
 HELP = {
     "chromium": "measure Chromium's window, too",
     "connections": "number of connections, made one after the other",
+    "before": "folder of hands whose stored actions are compared",
     "cycles": "exchanges with each fault",
     "flight": "length of the flight recorder's history [s]",
     "frames": "frames for each decoder",

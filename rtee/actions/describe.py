@@ -10,6 +10,7 @@ from typing import Any
 from rtee.actions.build import warnings_of
 from rtee.actions.documents import evidence_document
 from rtee.actions.types import (
+    DEEPEST,
     FARTHEST_CLEARANCE,
     Action,
     ActionKind,
@@ -24,6 +25,15 @@ def clearance_text(clearance: float) -> str:
     """Return a clearance [m] as text."""
     text = f"{clearance * 1e3:.1f} mm"
     return f"{text} or more" if clearance >= FARTHEST_CLEARANCE else text
+
+
+def deeper_text(primitive: Primitive) -> str:
+    """Return in words that a pinch has a much deeper posture than the executed one, if it has."""
+    deeper = primitive.deeper
+    if deeper is None:
+        return ""
+    state = "" if deeper.clear and deeper.path_clear else ", not clear"
+    return f"deepest {deeper.depth * 1e3:.1f} mm{state}: {primitive.name}@{DEEPEST}"
 
 
 def describe(hand: Hand, actions: Iterable[Action], seconds: float | None = None) -> dict[str, Any]:

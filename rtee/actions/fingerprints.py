@@ -23,7 +23,7 @@ class Fingerprints:
 
     Attributes:
         files: Changes with any of the files.
-        model: Changes with the model, the configuration or the primitives.
+        model: Changes with the model or the configuration.
         actions: By name and elements of an action: changes with what it does.
     """
 

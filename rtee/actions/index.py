@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from rtee.actions.build import rebuilt
 from rtee.actions.naming import label, normalise
 from rtee.actions.types import (
+    DEEPEST,
     Action,
     ActionKind,
     CustomAction,
@@ -97,6 +98,9 @@ class Index:
         known: Sequence[str] | None = None,
     ) -> Action:
         """Return one action; see `ActionLibrary.find`. ``known``: names for a suggestion."""
+        plain, _, which = name.partition("@")
+        if which:
+            return self._deepest(plain, which, elements, kind, name)
         wanted, kind = normalise(name), _as_kind(kind)
         custom = self.custom.get(wanted)
         if custom is not None and kind in (None, kind_of(custom)):
@@ -116,6 +120,21 @@ class Index:
         if primitive is None or len(key) != len(elements):
             raise self._wrong_elements(name, elements, group)
         return primitive
+
+    def _deepest(
+        self,
+        plain: str,
+        which: str,
+        elements: tuple[str, ...],
+        kind: ActionKind | str | None,
+        name: str,
+    ) -> Primitive:
+        action = self.find(plain, elements, kind)
+        if normalise(which) != DEEPEST:
+            raise ActionError(f"'{name}': only '{plain}@{DEEPEST}' asks for another posture")
+        if not isinstance(action, Primitive) or not action.evidence:
+            raise ActionError(f"'{action.name}' is no pinch, and has no deepest posture")
+        return action.deepest
 
     def _names_of(self, kind: ActionKind | None) -> list[str]:
         chosen = [a.name for a in self.ordered if kind in (None, kind_of(a))]
@@ -192,7 +211,10 @@ class Index:
         return tuple(
             other.name
             for other in self.custom.values()
-            if any(self.find(u.action, u.elements, None) is action for u in other.uses)
+            if any(
+                self.find(use.action.partition("@")[0], use.elements, None) is action
+                for use in other.uses
+            )
         )
 
     def without(self, action: Action) -> tuple[Action, ...]:

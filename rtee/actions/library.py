@@ -137,7 +137,8 @@ class ActionLibrary:
         """Return one action.
 
         ``MultiPinchTight`` and ``SingleJointMultipleTips`` may be given without their count. A
-        primitive that exists with a single set of elements needs no elements.
+        primitive that exists with a single set of elements needs no elements. A pinch is found with
+        its deepest posture first by ``@deepest`` after its name, even if that is not clear.
 
         Args:
             name: Name of the action.

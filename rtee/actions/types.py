@@ -108,6 +108,12 @@ class Opposition:
     friction: float = 0.5
 
 
+DEEPEST: Final = "deepest"
+"""What follows the name of a primitive, after an ``@``, to ask for its deepest posture."""
+
+SHALLOW: Final = 0.5
+"""Share of the deepest posture's depth below which people are told of that posture."""
+
 FARTHEST_CLEARANCE: Final = 0.005
 """Largest clearance measured [m]: at this distance, no link is in danger of a collision."""
 
@@ -225,6 +231,25 @@ class Primitive(_Action):
     def posture(self) -> Posture:
         """The posture that is executed."""
         return self.postures[0]
+
+    @property
+    def deepest(self) -> Primitive:
+        """The same primitive with its deepest posture first, clear or not."""
+        first = max(range(len(self.evidence)), key=lambda i: self.evidence[i].depth, default=0)
+        order = [first, *(i for i in range(len(self.postures)) if i != first)]
+        return replace(
+            self,
+            postures=tuple(self.postures[i] for i in order),
+            evidence=tuple(self.evidence[i] for i in order if self.evidence),
+        )
+
+    @property
+    def deeper(self) -> Evidence | None:
+        """Evidence of the deepest posture if the executed one has less than half of its depth."""
+        if not self.evidence:
+            return None
+        deepest = self.deepest.evidence[0]
+        return deepest if self.evidence[0].depth < SHALLOW * deepest.depth else None
 
 
 class _Custom(_Action):

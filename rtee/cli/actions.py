@@ -11,7 +11,7 @@ from rtee.cli._common import Hand, JsonOption, actions_of
 from rtee.cli._table import Column, Row, Table, on_terminal, prefix_to_drop
 
 if TYPE_CHECKING:
-    from rtee.actions.types import Action, ActionReference, Evidence
+    from rtee.actions.types import Action, ActionReference, Evidence, Primitive
     from rtee.hand.model import Hand as HandModel
 
 _SHOWN = 3
@@ -55,7 +55,7 @@ def _row(hand: HandModel, action: Action, prefix: str) -> Row:
             involved: Iterable[str] = action.posture.involved
             remark = sideways_words(hand, action, prefix)
             if action.evidence:
-                remark = remarks(action.evidence[0], prefix)
+                remark = primitive_remarks(action, prefix)
         case Timed():
             elements = "timed"
             involved = dict.fromkeys(n for step in action.steps for n in step.posture.involved)
@@ -75,6 +75,14 @@ def _use(use: ActionReference, prefix: str) -> str:
 
     scale = "" if use.scale == 1.0 else f" × {use.scale:g}"
     return label(use.action, tuple(e.removeprefix(prefix) for e in use.elements)) + scale
+
+
+def primitive_remarks(primitive: Primitive, prefix: str = "") -> str:
+    """Return the evidence of a primitive's posture in words, and whether a deeper one exists."""
+    from rtee.actions.describe import deeper_text
+
+    lines = [remarks(primitive.evidence[0], prefix), deeper_text(primitive)]
+    return "\n".join(line for line in lines if line)
 
 
 def remarks(evidence: Evidence, prefix: str = "") -> str:

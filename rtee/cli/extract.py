@@ -316,7 +316,7 @@ def _show(hand: HandModel, extraction: Extraction) -> None:
 
 def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tuple[str, str, str]:
     from rtee.actions.sideways import sideways_words
-    from rtee.cli.actions import remarks
+    from rtee.cli.actions import primitive_remarks
 
     posture = primitive.posture
     elements = ", ".join(element.removeprefix(prefix) for element in primitive.elements)
@@ -329,5 +329,5 @@ def _cells(hand: HandModel, primitive: Primitive, prefix: str, width: int) -> tu
         lines = [f"{name}={posture.position[name]:.6g}" for name in posture.involved]
     evidence = sideways_words(hand, primitive, prefix)
     if primitive.evidence:
-        evidence = remarks(primitive.evidence[0], prefix)
+        evidence = primitive_remarks(primitive, prefix)
     return elements, "\n".join(lines), evidence

@@ -47,7 +47,7 @@ _TRUST_EVALUATIONS: Final = 11
 _SAME: Final = 0.05
 """Difference in every coordinate below which starts count as equal."""
 
-_GOOD: Final = 0.85
+_GOOD: Final = 0.98
 """Share of the greatest depth at which a clear pose ends the search for others."""
 
 _POOL: Final = 4
@@ -59,7 +59,7 @@ _SHORT: Final = 2e-3
 _BEFORE: Final = 1e-4
 """The same for a single actuator, whose bounds are exact except for rounding."""
 
-_FOLLOWED: Final = 1
+_FOLLOWED: Final = 2
 """Number of clear poses whose paths are checked per round: a path costs more than a pose."""
 
 _QUERY_BUDGET: Final = 300
@@ -85,13 +85,13 @@ class SearchBudget:
         settle: Whether poses are moved to minima of the goal before constraints are learned.
     """
 
-    pool: int = 10
-    attempts: int = 2
-    pushes: int = 8
+    pool: int = 12
+    attempts: int = 5
+    pushes: int = 10
     recalibrations: int = 8
     trust_steps: int = 12
-    path_rounds: int = 3
-    extra_attempts: int = 0
+    path_rounds: int = 5
+    extra_attempts: int = 3
     settle: bool = True
 
 
@@ -409,7 +409,7 @@ def _free_interval(
     rest = float(space.rest[0])
     for bound in (0.0, 1.0):
         path = motion.path_to(space.posture(np.array([bound])))
-        blocked = checker.first_on(path, checker.pairs)
+        blocked = checker.first_blocked(path)
         share = 1.0 if blocked is None else max(0.0, blocked.at - _BEFORE)
         ends.append(from_rest(rest, bound, share))
     return ends[0], ends[1]

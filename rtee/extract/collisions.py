@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -11,13 +11,15 @@ import numpy as np
 
 from rtee.actions.types import FARTHEST_CLEARANCE
 from rtee.extract.distance_queries import TOUCH
+from rtee.extract.goals import TipEdge, linked
 from rtee.extract.motion import DistanceBounds, Motion, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import norms, rotated
+from rtee.hand.linalg import cross, dot, matvec, norm, norms, rotated
 from rtee.hand.pairs import Pairs
 from rtee.sample import FloatArray
+from rtee.types import JointKind
 
 STEP: Final = 0.001
 """Largest relative motion of near links between two exact checks on a path [m]."""
@@ -52,6 +54,9 @@ _PLACES: Final = 65
 """Number of intensities at which the clearance on a path is measured, between which a fingertip
 moves a few millimetres."""
 
+_PARALLEL: Final = 1e-3
+"""Sine of the angle between two axes below which they are parallel."""
+
 _SURE: Final = 1e-5
 """Distance beyond which links do not touch, however distances are rounded [m]."""
 
@@ -63,17 +68,38 @@ class Blocked:
     Attributes:
         pair: The links that collide.
         at: Intensity of their first collision.
+        until: Intensity up to which they have to stay apart.
     """
 
     pair: LinkPair
     at: float
+    until: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """The fingers of a pinch, which close on each other until contacts link their tips.
+
+    What lies behind the contact is a set-point that no finger reaches: from there on, the fingers
+    hold each other, or an object, and do not come nearer. Their links therefore have to stay apart
+    only until then.
+
+    Attributes:
+        bodies: The bodies of the tips, finger by finger.
+        edges: The pairs of tips that can touch.
+        bars: The bodies of each finger beside the chain of its tip.
+    """
+
+    bodies: tuple[int, ...]
+    edges: tuple[TipEdge, ...]
+    bars: tuple[frozenset[int], ...]
 
 
 class Collisions:
     """The links that may collide at all.
 
-    Excludes links joined by a moving joint, links that touch at rest, and pairs that the SRDF
-    disables.
+    Excludes links joined by a moving joint, or by crossing ones with no geometry between them,
+    links that touch at rest, and pairs that the SRDF disables.
 
     Attributes:
         checked: The remaining pairs of links.
@@ -86,11 +112,27 @@ class Collisions:
         self._scene = scene
         self._motion = motion
         disabled = {frozenset((a, b)) for a, b, _ in scene.hand.disabled_collisions}
-        parents = scene.kinematics.model.parents
+        parents, moves = scene.kinematics.model.parents, scene.hand.transmission.moves
+
+        def rigid(body: int) -> int:
+            # A joint that nothing moves, such as a passive one, is as good as fixed.
+            while body and moves(body - 1) is None:
+                body = int(parents[body])
+            return body
+
+        solid = {rigid(shape.body) for shape in scene.shapes}
+
+        def next_to(body: int) -> int:
+            above = rigid(int(parents[body]))
+            # Two axes that cross, as at a finger's root, have a link without geometry between them.
+            while above and above not in solid and _crossing(scene, above, body):
+                body, above = above, rigid(int(parents[above]))
+            return above
+
         candidates = []
         for pair in scene.pairs.values():
-            a, b = pair.bodies
-            adjacent = parents[a] == b or parents[b] == a
+            a, b = map(rigid, pair.bodies)
+            adjacent = next_to(a) == b or next_to(b) == a
             # In nearly every model, links overlap at the joint between them.
             if not adjacent and frozenset(pair.links) not in disabled:
                 candidates.append(pair)
@@ -126,18 +168,116 @@ class Collisions:
         gap = self.narrow.get(pair.links)
         return max(TOUCH, least if gap is None else min(least, _SHARE * gap))
 
-    def checker(self, actuators: Iterable[int], tips: Iterable[frozenset[str]]) -> CollisionChecker:
-        """Return a checker of the links that some actuators move, except tips that shall touch."""
+    def checker(
+        self,
+        actuators: Iterable[int],
+        tips: Iterable[frozenset[str]],
+        closing: Closing | None = None,
+    ) -> CollisionChecker:
+        """Return a checker of the links that some actuators move, except tips that shall touch.
+
+        What stands still as soon as the tips of the pinch meet has to stay apart on the way only,
+        until they are within the hand's clearance of each other: links of two fingers that close on
+        each other, and all that is moved by the only actuator of such a finger.
+        """
         moving, wanted = frozenset(actuators), set(tips)
         pairs = [
             pair
             for pair in self.checked
             if pair.actuators & moving and frozenset(pair.links) not in wanted
         ]
+        groups: dict[tuple[int, int] | None, list[LinkPair]] = {}
+        if closing is not None:
+            fingers, stopped, kept = self._fingers(closing), self._stopped(closing), []
+            for pair in pairs:
+                ends = _of_two(fingers, pair.bodies)
+                if ends is None and not pair.actuators <= stopped:
+                    kept.append(pair)
+                else:
+                    groups.setdefault(ends, []).append(pair)
+            pairs = kept
+        carrying = [pair for group in groups.values() for pair in group]
         # `checked` is sorted, so that the nested pairs are the last in any selection.
         nested = sum(pair.links in self._nested for pair in pairs)
-        margins = [self.margin(pair) for pair in pairs]
-        return CollisionChecker(self._scene, self._motion, pairs, margins, nested)
+        margins = {pair.number: self.margin(pair) for pair in (*pairs, *carrying)}
+        if closing is not None:
+            near = self._near_tips(closing)
+            # Beside the tips, where other links carry the pinch as well as the tips do.
+            beside = [pair for pair in carrying if near.issuperset(pair.bodies)]
+            margins |= {pair.number: TOUCH for pair in beside}
+        clearance = self._scene.hand.clearance
+        carried = Carried(closing, groups, clearance) if closing and carrying else None
+        return CollisionChecker(self._scene, self._motion, pairs, margins, nested, carried)
+
+    def _fingers(self, closing: Closing) -> list[frozenset[int]]:
+        """Return the bodies of each finger alone: its bars, and those that carry its tip only."""
+        supports = [
+            frozenset(self._scene.kinematics.model.supports[body]) | bars
+            for body, bars in zip(closing.bodies, closing.bars, strict=True)
+        ]
+        return [
+            support.difference(*(o for k, o in enumerate(supports) if k != i))
+            for i, support in enumerate(supports)
+        ]
+
+    def _stopped(self, closing: Closing) -> frozenset[int]:
+        """Return the actuators that stand still when the pinch closes.
+
+        They are the only ones that move their finger's tip against the others. Where a finger has
+        more, it may still bend or swing with its tip held.
+        """
+        moves, stopped = self._scene.hand.transmission.moves, set[int]()
+        for number, body in enumerate(closing.bodies):
+            support = self._scene.kinematics.model.supports[body]
+            mine = {moves(joint - 1) for joint in support if joint}
+            edges = [edge.tips.actuators for edge in closing.edges if number in edge.ends]
+            closes = {a for actuators in edges for a in actuators if a in mine}
+            if len(closes) == 1:
+                stopped |= closes
+        return frozenset(stopped)
+
+    def _near_tips(self, closing: Closing) -> set[int]:
+        """Return the bodies of the tips and of the links next to them."""
+        parents = self._scene.kinematics.model.parents
+        return {*closing.bodies, *(parents[body] for body in closing.bodies)}
+
+
+def _crossing(scene: Scene, first: int, second: int) -> bool:
+    """Return whether two joints, one on the other's body, turn about axes that cross."""
+    joints = [scene.hand.joints[body - 1] for body in (first, second)]
+    if any(joint.kind is JointKind.PRISMATIC for joint in joints):
+        return False
+    placement = scene.kinematics.model.jointPlacements[second]
+    axes = [np.array(scene.hand.urdf.joints[joint.name].axis) for joint in joints]
+    across = cross(axes[0], matvec(placement.rotation, axes[1]))
+    length = norm(across)
+    # The distance of the two lines, along their common perpendicular.
+    return length > _PARALLEL and (
+        abs(dot(across, np.array(placement.translation))) <= scene.hand.clearance * length
+    )
+
+
+def _of_two(fingers: Sequence[frozenset[int]], bodies: tuple[int, int]) -> tuple[int, int] | None:
+    """Return the numbers of the two different fingers that two bodies are of, if they are."""
+    a, b = (next((i for i, own in enumerate(fingers) if body in own), None) for body in bodies)
+    return None if a is None or b is None or a == b else (min(a, b), max(a, b))
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """The links that carry a pinch, and stay apart until it closes.
+
+    Attributes:
+        closing: The pinch.
+        groups: Pairs of links, other than the tips that shall touch, by the numbers of the two
+            fingers that they are of: these have to stay apart until contacts link these two, and
+            all others until contacts link all fingers.
+        near: Distance at which tips count as touching [m].
+    """
+
+    closing: Closing
+    groups: Mapping[tuple[int, int] | None, Sequence[LinkPair]]
+    near: float
 
 
 class CollisionChecker:
@@ -154,8 +294,9 @@ class CollisionChecker:
         scene: Scene,
         motion: Motion,
         pairs: Sequence[LinkPair],
-        margins: Sequence[float],
+        margins: Mapping[int, float],
         nested: int,
+        carried: Carried | None = None,
     ) -> None:
         """Prepare checks of some pairs of links.
 
@@ -163,15 +304,17 @@ class CollisionChecker:
             scene: The hand's links.
             motion: Bounds on their motion.
             pairs: The pairs.
-            margins: The distances that they have to keep [m].
+            margins: The distances that they have to keep, by number of the pair [m].
             nested: Number of nested pairs, which are the last.
+            carried: Further pairs, which have to stay apart only until a pinch closes.
         """
         self._scene = scene
         self._motion = motion
         self.pairs = tuple(pairs)
-        self._margins = np.array(margins)
-        self._margin_of = {pair.number: margin for pair, margin in zip(pairs, margins, strict=True)}
+        self._margin_of = dict(margins)
+        self._margins = np.array([self._margin_of[pair.number] for pair in pairs])
         self._nested = nested
+        self._carried = carried
         self._spheres = Spheres(scene, self.pairs)
         self._known = DistanceBounds(motion, self.pairs)
         self._paths: dict[bytes, Blocked | None] = {}
@@ -183,8 +326,10 @@ class CollisionChecker:
     @cached_property
     def reduced(self) -> CollisionChecker:
         """A checker of the same links with a quarter of the margins."""
-        margins = np.maximum(TOUCH, self._margins * REDUCED).tolist()
-        return CollisionChecker(self._scene, self._motion, self.pairs, margins, self._nested)
+        margins = {n: max(TOUCH, margin * REDUCED) for n, margin in self._margin_of.items()}
+        return CollisionChecker(
+            self._scene, self._motion, self.pairs, margins, self._nested, self._carried
+        )
 
     def clearance(self, u: FloatArray, *, path: bool) -> float:
         """Return the least distance of the links at a posture [m], 5 mm at most.
@@ -193,7 +338,8 @@ class CollisionChecker:
             u: The posture ``(n,)``.
             path: Measure on the straight path from rest, too, at 65 places.
         """
-        scene, least = self._scene, FARTHEST_CLEARANCE
+        scene = self._scene
+        least = FARTHEST_CLEARANCE * scene.unit
         straight = self._motion.path_to(u)
         # From the pose backwards, since the least distance is usually at the end.
         for t in np.linspace(1.0, 0.0, _PLACES) if path else (1.0,):
@@ -242,8 +388,36 @@ class CollisionChecker:
         key = u.tobytes()
         # Cached, since the measurement of the evidence checks the same posture again.
         if key not in self._paths:
-            self._paths[key] = self.first_on(self._motion.path_to(u), self.pairs)
+            self._paths[key] = self.first_blocked(self._motion.path_to(u))
         return self._paths[key]
+
+    def first_blocked(self, path: StraightPath) -> Blocked | None:
+        """Return the first collision on a path, of links that carry the pinch before it closes."""
+        first, carried = self.first_on(path, self.pairs), self._carried
+        if carried is None:
+            return first
+        contacts: list[tuple[tuple[int, int], float | None]] | None = None
+        for ends, pairs in carried.groups.items():
+            early = self.first_on(path, pairs)
+            if early is None or (first is not None and first.at <= early.at):
+                continue
+            # Measured only if some links come near each other at all.
+            contacts = self._contacts(path, carried) if contacts is None else contacts
+            at = linked_at(len(carried.closing.bodies), contacts, ends)
+            closed = 1.0 if at is None else at
+            if early.at < closed:
+                first = Blocked(early.pair, early.at, closed)
+        return first
+
+    def _contacts(
+        self, path: StraightPath, carried: Carried
+    ) -> list[tuple[tuple[int, int], float | None]]:
+        """Return the intensities at which the tips come near each other."""
+        scene, motion, near = self._scene, self._motion, carried.near
+        return [
+            (e.ends, first_contact(scene, e.tips, path, motion.speed(e.tips, path), near))
+            for e in carried.closing.edges
+        ]
 
     def first_on(self, path: StraightPath, pairs: Sequence[LinkPair]) -> Blocked | None:
         """Return the first collision of these links on a path, or ``None``."""
@@ -340,13 +514,50 @@ def _runs(parts: list[tuple[float, float]]) -> list[list[float]]:
     return runs
 
 
-def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float) -> float | None:
+def linked_at(
+    size: int,
+    firsts: Sequence[tuple[tuple[int, int], float | None]],
+    ends: tuple[int, int] | None = None,
+) -> float | None:
+    """Return the least intensity at which contacts have linked all tips, or two of them.
+
+    Args:
+        size: Number of tips.
+        firsts: Pairs of tips, with the intensities at which they first touch.
+        ends: The two tips; all unless given.
+    """
+    # Contacts are added in the order in which they come on the path, until all tips are linked.
+    known = sorted((at, edge) for edge, at in firsts if at is not None)
+    for i, (at, _) in enumerate(known):
+        edges = [edge for _, edge in known[: i + 1]]
+        if linked(size, edges) or (ends is not None and _joined(edges, ends)):
+            return at
+    return None
+
+
+def _joined(edges: Sequence[tuple[int, int]], ends: tuple[int, int]) -> bool:
+    """Return whether edges connect two nodes."""
+    reached, before = {ends[0]}, 0
+    while len(reached) > before:
+        before = len(reached)
+        reached |= {node for edge in edges if reached & set(edge) for node in edge}
+    return ends[1] in reached
+
+
+def first_contact(
+    scene: Scene, pair: LinkPair, path: StraightPath, speed: float, margin: float = TOUCH
+) -> float | None:
     """Return the intensity of two links' first contact on the path, or ``None``.
 
     Uses conservative advancement (Mirtich, 1996) on the convex parts and, if these overlap, exact
     checks at most half a millimetre of motion apart.
 
-    ``speed``: bound on the speed of the links against each other per unit of the path [m].
+    Args:
+        scene: The scene.
+        pair: The links.
+        path: The path.
+        speed: Bound on the speed of the links against each other per unit of the path [m].
+        margin: Distance at which they count as touching [m].
     """
     # If the parts overlap, the gap gives no step, and the finest one is used.
     finest = max(_FINE / speed, 1.0 / _MOST) if speed > 0.0 else 1.0
@@ -354,12 +565,12 @@ def first_contact(scene: Scene, pair: LinkPair, path: StraightPath, speed: float
     while True:
         scene.place(path.at(t))
         gap = scene.at_least(pair)
-        if gap <= 0.0 and scene.touching(pair):
-            return bisect(scene, pair, path, before, t, TOUCH)
+        if gap <= margin and scene.nearer(pair, margin):
+            return bisect(scene, pair, path, before, t, margin)
         if t >= 1.0:
             return None
         before = t
-        t = min(1.0, t + max(gap / speed if speed > 0.0 else 0.0, finest))
+        t = min(1.0, t + max((gap - margin) / speed if speed > 0.0 else 0.0, finest))
 
 
 def bisect(

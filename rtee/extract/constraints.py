@@ -145,7 +145,7 @@ class Constraints:
         if self._bound(blocked.pair, y):
             return
         path = self._path(y)
-        times = np.linspace(blocked.at, 1.0, _SAMPLES, endpoint=False).tolist()
+        times = np.linspace(blocked.at, blocked.until, _SAMPLES, endpoint=False).tolist()
         overlaps = [self._overlap(blocked.pair, path, t) for t in times]
         deepest = times[int(np.argmax(overlaps))]
         known = self._of(blocked.pair, on_path=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
@@ -10,8 +10,15 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import Evidence, Posture
-from rtee.extract.collisions import REDUCED, CollisionChecker, Collisions, first_contact
-from rtee.extract.goals import TipEdge, linked
+from rtee.extract.collisions import (
+    REDUCED,
+    Closing,
+    CollisionChecker,
+    Collisions,
+    first_contact,
+    linked_at,
+)
+from rtee.extract.goals import TipEdge
 from rtee.extract.motion import Motion
 from rtee.extract.opposition import opposition
 from rtee.extract.pairs import LinkPair
@@ -57,26 +64,37 @@ class Inspector:
     collisions: Collisions
 
     @classmethod
-    def of(cls, hand: Hand) -> Inspector:
+    def of(cls, hand: Hand, unit: float = 1.0) -> Inspector:
         """Return the inspector of a hand.
+
+        Args:
+            hand: The hand.
+            unit: Length that stands for a metre of the hand as given [m].
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
         """
-        scene = Scene(hand)
+        scene = Scene(hand, unit)
         motion = Motion(scene)
         return cls(scene, motion, Collisions(scene, motion))
 
-    def checker(self, fingers: Iterable[Finger], tips: Iterable[LinkPair]) -> CollisionChecker:
+    def checker(self, fingers: Sequence[Finger], edges: Sequence[TipEdge]) -> CollisionChecker:
         """Return a checker of the links that fingers move, except tips that shall touch."""
         hand = self.scene.hand
         # Including actuators shared with other fingers, which move in the pinch, too.
         moving = {hand.actuator_index(n) for finger in fingers for n in finger.actuators}
+        kinematics = self.scene.kinematics
         links = [
-            [hand.finger(hand.tip_links[tip]).tip_links for tip in pair.links] for pair in tips
+            [hand.finger(hand.tip_links[tip]).tip_links for tip in edge.tips.links]
+            for edge in edges
         ]
+        closing = Closing(
+            tuple(kinematics.body(str(finger.tip)) for finger in fingers),
+            tuple(edges),
+            tuple(frozenset(map(kinematics.body, finger.bars)) for finger in fingers),
+        )
         meeting = (frozenset(pair) for both in links for pair in product(*both))
-        return self.collisions.checker(moving, meeting)
+        return self.collisions.checker(moving, meeting, closing)
 
     def pinch(self, u: FloatArray, tips: LinkPair, checker: CollisionChecker) -> Candidate:
         """Return a pinch with its evidence.
@@ -133,7 +151,7 @@ class Inspector:
             (edge.ends, first_contact(scene, edge.tips, path, self.motion.speed(edge.tips, path)))
             for edge in touching
         ]
-        contact_at = _linked_at(len(names), firsts)
+        contact_at = linked_at(len(names), firsts)
         evidence = replace(
             around,
             depth=_round(sum(depths)),
@@ -145,16 +163,6 @@ class Inspector:
             ),
         )
         return Candidate(u, evidence, margin)
-
-
-def _linked_at(size: int, firsts: Sequence[tuple[tuple[int, int], float | None]]) -> float | None:
-    """Return the least intensity at which contacts have linked all tips."""
-    # Contacts are added in the order in which they come on the path, until all tips are linked.
-    known = sorted((at, edge) for edge, at in firsts if at is not None)
-    for i, (at, _) in enumerate(known):
-        if linked(size, [edge for _, edge in known[: i + 1]]):
-            return at
-    return None
 
 
 def as_posture(hand: Hand, u: FloatArray, involved: Collection[str]) -> Posture:

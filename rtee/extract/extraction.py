@@ -10,12 +10,14 @@ from typing import Final
 import numpy as np
 
 from rtee.actions.types import Primitive, PrimitiveKind
+from rtee.extract.canonical import Canonical, canonical
 from rtee.extract.evidence import Inspector, as_posture
 from rtee.extract.jobs import Progress, parallel_map, processors
 from rtee.extract.kinematic import kinematic_primitives
 from rtee.extract.multi import MultiSearch
 from rtee.extract.pinch import PinchProbe, pinch_search
 from rtee.extract.ranking import FoundPinch, Rank
+from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Finger, Hand
 from rtee.hand.resting import closed_rest
 
@@ -60,15 +62,18 @@ def extract(
     """
     begun = time.perf_counter()
     primitives = kinematic_primitives(hand)
-    inspector = Inspector.of(hand)
+    form = canonical(hand)
+    inspector = Inspector.of(form.hand, form.unit)
     pinches = _pinches(
         inspector, jobs or processors(), rank, progress or (lambda done, total: None)
     )
-    primitives += [_primitive(hand, pinch) for pinch in pinches]
+    primitives += [_primitive(form, pinch) for pinch in pinches]
     # Workers return pinches in the order of tasks; files and reports list them by kind.
-    order = list(PrimitiveKind)
-    primitives.sort(key=lambda p: (order.index(p.kind), p.tips))
-    return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector))
+    order, names = list(PrimitiveKind), [*hand.finger_names, *hand.actuator_names]
+    primitives.sort(
+        key=lambda p: (order.index(p.kind), p.tips, [names.index(e) for e in p.elements])
+    )
+    return Extraction(tuple(primitives), time.perf_counter() - begun, _notes(inspector, form))
 
 
 def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) -> list[FoundPinch]:
@@ -109,21 +114,24 @@ def _pinches(inspector: Inspector, jobs: int, rank: Rank, progress: Progress) ->
     return [pinch for pinch in pinches if pinch is not None]
 
 
-def _primitive(hand: Hand, pinch: FoundPinch) -> Primitive:
-    involved = {name for finger in pinch.fingers for name in hand.finger(finger).actuators}
+def _primitive(form: Canonical, pinch: FoundPinch) -> Primitive:
+    hand, fingers = form.source, form.fingers(pinch.fingers)
+    involved = {name for finger in fingers for name in hand.finger(finger).actuators}
     return Primitive(
         pinch.kind,
-        pinch.fingers,
-        tuple(as_posture(hand, candidate.u, involved) for candidate in pinch.candidates),
-        tuple(candidate.evidence for candidate in pinch.candidates),
-        tips=len(pinch.fingers),
-        fingers=pinch.fingers,
+        fingers,
+        tuple(as_posture(hand, form.posture(c.u), involved) for c in pinch.candidates),
+        tuple(form.evidence(c.evidence, pinch.fingers) for c in pinch.candidates),
+        tips=len(fingers),
+        fingers=fingers,
     )
 
 
-def _notes(inspector: Inspector) -> tuple[str, ...]:
+def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     notes = []
-    extents = {s.link: float(np.ptp(s.box, axis=0).max()) for s in inspector.scene.shapes}
+    extents = {
+        s.link: float(np.ptp(s.box, axis=0).max()) / form.unit for s in inspector.scene.shapes
+    }
     largest = max(extents, key=extents.__getitem__, default="")
     if largest and extents[largest] > _LARGE:
         notes.append(
@@ -132,9 +140,9 @@ def _notes(inspector: Inspector) -> tuple[str, ...]:
         )
     pairs = inspector.collisions.at_rest
     if pairs:
-        named = ", ".join(f"{a} and {b}" for a, b in pairs)
+        named = ", ".join(f"{a} and {b}" for a, b in sorted(map(sorted, pairs)))
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
-    closed = closed_rest(inspector.scene.geometry)
+    closed = closed_rest(HandGeometry(form.source))
     if closed is not None:
         notes.append(closed.text)
     return tuple(notes)

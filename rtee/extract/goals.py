@@ -73,7 +73,7 @@ class GoalFunction:
 
     def stored(self, y: FloatArray) -> FloatArray:
         """Return the posture ``(n,)`` at coordinates ``(k,)``, rounded as stored."""
-        return rounded(self.scene.hand, self.space.posture(y))
+        return rounded(self.scene.hand, self.space.posture(y), self.scene.unit)
 
 
 class PinchGoal:

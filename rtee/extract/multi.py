@@ -24,7 +24,7 @@ _MOST_TREES: Final = 4
 """Most spanning trees from which starts are combined; the hands in ``config/`` have no more."""
 
 _BUDGET: Final = SearchBudget(
-    pool=3, attempts=2, pushes=4, recalibrations=2, trust_steps=5, path_rounds=2, settle=False
+    pool=6, attempts=4, pushes=8, recalibrations=6, trust_steps=12, path_rounds=4, extra_attempts=2
 )
 """Budget for several tips, for which more starts find nothing better."""
 
@@ -63,7 +63,7 @@ class MultiSearch:
         touching = next(touching_postures(function, (m.y for m in result.polished)), None)
         if touching is None:
             return None
-        checker = self.inspector.checker(self.fingers, [edge.tips for edge in edges])
+        checker = self.inspector.checker(self.fingers, edges)
         names = tuple(finger.name for finger in self.fingers)
 
         def candidate(u: FloatArray) -> Candidate:

@@ -105,7 +105,8 @@ def _meet(
     scene: Scene, shapes: Sequence[int], line: FloatArray, centre: FloatArray
 ) -> FloatArray | None:
     """Return the first contact point, on the ball, of a tip that closes along a line [m]."""
-    ball = coal.Sphere(BALL)
+    radius = BALL * scene.unit
+    ball = coal.Sphere(radius)
     # The ball moves instead of the tip, so that the scene stays unchanged.
     gap, towards = _gap(scene, shapes, ball, centre)
     if gap > 0.0:
@@ -116,9 +117,9 @@ def _meet(
             if drawn_back < -_FAR:
                 return None
             gap, towards = _gap(scene, shapes, ball, centre + drawn_back * line)
-        return _on_ball(centre, towards)
+        return centre + radius * towards
     # The tip overlaps the ball; move it back until it leaves the ball, then bisect.
-    low, high = 0.0, BALL
+    low, high = 0.0, radius
     while _gap(scene, shapes, ball, centre + high * line)[0] <= 0.0:
         low, high = high, 2.0 * high
         if high > _FAR:
@@ -129,11 +130,7 @@ def _meet(
             low = middle
         else:
             high = middle
-    return _on_ball(centre, _gap(scene, shapes, ball, centre + high * line)[1])
-
-
-def _on_ball(centre: FloatArray, towards: FloatArray) -> FloatArray:
-    contact: FloatArray = centre + BALL * towards
+    contact: FloatArray = centre + radius * _gap(scene, shapes, ball, centre + high * line)[1]
     return contact
 
 

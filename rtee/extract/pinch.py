@@ -9,8 +9,9 @@ from typing import Final
 from rtee.actions.types import PrimitiveKind
 from rtee.extract.collision_free import SearchBudget, clear_postures, touching_postures
 from rtee.extract.descent import descend
+from rtee.extract.distance_queries import TOUCH
 from rtee.extract.evidence import Inspector
-from rtee.extract.goals import GapGoal, GoalFunction, PinchGoal, SeparationGoal
+from rtee.extract.goals import GapGoal, GoalFunction, PinchGoal, SeparationGoal, TipEdge
 from rtee.extract.pairs import LinkPair
 from rtee.extract.ranking import Candidate, FoundPinch, Rank, ranked
 from rtee.extract.resolution import FINE
@@ -71,10 +72,10 @@ class PinchSearch:
         if pinch.touching(space.posture(space.rest)) and not self._can_separate():
             return None
         found = minima(pinch)
-        contacts = self._contacts(pinch, [m.y for m in found.polished if m.value <= 0.0])
+        contacts = self._contacts(pinch, [m.y for m in found.polished if m.value <= TOUCH])
         touching = tuple(touching_postures(pinch, contacts))
         if touching:
-            explored = tuple(m.y for m in found.explored if m.value <= 0.0)
+            explored = tuple(m.y for m in found.explored if m.value <= TOUCH)
             starts = explored or (space.coordinates(touching[0]),)
             return PinchProbe(PrimitiveKind.PINCH_TIGHT, starts, touching, space.posture(starts[0]))
         if self._could_meet():
@@ -85,7 +86,7 @@ class PinchSearch:
     def finish(self, probe: PinchProbe) -> FoundPinch:
         """Return the pinch with its postures, ranked, and their evidence."""
         inspector, most = self._inspector, _MOST[self._rank]
-        checker = inspector.checker(self._fingers, [self._tips])
+        checker = inspector.checker(self._fingers, [TipEdge((0, 1), self._tips)])
 
         def candidates_of(postures: Sequence[FloatArray]) -> list[Candidate]:
             return [inspector.pinch(u, self._tips, checker) for u in postures]
@@ -119,7 +120,7 @@ class PinchSearch:
         wide = make_space(self._hand, sorted(self._tips.actuators), limits)
         function = GoalFunction(self._scene, self._pinch.goal, wide)
         # Overlap of the convex parts is necessary for contact, and cheap to measure.
-        deep = [m.y for m in minima(function).polished if m.value <= 0.0]
+        deep = [m.y for m in minima(function).polished if m.value <= TOUCH]
         return bool(self._contacts(function, deep))
 
     def _closest(self, starts: Sequence[FloatArray]) -> FloatArray:

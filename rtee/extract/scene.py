@@ -62,15 +62,21 @@ class Scene:
         joints: Joint positions at the posture ``(m,)`` [rad | m].
         query_cost: Cost of queries of original meshes so far, in units of a contact query.
         tips: The pairs of fingertips that actuators move against each other, in the fingers' order.
+        unit: Length that stands for a metre of the hand as given [m].
     """
 
-    def __init__(self, hand: Hand) -> None:
+    def __init__(self, hand: Hand, unit: float = 1.0) -> None:
         """Read the geometry of a hand.
+
+        Args:
+            hand: The hand, whose lengths may be multiples of those of the hand as given.
+            unit: Length that stands for a metre there [m].
 
         Raises:
             ModelError: A mesh is missing or cannot be read.
         """
         self.hand = hand
+        self.unit = unit
         self.kinematics = Kinematics(hand)
         self.geometry = HandGeometry(hand, self.kinematics)
         self.couplings = Couplings(hand)

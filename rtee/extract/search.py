@@ -38,21 +38,21 @@ class SearchEffort:
     """
 
     screened: int = 192
-    starts: int = 12
+    starts: int = 20
     quick: int = 28
     rounds: int = 0
     parents: int = 6
     children: int = 4
     places: int = 0
     moved: int = 2
-    kept: int = 3
-    polish: int = 22
+    kept: int = 5
+    polish: int = 40
     again: int = 3
 
 
 PAIR: Final = SearchEffort()
-SEVERAL: Final = SearchEffort(screened=32, starts=3, rounds=2, places=16, kept=2, again=1)
-MANY: Final = SearchEffort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=2, polish=40)
+SEVERAL: Final = SearchEffort(screened=32, starts=3, rounds=2, places=16, kept=3, again=2)
+MANY: Final = SearchEffort(screened=32, starts=3, quick=90, rounds=2, places=16, kept=3, polish=60)
 """Limits for several tips moved by more than `FEW` actuators."""
 
 FEW: Final = 9

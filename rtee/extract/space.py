@@ -17,6 +17,10 @@ from rtee.types import JointKind
 DECIMALS: Final = 6
 """Decimals of stored postures: a millionth of a radian or metre."""
 
+_AT_LIMIT: Final = 1.5e-6
+"""Distance of an actuator from a limit below which it is stored at the limit [rad | m]: a unit of
+what is stored, and half of one for rounding."""
+
 
 @dataclass(frozen=True)
 class Space:
@@ -96,13 +100,26 @@ def make_space(
     return Space(hand.rest, index, lower[index], upper[index] - lower[index])
 
 
-def rounded(hand: Hand, u: FloatArray) -> FloatArray:
-    """Return a posture rounded as stored, but never beyond the limits."""
+def rounded(hand: Hand, u: FloatArray, unit: float = 1.0) -> FloatArray:
+    """Return a posture rounded as stored, but never beyond the limits.
+
+    Args:
+        hand: The hand.
+        u: The posture ``(n,)`` [rad | m].
+        unit: Length that stands for a metre in what is stored [m].
+    """
     # Adding 0 turns -0.0 into 0.0.
     result = np.round(u, DECIMALS) + 0.0
     for i, spec in enumerate(hand.actuators):
+        scale = unit if spec.kind is JointKind.PRISMATIC else 1.0
+        if scale != 1.0:
+            result[i] = round(u[i] / scale, DECIMALS) * scale + 0.0
         # An actuator at rest stays exactly there, even if its rest has more decimals.
         if u[i] == spec.rest:
             result[i] = spec.rest
+        for bound in (spec.lower, spec.upper):
+            # Tips that just touch at a limit would not do so a rounding error before it.
+            if abs(result[i] - bound) <= _AT_LIMIT * scale:
+                result[i] = bound
         result[i] = min(max(result[i], spec.lower), spec.upper)
     return result

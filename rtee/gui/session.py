@@ -15,8 +15,9 @@ import numpy as np
 import viser
 
 from rtee import monotonic
+from rtee.actions.describe import deeper_text
 from rtee.actions.sideways import sideways_words
-from rtee.actions.types import Action, ActionKind, Evidence, Posture
+from rtee.actions.types import Action, ActionKind, Evidence, Posture, Primitive
 from rtee.errors import ConfigError, RequestRejected, RteeError
 from rtee.gui.bridge import Bridge
 from rtee.gui.history import LONGEST
@@ -112,7 +113,7 @@ class Session:
             self._header = Header(bridge, remote)
         self._tabs = gui.add_tab_group()
         with self._tabs.add_tab("Actions"):
-            self._actions = ActionsPanel(bridge, remote, self._show, partial(sideways_words, hand))
+            self._actions = ActionsPanel(bridge, remote, self._show, partial(_remark, hand))
         with self._tabs.add_tab("Make"):
             self._making = MakingPanel(bridge, remote, hand)
         with self._tabs.add_tab("Try"):
@@ -349,3 +350,10 @@ class Session:
         self._actions.remove()
         self._tabs.remove()
         self._panel.remove()
+
+
+def _remark(hand: Hand, action: Action) -> str:
+    """Return what people should know of an action before they start it, or ``""``."""
+    if isinstance(action, Primitive) and (deeper := deeper_text(action)):
+        return deeper
+    return sideways_words(hand, action)

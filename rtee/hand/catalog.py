@@ -90,8 +90,8 @@ def fingerprint(folder: Path) -> str:
 
 
 def model_fingerprint(folder: Path) -> str:
-    """Return the same of the model, the configuration and the primitives, without other actions."""
-    return _digest(folder, [*_model(folder), *(folder / "actions/primitives").rglob("*.yaml")])
+    """Return the same of the model and the configuration, without actions."""
+    return _digest(folder, _model(folder))
 
 
 def _model(folder: Path) -> list[Path]:

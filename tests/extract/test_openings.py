@@ -57,7 +57,7 @@ def test_levers_are_the_slope_of_the_opening_by_virtual_work() -> None:
     opening = known.openings.of(known.find("PinchTight", ("finger_2", "thumb")))
     hand, posture = known.hand, known.find("PinchTight").waypoints[-1]
     way = {name: posture.position[name] - hand.actuator(name).rest for name in opening.actuators}
-    for intensity in (0.2, 0.5, 0.7):
+    for intensity in (0.2, 0.4, 0.6):  # before the tips touch, at 0.68
         levers = opening.levers_at(intensity)
         slope = (opening.at(intensity - 0.01) - opening.at(intensity + 0.01)) / 0.02
         assert sum(levers[n] * way[n] for n in way) == pytest.approx(slope, rel=0.05)

@@ -136,14 +136,22 @@ def test_stored_postures_touch_and_are_clear_as_their_evidence_says(
 
 
 def colliding(scene: Scene, elements: tuple[str, ...]) -> set[frozenset[str]]:
-    """Return what else collides where the scene is placed and does not at rest."""
+    """Return what else collides where the scene is placed, does not at rest, and may not there."""
     hand = scene.hand
     tips = frozenset(str(hand.finger(element).tip) for element in elements)
     parents = scene.kinematics.model.parents
+    fingers = [set(hand.finger(element).links) for element in elements]
+    own = [links.difference(*(o for o in fingers if o is not links)) for links in fingers]
+
+    def until_contact(links: tuple[str, str]) -> bool:
+        """Return whether links of two fingers hold each other as soon as the tips meet."""
+        return all(mine & set(links) for mine in own)
+
     pairs = [
         pair
         for pair in scene.pairs.values()
-        if parents[pair.bodies[0]] != pair.bodies[1]
+        if not until_contact(pair.links)
+        and parents[pair.bodies[0]] != pair.bodies[1]
         and parents[pair.bodies[1]] != pair.bodies[0]
         and frozenset(pair.links) != tips
     ]

@@ -63,5 +63,7 @@ def test_rounded_postures_stay_within_the_limits(shares: list[float]) -> None:
     stored = rounded(hand, u)
     assert (stored >= hand.lower).all()
     assert (stored <= hand.upper).all()
-    assert np.abs(stored - u).max() <= 5.1e-7
+    # At a limit, a unit and a half may be missing: tips that just touch there would not before it.
+    at_limit = (stored == hand.lower) | (stored == hand.upper)
+    assert (np.abs(stored - u) <= np.where(at_limit, 2.1e-6, 5.1e-7)).all()
     np.testing.assert_array_equal(rounded(hand, stored), stored)
