@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from rtee.actions.build import generic
+from rtee.actions.build import full_posture, generic
+from rtee.actions.describe import deeper_text
 from rtee.actions.documents import CUSTOM
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import (
@@ -38,6 +40,31 @@ def test_counted_kinds_resolve_without_their_count(library: ActionLibrary) -> No
     assert library.find("MultiPinchTight", ("thumb", "middle", "index")).name == "MultiPinchTight_3"
     assert library.find("multipinchtight_3", ("thumb", "middle", "index"))
     assert library.find("singleJointMultipleTips", ("spread",)).name == "SingleJointMultipleTips_3"
+
+
+def test_the_deepest_posture_of_a_pinch_is_asked_for_by_name(
+    library: ActionLibrary, hand: Hand
+) -> None:
+    found = library.find("PinchTight", ("index", "thumb"))
+    assert isinstance(found, Primitive)
+    shallow = replace(found.evidence[0], depth=0.001, clear=True, path_clear=True)
+    deep = replace(found.evidence[0], depth=0.003, clear=False)
+    postures = (found.posture, full_posture(hand, {"index_joint": 1.1, "thumb_joint": 0.9}))
+    both = replace(found, postures=postures, evidence=(shallow, deep))
+    actions = [both if action is found else action for action in library]
+    other = ActionLibrary(hand, actions)
+    for name in ("PinchTight@deepest", "pinch_tight@Deepest"):
+        deepest = other.find(name, ("thumb", "index"))
+        assert isinstance(deepest, Primitive)
+        assert (deepest.posture, deepest.evidence[0]) == (postures[1], deep)
+    assert other.find("PinchTight", ("index", "thumb")) is both
+    assert both.deeper == deep
+    assert deeper_text(both) == "deepest 3.0 mm, not clear: PinchTight@deepest"
+    assert deeper_text(found) == ""
+    with pytest.raises(ActionError, match="only 'PinchTight@deepest' asks for another posture"):
+        other.find("PinchTight@second", ("index", "thumb"))
+    with pytest.raises(ActionError, match="is no pinch"):
+        other.find("Trig@deepest", ("index",))
 
 
 def test_elements_are_needed_only_where_there_is_a_choice(library: ActionLibrary) -> None:

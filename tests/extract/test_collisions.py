@@ -8,6 +8,7 @@ import pytest
 from extract.models import Model, box, sphere
 from rtee.extract.collisions import CollisionChecker, first_contact
 from rtee.extract.evidence import Inspector
+from rtee.extract.goals import TipEdge
 from rtee.extract.motion import DistanceBounds, Motion
 from rtee.extract.scene import Scene
 from rtee.hand.load import load_hand
@@ -24,6 +25,79 @@ def gantry(*posts: str, length: float = 1.0) -> Model:
 
 def checker(inspector: Inspector) -> CollisionChecker:
     return inspector.collisions.checker(range(len(inspector.scene.hand.actuators)), [])
+
+
+def pinching(*, gap: float, shoulder: float) -> Model:
+    """Return two fingers that close on each other; one has a shoulder that comes near the other.
+
+    The tips are ``gap`` apart at rest; the shoulders, on links of their own, by ``shoulder`` more.
+    """
+    model = Model()
+    for name, side in (("left", -1), ("right", 1)):
+        model.link(f"{name}_root", sphere(0.002, (0, 0, -0.2 - 0.1 * side)))
+        model.joint(
+            f"{name}_x",
+            "base",
+            f"{name}_root",
+            kind="prismatic",
+            axis=(-side, 0, 0),
+            xyz=(side * (gap / 2 + 0.01), 0, 0),
+            limits=(0, 0.05),
+        )
+        model.link(f"{name}_mid", sphere(0.01, (side * shoulder / 2, 0, -0.05)))
+        model.joint(f"{name}_bend", f"{name}_root", f"{name}_mid", axis=(0, 1, 0))
+        model.link(f"{name}_tip", sphere(0.01))
+        model.joint(f"{name}_turn", f"{name}_mid", f"{name}_tip", axis=(0, 0, 1))
+        model.finger(name, f"{name}_tip")
+    return model
+
+
+@pytest.mark.parametrize(
+    ("shoulder", "blocked"), [(0.004, False), (0.0005, False), (-0.0005, False), (-0.003, True)]
+)
+def test_links_beside_the_tips_may_touch_with_them_but_not_before(
+    shoulder: float, blocked: bool, tmp_path: Path
+) -> None:
+    inspector = Inspector.of(pinching(gap=0.02, shoulder=shoulder).load(tmp_path))
+    hand, scene = inspector.scene.hand, inspector.scene
+    tips = scene.tips["left_tip", "right_tip"]
+    found = inspector.checker(hand.fingers, [TipEdge((0, 1), tips)])
+    goal = hand.rest.copy()
+    for name in ("left_x", "right_x"):
+        goal[hand.actuator_index(name)] = 0.015
+    assert found.at(goal) == []
+    hit = found.blocked(goal)
+    assert (hit is not None) is blocked
+    if hit is not None:
+        assert hit.pair.links == ("left_mid", "right_mid")
+        assert hit.at < hit.until
+
+
+def test_all_of_a_gripper_with_one_actuator_stands_still_at_the_contact(tmp_path: Path) -> None:
+    model = Model().link("post", box((0.002, 0.2, 0.2), (0.03, 0.2, 0)))
+    model.joint("stand", "base", "post", kind="fixed")
+    arm = box((0.002, 0.02, 0.002), (0, 0.2, 0))
+    follow = '<mimic joint="left" multiplier="1"/>'
+    for name, side, mimic in (("left", -1, ""), ("right", 1, follow)):
+        model.link(f"{name}_slide", arm if side < 0 else sphere(0.001, (0, -0.2, 0)))
+        model.joint(
+            name,
+            "base",
+            f"{name}_slide",
+            kind="prismatic",
+            axis=(-side, 0, 0),
+            xyz=(0.02 * side, 0, 0),
+            limits=(0, 0.06),
+            mimic=mimic,
+        )
+        model.link(name, sphere(0.01)).joint(f"{name}_weld", f"{name}_slide", name, kind="fixed")
+        model.finger(name, name)
+    inspector = Inspector.of(model.load(tmp_path))
+    hand, scene = inspector.scene.hand, inspector.scene
+    checker = inspector.checker(hand.fingers, [TipEdge((0, 1), scene.tips["left", "right"])])
+    assert checker.pairs == ()
+    # The arm would reach the post only far behind the contact of the tips.
+    assert checker.blocked(np.array([0.055])) is None
 
 
 def test_a_post_thinner_than_a_step_blocks_the_way(tmp_path: Path) -> None:
