@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,8 @@ def test_clear_poses_of_shipped_hands_keep_what_their_evidence_says(name: str) -
             if (str(a.tip), str(b.tip)) in scene.tips
         ]
         checker = inspector.checker(fingers, edges)
-        tips = {frozenset(edge.tips.links) for edge in edges}
+        parts = [finger.tip_links for finger in fingers]
+        tips = {frozenset(p) for e in edges for p in product(*(parts[i] for i in e.ends))}
         moving = {hand.actuator_index(a) for finger in fingers for a in finger.actuators}
         asked = {pair.number for pair in checker.pairs}
         until_closed = [
