@@ -319,15 +319,14 @@ def subtree_of(root: str | None, outside: Outside) -> Subtree | None:
 
 
 def check_files() -> None:
-    """Check that this process may open enough files; with too few, the Zenoh library panics.
+    """Let this process open as many files as it may; with too few, the Zenoh library panics.
 
-    Raises `ConfigError` if the shell's limit is too low.
+    Raises `ConfigError` if the limit is too low.
     """
-    import resource
+    from rtee.remote.connections import raise_file_limit
 
-    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    # RLIM_INFINITY is -1, which would look like too few.
-    if limit != resource.RLIM_INFINITY and limit < _FILES:
+    limit = raise_file_limit()
+    if 0 <= limit < _FILES:
         raise ConfigError(
             f"only {limit} files may be open at once; raise the limit with 'ulimit -n 1024'"
         )

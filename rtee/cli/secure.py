@@ -151,7 +151,7 @@ def checks(name: str, service: Needs | None = None) -> list[Check]:
         if known.hidden:
             text = f"in {known.folder}, which is not yours to read"
             return [warning("certificate", text, f"sudo rtee doctor {name}")]
-        known.settings()
+        known.files()
     except ConfigError as error:
         return [wrong("network", str(error), f"{command} init {hand.name}")]
     left = (known.until - time.time()) / _DAY

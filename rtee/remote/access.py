@@ -28,6 +28,19 @@ from rtee.messages.requests import (
 from rtee.messages.topics import PUBLISHED
 from rtee.remote.session import LOCAL
 
+_MESSAGES = (
+    "put",
+    "delete",
+    "query",
+    "reply",
+    "declare_subscriber",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+"""All messages that Zenoh judges."""
+
 _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 """Protocols that admit anybody who reaches the endpoint."""
 
@@ -35,22 +48,55 @@ _UNPROTECTED = ("tcp", "udp", "quic", "ws", "serial", "unixpipe", "vsock")
 def access_control(hand: str, people: Mapping[str, Role], *, plain: bool) -> dict[str, Any]:
     """Return Zenoh's ``access_control`` for a hand.
 
-    The roles go by common name of the certificates that are or may later be admitted; with
-    ``plain``, clients without certificates are admitted.
+    The roles go by common name of the certificates that are or may later be admitted, which come
+    through the hand's door (`gate_access_control`), and so through its Unix socket; with ``plain``,
+    clients without certificates are admitted.
     """
-    ways = {HERE: Role.MAINTAINER} | ({PLAIN: Role.MAINTAINER} if plain else {}) | dict(people)
-    subjects = [_subject(way) for way in ways]
+    here = {HERE: Role.MAINTAINER, **people}
+    subjects = {HERE: here} | ({PLAIN: {PLAIN: Role.MAINTAINER}} if plain else {})
+    return _allowed(hand, subjects)
+
+
+def gate_access_control(hand: str, zid: str, name: str, role: Role) -> dict[str, Any]:
+    """Return Zenoh's ``access_control`` for the gateway of one certificate to a hand.
+
+    Args:
+        hand: The hand.
+        zid: Identifier of its session of Zenoh.
+        name: Common name of the certificate.
+        role: Its role.
+    """
+    settings = _allowed(hand, {HERE: {name: role}})
+    settings["rules"].append(
+        {
+            "id": "all",
+            "permission": "allow",
+            "flows": ["ingress", "egress"],
+            "messages": list(_MESSAGES),
+            "key_exprs": ["**"],
+        }
+    )
+    # The hand itself, and what goes to it, which was judged when it came in.
+    settings["subjects"].append({"id": "hand", "zids": [zid]})
+    settings["policies"].append({"rules": ["all"], "subjects": ["hand"]})
+    return settings
+
+
+def _allowed(hand: str, subjects: Mapping[str, Mapping[str, Role]]) -> dict[str, Any]:
+    """Return ``access_control`` by which each subject may use some access paths, in a role each."""
+    ways = {way: role for allowed in subjects.values() for way, role in allowed.items()}
     common = [*_announcements(hand), *_presence(hand)]
     own = {way: [*_requests(hand, role, way), *_topics(hand, way)] for way, role in ways.items()}
-    policies = [{"rules": [rule["id"] for rule in common], "subjects": list(ways)}]
+    policies = [{"rules": [rule["id"] for rule in common], "subjects": list(subjects)}]
     policies += [
-        {"rules": [rule["id"] for rule in rules], "subjects": [way]} for way, rules in own.items()
+        {"rules": [rule["id"] for way in allowed for rule in own[way]], "subjects": [subject]}
+        for subject, allowed in subjects.items()
     ]
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": [*common, *(rule for rules in own.values() for rule in rules)],
-        "subjects": subjects,
+        "subjects": [_subject(subject) for subject in subjects],
         "policies": policies,
     }
 

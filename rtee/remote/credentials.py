@@ -164,8 +164,8 @@ class Credentials:
         """The admitted people, by the common names in their certificates."""
         return {common_name(entry.name): entry for entry in self.people if not entry.revoked}
 
-    def settings(self) -> dict[str, Any]:
-        """Return Zenoh's settings for listening with these certificates.
+    def files(self) -> dict[str, str]:
+        """Return the files to listen with: ``authority``, ``certificate`` and ``key``.
 
         Raises `ConfigError` if a file is missing, or others can read the key.
         """
@@ -177,11 +177,9 @@ class Credentials:
                 )
         check_private(self.folder / HAND_KEY)
         return {
-            "transport/link/tls/root_ca_certificate": str(self.folder / AUTHORITY),
-            "transport/link/tls/listen_private_key": str(self.folder / HAND_KEY),
-            "transport/link/tls/listen_certificate": str(self.folder / HAND),
-            "transport/link/tls/enable_mtls": True,
-            "transport/link/tls/close_link_on_expiration": True,
+            "authority": str(self.folder / AUTHORITY),
+            "certificate": str(self.folder / HAND),
+            "key": str(self.folder / HAND_KEY),
         }
 
 

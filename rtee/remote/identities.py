@@ -19,7 +19,7 @@ from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
-from rtee.remote.incoming_request import IncomingRequest, accepted
+from rtee.remote.incoming_request import Check, IncomingRequest, accepted
 from rtee.remote.rates import REFUSALS, Ignored, Rates
 
 _MOST_CLIENTS = 64
@@ -92,6 +92,7 @@ class Identities:
         self._lock = threading.Lock()
         # One allowance for all: a stranger could change its name and so get a new one.
         self._strangers = Rates()
+        self._greeters: dict[str, Rates] = {}
         self._there: dict[str, Client] = {}
         self._by_token: dict[str, Client] = {}
         self._gone: OrderedDict[str, Client] = OrderedDict()
@@ -229,11 +230,19 @@ class Identities:
         if (client := self._there.get(name)) is not None:
             client.rates.charge(size)
 
-    def welcome(self, request: Request, attachment: bytes | None, question: bytes) -> str:
-        """Return the name of a client that says hello, which is empty; raises `Ignored`."""
-        if not self._strangers.allow(request.name):
-            raise Ignored
-        return ""
+    def welcome(self, way: str) -> Check:
+        """Return the check of a client that says hello on an access path; its name is empty."""
+
+        def check(request: Request, attachment: bytes | None, question: bytes) -> str:
+            # Each path has an allowance of its own: a flood on one keeps nobody out on another.
+            known = way if self._admitted(way) is not None else ""
+            with self._lock:
+                rates = self._greeters.setdefault(known, Rates())
+            if not rates.allow(request.name):
+                raise Ignored
+            return ""
+
+        return check
 
     def answers_junk(self) -> bool:
         """Return whether to answer one more message that is not a request with the reason."""

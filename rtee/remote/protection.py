@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 from rtee.errors import ConfigError
 from rtee.hand.config_schema import SecuritySettings
 from rtee.messages.requests import HERE, PLAIN, Role
-from rtee.remote.access import access_control
+from rtee.remote.access import access_control, gate_access_control
 from rtee.remote.credentials import Credentials, person, secure_folder
 from rtee.remote.identities import Admitted, admit_local
 from rtee.remote.session import TLS, is_safe
@@ -71,6 +71,11 @@ def exposed(endpoints: Endpoints) -> list[str]:
 class Protection:
     """The rights of a hand's clients, by their access path, and Zenoh's settings.
 
+    Attributes:
+        settings: Zenoh's settings for the hand.
+        certificates: Files with ``authority``, ``certificate`` and ``key`` for its door, if it
+            listens on TLS.
+
     Raises `ConfigError` if an endpoint admits everybody and hand.yaml does not allow it, or there
     are no certificates.
     """
@@ -86,18 +91,28 @@ class Protection:
         plain = [each for each in endpoints.listen if not each.startswith(TLS)]
         # Messages through a router carry no certificate of the client behind it.
         self._plain = bool(plain or endpoints.connect)
-        self.settings: dict[str, Any] = {}
         self._hand = hand
         self._credentials = credentials_of(hand, endpoints)
+        self.certificates: Mapping[str, str] = {}
         self._known: dict[str, Role] = {}
         self._admitted: dict[str, Admitted] = {}
         if self._credentials is not None:
-            self.settings |= self._credentials.settings()
+            self.certificates = self._credentials.files()
             self._look_up(self._credentials)
             admitted = {name: rights.role for name, rights in self._admitted.items()}
             # Zenoh reads its rules once, so they must include the names of later certificates.
             self._known = {**self._credentials.spare, **admitted}
-        self.settings["access_control"] = access_control(hand, self._known, plain=self._plain)
+        self.settings = {"access_control": access_control(hand, self._known, plain=self._plain)}
+
+    def rules(self, zid: str) -> dict[str, Any]:
+        """Return Zenoh's rules for the gateways of the hand's door, by common name.
+
+        ``zid`` identifies the hand's session of Zenoh.
+        """
+        return {
+            name: gate_access_control(self._hand, zid, name, role)
+            for name, role in self._known.items()
+        }
 
     @property
     def people(self) -> Collection[str]:

@@ -36,7 +36,9 @@ from rtee.messages.requests import (
 )
 from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
+from rtee.remote.connections import Connections
 from rtee.remote.directory import claimed
+from rtee.remote.door import Door
 from rtee.remote.goal_records import GoalRecords
 from rtee.remote.identities import Identities
 from rtee.remote.inboxes import Inboxes
@@ -57,7 +59,7 @@ from rtee.remote.outlets import Outlets
 from rtee.remote.protection import Endpoints, Protection
 from rtee.remote.publishing import Publisher, Streams
 from rtee.remote.query_handlers import QueryHandlers, Recording
-from rtee.remote.session import DELIVER, direct, disable_linger, fits, open_server
+from rtee.remote.session import DELIVER, TLS, direct, fits, open_server
 from rtee.remote.stopping import SUFFIX, StopSocket
 
 T = TypeVar("T")
@@ -148,10 +150,14 @@ class Server:
                 folder = await in_thread(partial(TemporaryDirectory, prefix="rtee-"))
                 stack.push_async_callback(in_thread, folder.cleanup)
                 socket = Path(folder.name) / "hand.sock"
+            outside = [each for each in settings.listen if each.startswith(TLS)]
+            others = [each for each in settings.listen if each not in outside]
             session, endpoint = await in_thread(
-                open_server, socket, settings.listen, settings.connect, protection.settings
+                open_server, socket, others, settings.connect, protection.settings
             )
             stack.push_async_callback(in_thread, session.close)
+            connections = Connections(session, str(socket))
+            stack.push_async_callback(in_thread, connections.close)
             outlets = Outlets(session, hand.name, protection.people)
             streams = Streams(outlets, hand, loop.settings.rate, settings.state_rate)
             stack.push_async_callback(in_thread, streams.close)
@@ -168,8 +174,24 @@ class Server:
             stack.callback(loop.remove_observer, publisher)
             server.declare()
 
+            door: Door | None = None
+            if outside:
+                zid = str(session.info.zid())
+                door = await in_thread(
+                    Door,
+                    endpoint,
+                    zid,
+                    outside,
+                    protection.certificates,
+                    protection.rules(zid),
+                    protection.people,
+                )
+                stack.push_async_callback(in_thread, door.close)
+
             def admit(people: Collection[str], revoked: Collection[str]) -> None:
                 outlets.admit(people)
+                if door is not None:
+                    door.admit(people)
                 # A client whose certificate was revoked must not keep the lease.
                 for client in identities.of(revoked):
                     commands.client_left(client)
@@ -215,7 +237,7 @@ class Server:
 
         replier = self._replier(query, self.outbox)
         later = self._later(query, replier)
-        check, junk = self._identities.welcome, self._identities.answers_junk
+        check, junk = self._identities.welcome(last_part(query)), self._identities.answers_junk
         handle_request(query, HELLO, check, handle, replier, later, junk)
 
     def _on_stop(self, query: zenoh.Query) -> None:
@@ -311,8 +333,6 @@ class Server:
     def _on_client(self, sample: zenoh.Sample) -> None:
         token = str(sample.key_expr).rpartition("/")[2]
         if sample.kind == zenoh.SampleKind.PUT:
-            # A new client has a new connection, on which Zenoh has set SO_LINGER.
-            disable_linger()
             self._identities.came(token)
         elif client := self._identities.left(token):
             self.inboxes.remove(client)

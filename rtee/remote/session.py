@@ -11,8 +11,8 @@ import ipaddress
 import json
 import os
 import re
+import resource
 import socket
-import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +22,7 @@ import zenoh
 
 from rtee.errors import ConfigError, NoHand
 from rtee.messages.requests import HERE, PLAIN
+from rtee.remote.connections import disable_linger
 from rtee.remote.credentials import identity
 
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
@@ -75,22 +76,17 @@ LARGEST = 1 << 20
 """Largest message that a hand assembles [bytes]: sixteen times the longest request. Zenoh's own
 limit is 1 GiB for each client."""
 
-MOST_SESSIONS = 128
+_MOST_SESSIONS = 128
 """Most connections that a hand accepts: far more than a hand has clients, but bounded."""
+
+_RESERVED = 64
+"""Files that connections leave for devices, the recording and stops; a hand has about 25."""
 
 _CONNECT_WITHIN = 10
 """Time to open a session with a listening endpoint [s]: over a VPN it takes up to 1 s."""
 
 _PROBE_WITHIN = 3.0
 """Time until a connection must be accepted [s]: TCP repeats a lost first packet after 1 s."""
-
-_LINGER = (socket.SOL_SOCKET, socket.SO_LINGER)
-
-_ZENOH_LINGER = struct.pack("ii", 1, 10)
-"""SO_LINGER as Zenoh sets it: on, 10 s."""
-
-_NO_LINGER = struct.pack("ii", 0, 0)
-"""SO_LINGER off: closing a socket returns at once."""
 
 _ENDPOINT = re.compile(
     r"((tcp|udp|tls|quic|ws)/(\[[^\]]+\]|[^:/?#]+):[0-9]{1,5}"
@@ -134,27 +130,6 @@ def direct(
     the session is closed.
     """
     return zenoh.handlers.Callback(callback, ended, indirect=False)
-
-
-def disable_linger() -> None:
-    """Make this process close connections without waiting for unsent data.
-
-    Zenoh sets SO_LINGER to 10 s and closes sockets in its receiving thread. Closing the connection
-    of a client that froze with unread data would therefore block the requests of all others for
-    10 s; ``tests/remote/test_remote_lost.py`` shows it. Zenoh has no setting for this, so its
-    sockets must be found among the open files.
-    """
-    folder = Path("/dev/fd")
-    for name in os.listdir(folder) if folder.is_dir() else ():
-        if not (folder / name).is_socket():
-            continue
-        # A duplicate shares the socket's options, and closing it does not close the socket.
-        with (
-            contextlib.suppress(OSError),  # closed meanwhile
-            socket.socket(fileno=os.dup(int(name))) as link,
-        ):
-            if link.getsockopt(*_LINGER, len(_ZENOH_LINGER)) == _ZENOH_LINGER:
-                link.setsockopt(*_LINGER, _NO_LINGER)
 
 
 def fits(path: Path) -> bool:
@@ -212,27 +187,41 @@ def open_server(
     """
     check_endpoints([*listen, *connect])
     endpoint = local_endpoint(local)
+    session = open_listening([endpoint, *listen], connect, further)
+    # Zenoh makes the socket with the process's umask, which may be anything.
+    local.chmod(_SOCKET_MODE)
+    return session, endpoint
+
+
+def open_listening(
+    listen: Sequence[str], connect: Sequence[str], further: Mapping[str, Any] | None = None
+) -> zenoh.Session:
+    """Open a session that listens on endpoints; as `open_server`, which makes it for a hand."""
     settings = {
-        "listen/endpoints": [endpoint, *listen],
+        "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
         "connect/exit_on_failure": False,
         # A router may come up later, so Zenoh keeps trying.
         "connect/timeout_ms": 0 if not connect else -1,
         "transport/link/rx/max_message_size": LARGEST,
-        "transport/unicast/max_sessions": MOST_SESSIONS,
+        "transport/unicast/max_sessions": most_sessions(),
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _CLOSE_AFTER,
         # Batches of 64 KiB that are buffered for a client, the most that Zenoh allows.
         "transport/link/tx/queue/size/interactive_high": 16,
     }
     try:
-        session = open_session(_configured(settings | dict(further or {})))
-        # Zenoh makes the socket with the process's umask, which may be anything.
-        local.chmod(_SOCKET_MODE)
-        return session, endpoint
+        return open_session(_configured(settings | dict(further or {})))
     except (OSError, zenoh.ZError) as error:
-        where = ", ".join([*listen, *connect]) or endpoint
+        where = ", ".join([*listen, *connect])
         raise ConfigError(f"the network endpoint {where} cannot be used: {_words(error)}") from None
+
+
+def most_sessions() -> int:
+    """Return the most connections that this process accepts, fewer where it may open few files."""
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    # RLIM_INFINITY is -1.
+    return _MOST_SESSIONS if files < 0 else max(1, min(_MOST_SESSIONS, files - _RESERVED))
 
 
 def way_to(endpoint: str) -> str:
@@ -240,6 +229,14 @@ def way_to(endpoint: str) -> str:
     if endpoint.startswith(TLS):
         return identity().name
     return HERE if endpoint.startswith(LOCAL) else PLAIN
+
+
+def host_of(endpoint: str) -> tuple[str, int]:
+    """Return host and port of an endpoint on TCP or TLS; raises `ConfigError` for another one."""
+    match = _TCP.fullmatch(endpoint)
+    if match is None:
+        raise ConfigError(f"'{endpoint}' should be written tls/HOST:PORT")
+    return match[1].strip("[]"), int(match[2])
 
 
 def is_safe(endpoint: str) -> bool:

@@ -17,7 +17,7 @@ import zenoh
 
 from rtee.errors import NoRouter, needing_extra
 from rtee.hand.config_schema import Ros2Settings
-from rtee.remote.session import disable_linger
+from rtee.remote.connections import disable_linger
 from rtee.ros2.endpoints import LONGEST, Callback, Publisher, Subscription
 from rtee.ros2.keys import Entity, Kind, NodeName, key_expression, node_name
 from rtee.ros2.participant import Participant

@@ -15,7 +15,7 @@ import rtee
 from rtee.actions.library import ActionLibrary
 from rtee.cli import secure
 from rtee.drivers.diagnosis.checks import Verdict
-from rtee.errors import ConfigError, NoHand, RemoteError, RequestRejected
+from rtee.errors import ConfigError, NoHand, RemoteError
 from rtee.hand.config_schema import SecuritySettings
 from rtee.hand.model import Hand
 from rtee.messages.requests import Role
@@ -175,17 +175,18 @@ async def test_a_revoked_client_sees_and_does_nothing_any_more(
                 people.authority.revoke(people.folder, "ann")
                 # What it held is free again, as if the client were lost.
                 await served.event("client_lost")
-                assert "revoked" in await refused(remote.hold())
-                with pytest.raises(NoHand):  # what is put and not asked is not even answered
-                    await remote._link.send("do", b"x", within=0.2)
+                with pytest.raises(RemoteError, match=r"revoked|gone"):
+                    await remote.hold()
+                await until(lambda: remote._link.gone)  # its connection is closed
                 seen.drain()
                 await other.stop()
                 assert (await other.do("Trig", "index", intensity=0.2)).reached
                 await until(lambda: len(others.drain()) > 0)
                 assert seen.drain() == []
-                assert "stop" not in await told(events)
+                with pytest.raises(NoHand):
+                    await told(events)
             as_user(ann)
-            with pytest.raises(RequestRejected, match="not admitted"):
+            with pytest.raises(RemoteError):
                 async with rtee.connect(endpoint=endpoint):
                     pass
     async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):

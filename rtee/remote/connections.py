@@ -1,0 +1,139 @@
+"""The files of this process that Zenoh opens: their number, whose they are, and how they close.
+
+Zenoh accepts whoever may connect, and does not limit the sessions of one user. Its sockets are
+files of this process, so they are found among these, and those that are too many are shut down.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import socket
+import struct
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+MOST_OF_USER = 100
+"""Most connections of one user of this computer, less than a hand accepts in all."""
+
+_TOGETHER = 0.25
+"""Time between a new connection and a look at all [s]."""
+
+_LINGER = (socket.SOL_SOCKET, socket.SO_LINGER)
+
+_ZENOH_LINGER = struct.pack("ii", 1, 10)
+"""SO_LINGER as Zenoh sets it: on, 10 s."""
+
+_NO_LINGER = struct.pack("ii", 0, 0)
+"""SO_LINGER off: closing a socket returns at once."""
+
+_CREDENTIALS = struct.Struct("3i")
+"""Process, user and group of the other side, as Linux tells them."""
+
+
+def _connected() -> Iterator[tuple[socket.socket, Any]]:
+    """Return the connected sockets of this process, each with its other side.
+
+    Each is a duplicate, which shares the socket; closing it does not close the socket.
+    """
+    folder = Path("/dev/fd")
+    for name in os.listdir(folder) if folder.is_dir() else ():
+        with contextlib.suppress(OSError):  # closed meanwhile, no socket, or not connected
+            if not (folder / name).is_socket():
+                continue
+            with socket.socket(fileno=os.dup(int(name))) as link:
+                if link.type == socket.SOCK_STREAM:
+                    yield link, link.getpeername()
+
+
+def disable_linger() -> None:
+    """Make this process close connections without waiting for unsent data.
+
+    Zenoh sets SO_LINGER to 10 s and closes sockets in its receiving thread. Closing the connection
+    of a client that froze with unread data would therefore block the requests of all others for
+    10 s; ``tests/remote/test_remote_lost.py`` shows it. Zenoh has no setting for this.
+    """
+    for link, _ in _connected():
+        _lingers_no_more(link)
+
+
+def _lingers_no_more(link: socket.socket) -> None:
+    if link.getsockopt(*_LINGER, len(_ZENOH_LINGER)) == _ZENOH_LINGER:
+        link.setsockopt(*_LINGER, _NO_LINGER)
+
+
+def raise_file_limit() -> int:
+    """Let this process open as many files as it may at all; return the number, -1: no limit."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != hard:
+        # Refused where the system's own limit is lower than the hard one.
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+            soft = hard
+    return soft
+
+
+class Connections:
+    """Limits how many connections through a Unix socket each user has, and looks after all others.
+
+    Looks shortly after there are new ones, in a thread of its own.
+    """
+
+    def __init__(self, session: zenoh.Session, path: str) -> None:
+        """Watch over Zenoh's session and its Unix socket at a path."""
+        self._path = path
+        self._new, self._ended = threading.Event(), threading.Event()
+        told: zenoh.handlers.Callback[zenoh.LinkEvent] = zenoh.handlers.Callback(
+            lambda _: self._new.set(), indirect=False
+        )
+        self._listener = session.info.declare_link_events_listener(told)
+        self._thread = threading.Thread(target=self._run, name="connections", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; blocks for a moment."""
+        self._ended.set()
+        self._new.set()
+        self._thread.join()
+        self._listener.undeclare()  # type: ignore[no-untyped-call]
+
+    def _run(self) -> None:
+        while True:
+            self._new.wait()
+            # Looked at together, so that many new ones take little time of the interpreter.
+            if self._ended.wait(_TOGETHER):
+                return
+            self._new.clear()
+            with contextlib.suppress(OSError):  # too many files are open
+                self._look()
+
+    def _look(self) -> None:
+        held: dict[int, list[int]] = {}
+        for link, _ in _connected():
+            _lingers_no_more(link)
+            if link.family == socket.AF_UNIX and link.getsockname() == self._path:
+                held.setdefault(_user(link), []).append(_inode(link))
+        # The newest ones: the kernel numbers sockets in the order in which they are made.
+        surplus = {inode for links in held.values() for inode in sorted(links)[MOST_OF_USER:]}
+        for link, _ in _connected() if surplus else ():
+            if _inode(link) in surplus:
+                link.shutdown(socket.SHUT_RDWR)
+
+
+def _inode(link: socket.socket) -> int:
+    """Return the number of a socket, which its duplicates share."""
+    return os.fstat(link.fileno()).st_ino
+
+
+def _user(link: socket.socket) -> int:
+    """Return the user at the other side of a Unix socket."""
+    if sys.platform != "linux":
+        return -1
+    peer = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return int(_CREDENTIALS.unpack(peer)[1])

@@ -1,0 +1,388 @@
+"""The door of a hand: a process of its own through which all come who bring a certificate.
+
+Whoever reaches a port can open connections there as fast as they like. Here they cost the hand's
+process nothing: no handshake, no descriptor, and no time of its interpreter. Zenoh's own listener
+would not do, since it waits for 0.1 s after every handshake that fails, ten a second at most. The
+door shakes hands itself, and passes the bytes of each certificate to a gateway of Zenoh that obeys
+the rules of its role (`rtee.remote.access`), and that leads to the hand's Unix socket.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from rtee import monotonic
+from rtee.errors import ConfigError
+from rtee.remote.connections import raise_file_limit
+from rtee.remote.session import host_of, local_endpoint, open_listening
+
+log = logging.getLogger(__name__)
+
+_MOST_OF_ONE = 32
+"""Most connections of one certificate: far more than one person's programs have."""
+
+_MOST_SILENT = 256
+"""Most connections that have not shown a certificate yet; beyond it the oldest are closed. Who has
+one shows it in a few round trips, so a flood must be faster than thousands a second to be in the
+way."""
+
+_SILENT_FOR = 3.0
+"""Time to show a certificate [s]: several round trips of a slow VPN."""
+
+_BACKLOG = 1024
+"""Connections that wait in the kernel to be accepted."""
+
+_CHUNK = 65536
+"""Most bytes that are passed on at once [bytes]: the longest batch of Zenoh."""
+
+_LINK_WITHIN = 5.0
+"""Time for a gateway to reach the hand on the same computer [s]."""
+
+_POLL = 0.01
+"""Interval of checks for something that takes milliseconds [s]."""
+
+_OPEN_WITHIN = 20.0
+"""Time for the process to open its endpoints [s]; it starts in a second on a computer at rest."""
+
+_AGAIN_AFTER = 1.0
+"""Time after which a door that has ended is opened again [s]."""
+
+
+class Door:
+    """The door's process, which ends with this object or with this process.
+
+    Args:
+        hand: Endpoint of the hand's Unix socket.
+        zid: Identifier of the hand's session of Zenoh.
+        listen: The door's endpoints, for TLS.
+        certificates: Files with ``authority``, ``certificate`` and ``key``.
+        rules: Zenoh's ``access_control`` by common name of those who are or may be admitted.
+        people: Common names of the certificates that are admitted.
+
+    Raises:
+        ConfigError: if an endpoint cannot be used.
+    """
+
+    def __init__(
+        self,
+        hand: str,
+        zid: str,
+        listen: Collection[str],
+        certificates: Mapping[str, str],
+        rules: Mapping[str, Any],
+        people: Collection[str],
+    ) -> None:
+        self._first = {
+            "hand": hand,
+            "zid": zid,
+            "listen": list(listen),
+            "certificates": dict(certificates),
+            "rules": dict(rules),
+        }
+        self._people = sorted(people)
+        self._writing = threading.Lock()
+        self._ended = threading.Event()
+        self._process = self._opened()
+        self._watcher = threading.Thread(target=self._watch, name="door", daemon=True)
+        self._watcher.start()
+
+    def admit(self, people: Collection[str]) -> None:
+        """Admit people by the common names of their certificates, and nobody else from now on."""
+        with self._writing:
+            self._people = sorted(people)
+            self._say(self._process)
+
+    def close(self) -> None:
+        """End the process; blocks for a moment."""
+        self._ended.set()
+        with self._writing:
+            process = self._process
+        _end(process)
+        self._watcher.join()
+
+    def _opened(self) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "rtee.remote.door"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            # Ctrl-C in a terminal is for the hand, which brings itself to rest first.
+            start_new_session=True,
+        )
+        assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018
+        timer = threading.Timer(_OPEN_WITHIN, process.kill)
+        timer.start()
+        try:
+            with contextlib.suppress(OSError):  # it has ended; its answer says why
+                process.stdin.write(json.dumps({**self._first, "people": self._people}) + "\n")
+                process.stdin.flush()
+            answer = process.stdout.readline().rstrip("\n")
+        finally:
+            timer.cancel()
+        if answer != "open":
+            _end(process)
+            raise ConfigError(answer or "the process for connections from the network has ended")
+        return process
+
+    def _say(self, process: subprocess.Popen[str]) -> None:
+        """Tell the process who is admitted."""
+        assert process.stdin is not None  # noqa: S101
+        with contextlib.suppress(OSError):  # it has ended; the next one is told at its start
+            process.stdin.write(json.dumps(self._people) + "\n")
+            process.stdin.flush()
+
+    def _watch(self) -> None:
+        while True:
+            self._process.wait()
+            _end(self._process)
+            if self._ended.wait(_AGAIN_AFTER):
+                return
+            log.error("the process for connections from the network has ended; opening it again")
+            try:
+                with self._writing:
+                    self._process = self._opened()
+            except (ConfigError, OSError) as error:
+                log.error("it cannot be opened: %s", error)
+            if self._ended.is_set():
+                _end(self._process)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None and process.stdout is not None  # noqa: S101, PT018
+    with contextlib.suppress(OSError):
+        process.stdin.close()
+    process.stdout.close()
+    process.kill()
+    process.wait()
+
+
+class _Gate:
+    """The way of one certificate to the hand: a gateway of Zenoh with the rules of its role.
+
+    Args:
+        folder: Folder for its socket.
+        hand: Endpoint of the hand's Unix socket.
+        zid: Identifier of the hand's session of Zenoh.
+        name: Common name of the certificate.
+        rules: Zenoh's ``access_control`` for it.
+    """
+
+    def __init__(self, folder: Path, hand: str, zid: str, name: str, rules: Any) -> None:
+        self.path = folder / f"{name}.sock"
+        # A gateway passes messages between its two sides only: the hand, and all others.
+        others = {"negated": True, "zids": [zid]}
+        settings = {"access_control": rules, "gateway": {"south": [{"filters": [others]}]}}
+        self._session = open_listening([local_endpoint(self.path)], [hand], settings)
+        until = monotonic.now() + _LINK_WITHIN
+        while all(str(each.zid) != zid for each in self._session.info.transports()):
+            if monotonic.now() > until:
+                self.close()
+                raise ConfigError("the hand does not answer its door")
+            monotonic.sleep(_POLL)
+
+    def close(self) -> None:
+        """Close all that goes through it; blocks for a moment."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
+
+class _Doorkeeper:
+    """Accepts connections, lets them show a certificate, and passes on what comes with one.
+
+    Connections without a certificate are many and short-lived in a flood, so the newest are kept.
+    """
+
+    def __init__(self, first: Mapping[str, Any], folder: Path) -> None:
+        self._first, self._folder = first, folder
+        self._people = frozenset(first["people"])
+        self._tls = _tls(first["certificates"])
+        self._silent: OrderedDict[asyncio.Task[None], None] = OrderedDict()
+        self._passing: dict[str, set[asyncio.Task[None]]] = {}
+        self._gates: dict[str, asyncio.Future[_Gate]] = {}
+
+    def admit(self, people: Collection[str]) -> None:
+        """Admit people, and close the connections of all others."""
+        gone, self._people = self._people.difference(people), frozenset(people)
+        for name in gone:
+            for task in self._passing.pop(name, ()):
+                task.cancel()
+            gate = self._gates.pop(name, None)
+            if gate is not None:
+                gate.add_done_callback(_closed)
+
+    async def keep(self, listener: socket.socket) -> None:
+        """Accept connections for ever."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                link, _ = await loop.sock_accept(listener)
+            except OSError:  # too many files are open: those in the queue wait
+                await asyncio.sleep(_POLL)
+                continue
+            task = loop.create_task(self._welcome(link))
+            self._silent[task] = None
+            task.add_done_callback(lambda task: self._silent.pop(task, None))
+            if len(self._silent) > _MOST_SILENT:
+                self._silent.popitem(last=False)[0].cancel()
+
+    async def _welcome(self, link: socket.socket) -> None:
+        with contextlib.suppress(OSError, EOFError, ConfigError, TimeoutError):
+            reader = asyncio.StreamReader()
+            loop = asyncio.get_running_loop()
+            transport, protocol = await loop.connect_accepted_socket(
+                lambda: asyncio.StreamReaderProtocol(reader),
+                link,
+                ssl=self._tls,
+                ssl_handshake_timeout=_SILENT_FOR,
+                ssl_shutdown_timeout=_POLL,
+            )
+            writer = asyncio.StreamWriter(transport, protocol, reader, loop)
+            task = asyncio.current_task()
+            assert task is not None  # noqa: S101
+            self._silent.pop(task, None)
+            try:
+                certificate = transport.get_extra_info("peercert")
+                name = _common_name(certificate)
+                passing = self._passing.setdefault(name, set())
+                if name in self._people and len(passing) < _MOST_OF_ONE:
+                    passing.add(task)
+                    valid = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
+                    async with asyncio.timeout(valid):
+                        await self._pass(name, reader, writer)
+            finally:
+                self._passing.get(name, set()).discard(task)
+                transport.abort()  # waits for nobody who reads slowly
+
+    async def _pass(
+        self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Pass on what comes, both ways, until one side ends."""
+        gate = await self._gate(name)
+        inner_reader, inner_writer = await asyncio.open_unix_connection(str(gate.path))
+        try:
+            ways = (_pumped(reader, inner_writer), _pumped(inner_reader, writer))
+            tasks = [asyncio.ensure_future(way) for way in ways]
+            try:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for task in tasks:
+                    task.cancel()
+                await asyncio.gather(*tasks, return_exceptions=True)
+        finally:
+            inner_writer.transport.abort()
+
+    async def _gate(self, name: str) -> _Gate:
+        """Return the way of a certificate, which is opened when it is first used."""
+        gate = self._gates.get(name)
+        if gate is None:
+            first = self._first
+            rules = first["rules"].get(name)
+            if rules is None:
+                raise ConfigError(f"{name} is admitted from the next start on")
+            work = asyncio.to_thread(_Gate, self._folder, first["hand"], first["zid"], name, rules)
+            gate = self._gates[name] = asyncio.ensure_future(work)
+        try:
+            return await asyncio.shield(gate)
+        except (ConfigError, OSError):
+            if self._gates.get(name) is gate:
+                del self._gates[name]
+            raise
+
+
+def _closed(gate: asyncio.Future[_Gate]) -> None:
+    if not gate.cancelled() and gate.exception() is None:
+        threading.Thread(target=gate.result().close, daemon=True).start()
+
+
+async def _pumped(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    while data := await reader.read(_CHUNK):
+        writer.write(data)
+        await writer.drain()
+
+
+def _tls(certificates: Mapping[str, str]) -> ssl.SSLContext:
+    """Return the TLS settings: a certificate of the hand's authority is required of clients."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    context.verify_mode = ssl.CERT_REQUIRED
+    context.load_verify_locations(certificates["authority"])
+    context.load_cert_chain(certificates["certificate"], certificates["key"], password="")
+    context.num_tickets = 0  # a session that is resumed would show no certificate again
+    return context
+
+
+def _common_name(certificate: Mapping[str, Any]) -> str:
+    for part in certificate["subject"]:
+        for key, value in part:
+            if key == "commonName":
+                return str(value)
+    return ""
+
+
+def _bound(endpoint: str) -> socket.socket:
+    """Return a socket that listens at an endpoint; raises `ConfigError`."""
+    host, port = host_of(endpoint)
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listener = socket.create_server((host, port), family=family, backlog=_BACKLOG)
+    except OSError as error:
+        words = error.strerror or str(error)
+        raise ConfigError(f"the network endpoint {endpoint} cannot be used: {words}") from None
+    listener.setblocking(False)
+    return listener
+
+
+async def _serve(first: Mapping[str, Any], folder: Path) -> None:
+    try:
+        listeners = [_bound(endpoint) for endpoint in first["listen"]]
+        keeper = _Doorkeeper(first, folder)
+    except (ConfigError, OSError) as error:
+        print(error, flush=True)  # noqa: T201
+        return
+    loop = asyncio.get_running_loop()
+
+    def follow() -> None:
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(keeper.admit, json.loads(line))
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(0)
+
+    threading.Thread(target=follow, daemon=True).start()
+    print("open", flush=True)  # noqa: T201
+    async with asyncio.TaskGroup() as group:
+        for listener in listeners:
+            group.create_task(keeper.keep(listener))
+
+
+def main() -> None:
+    """Open a door as the first line of the input says; the following ones say who is admitted.
+
+    Ends with the input: when the hand's process ends, however it does.
+    """
+    first = json.loads(sys.stdin.readline())
+    raise_file_limit()
+    folder = Path(tempfile.mkdtemp(prefix="rtee-"))
+    try:
+        asyncio.run(_serve(first, folder))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

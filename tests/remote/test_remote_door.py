@@ -1,0 +1,205 @@
+"""The network's side: floods of connections, too many sessions, and a door that dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import anyio
+import anyio.to_thread
+import pytest
+import zenoh
+
+import rtee
+from rtee.actions.library import ActionLibrary
+from rtee.hand.model import Hand
+from rtee.messages.requests import Role
+from rtee.remote import connections, credentials, door
+from rtee.remote.client import stop_hand
+from rtee.remote.session import host_of, open_client, open_server
+
+from .serving import Config, Remote, serving, until
+from .test_remote_tls import People, as_user, people, tls  # noqa: F401
+
+pytestmark = pytest.mark.anyio
+
+pytest.importorskip("cryptography", reason="needs the extra secure")
+
+
+async def test_each_certificate_has_so_many_connections(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,  # noqa: F811
+) -> None:
+    as_user(people.add("ann", Role.OBSERVER))
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        context = credentials_context(people)
+        with ExitStack() as stack:
+            links = []
+            for _ in range(door._MOST_OF_ONE + 8):
+                link = socket.create_connection(("127.0.0.1", host_of(endpoint)[1]))
+                links.append(stack.enter_context(context.wrap_socket(link)))
+            await until(lambda: sum(map(is_closed, links)) == 8)
+            as_user(people.add("bob", Role.OBSERVER))
+            assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
+            people.authority.revoke(people.folder, "ann")
+            await until(lambda: all(map(is_closed, links)))
+            assert await stop_hand(endpoint=endpoint) == ("small", {"sim": True})
+
+
+def credentials_context(people: People) -> ssl.SSLContext:  # noqa: F811
+    """Return TLS settings with this user's certificate."""
+    file = people.files / "chain.pem"
+    file.write_text("".join(credentials.identity().blocks[b] for b in ("key", "certificate")))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.load_cert_chain(file)
+    return context
+
+
+def is_closed(link: socket.socket) -> bool:
+    link.settimeout(0.0)
+    try:
+        return link.recv(1) == b""
+    except (BlockingIOError, ssl.SSLWantReadError):
+        return False
+    except OSError:
+        return True
+
+
+@contextmanager
+def silent_flood(port: int, rate: float, data: bytes) -> Iterator[list[socket.socket]]:
+    """Open connections that send some bytes and say nothing more."""
+    opened: list[socket.socket] = []
+    ended = threading.Event()
+
+    def flood() -> None:
+        while not ended.wait(1.0 / rate):
+            link = socket.socket()
+            link.setblocking(False)
+            link.connect_ex(("127.0.0.1", port))
+            opened.append(link)
+            for each in opened[-5:]:
+                try:
+                    each.send(data)
+                except OSError:
+                    continue
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        yield opened
+    finally:
+        ended.set()
+        thread.join()
+        for link in opened:
+            link.close()
+
+
+@pytest.mark.parametrize("data", [b"", b"\x16\x03\x01\x02"])
+async def test_connections_that_say_nothing_keep_nobody_out(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,  # noqa: F811
+    data: bytes,
+) -> None:
+    as_user(people.add("ann", Role.OBSERVER))
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        with silent_flood(host_of(endpoint)[1], 100.0, data) as opened:
+            # More than Zenoh shakes hands with at a time.
+            await until(lambda: len(opened) > 150)
+            for _ in range(2):
+                assert await stop_hand("small", endpoint=endpoint) == ("small", {"sim": True})
+            assert await stop_hand("small") == ("small", {"sim": True})
+            async with rtee.connect(endpoint=endpoint) as remote:
+                assert (await remote.status()).hand == "small"
+
+
+async def test_a_flood_of_hello_keeps_no_other_certificate_out(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,  # noqa: F811
+) -> None:
+    as_user(people.add("ann", Role.OBSERVER))
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        session = await anyio.to_thread.run_sync(open_client, [endpoint])
+        name = credentials.common_name(credentials.identity().name)
+        key, ended = f"rtee/small/hello/{name}", threading.Event()
+
+        def greet() -> None:
+            while not ended.wait(0.001):
+                session.get(key, zenoh.handlers.FifoChannel(1), payload=b"junk", timeout=1.0)
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        try:
+            await anyio.sleep(0.5)
+            as_user(people.add("bob", Role.OBSERVER))
+            for _ in range(4):
+                async with rtee.connect(endpoint=endpoint) as remote:
+                    assert await remote.stop() == {"sim": True}
+            assert await stop_hand("small") == ("small", {"sim": True})
+        finally:
+            ended.set()
+            thread.join()
+            session.close()
+
+
+async def test_a_door_that_dies_is_opened_again(
+    hand: Hand,
+    library: ActionLibrary,
+    people: People,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(door, "_AGAIN_AFTER", 0.01)
+    as_user(people.add("ann", Role.OPERATOR))
+    endpoint = tls()
+    async with serving(hand, library, config=Config(Remote(listen=[endpoint]))):
+        pid = children()
+        async with rtee.connect(endpoint=endpoint) as remote:
+            os.kill(pid[0], signal.SIGKILL)
+            await until(lambda: remote._link.gone)
+        async with rtee.connect("small", endpoint=endpoint, wait=20.0) as remote:
+            assert (await remote.do("Trig", "index", intensity=0.1)).reached
+        assert children() != pid
+    assert children() == []
+
+
+def children() -> list[int]:
+    """Return the processes of doors of this process."""
+    found = []
+    for each in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+        for pid in each.read_text().split():
+            if b"rtee.remote.door" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                found.append(int(pid))
+    return found
+
+
+def test_each_user_has_so_many_connections(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_OF_USER", 3)
+    path = tmp_path / "x.sock"
+    session, endpoint = open_server(path)
+    judged = connections.Connections(session, str(path))
+    with ExitStack() as stack:
+        stack.callback(session.close)
+        stack.callback(judged.close)
+        for _ in range(5):
+            stack.callback(open_client([endpoint]).close)
+        # Those that are closed come again, and are closed again.
+        wait(lambda: len(list(session.info.links())) == 3)
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    """Wait until something is true; the test's timeout ends it."""
+    while not condition():
+        time.sleep(0.01)
