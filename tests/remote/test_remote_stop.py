@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -23,10 +26,11 @@ from rtee.messages.convert import STREAM_TARGETS
 from rtee.messages.requests import HERE
 from rtee.remote import identities
 from rtee.remote.client import stop_hand
-from rtee.remote.stopping import stop_at, stop_path
+from rtee.remote.stopping import _client, stop_at, stop_path
 
 from .serving import Served, serving, until
 from .test_remote_attacks import Intruder
+from .test_remote_socket import NOBODY, ran
 from .test_remote_streams import sent
 
 pytestmark = pytest.mark.anyio
@@ -179,3 +183,55 @@ def hello(link: Intruder, name: str) -> None:
     assert answer.err is not None
     reply = message_type("rtee_msgs/msg/Reply").decode(answer.err.payload.to_bytes())
     raise RequestRejected(reply["reason"])
+
+
+STRANGER = """
+import os, sys
+from pathlib import Path
+from rtee.errors import NoHand
+from rtee.remote.stopping import stop_at
+path, uid = Path(sys.argv[1]), int(sys.argv[2])
+os.setgroups([])
+os.setgid(uid)
+os.setuid(uid)
+try:
+    print(stop_at(path, "small", "stranger", 0.2))
+except NoHand as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
+async def test_another_user_stops_nothing(
+    hand: Hand, library: ActionLibrary, runtime: Path
+) -> None:
+    async with serving(hand, library) as served:
+        words = [sys.executable, "-c", STRANGER, str(path_of(served)), str(NOBODY)]
+        for _ in range(2):
+            assert (await ran(words)).stdout == "the hand 'small' does not answer\n"
+            for folder in (runtime, *runtime.parents):  # as after a mistake
+                if not folder.stat().st_mode & 0o001:
+                    folder.chmod(folder.stat().st_mode | 0o001)
+        assert not served.watcher.events
+
+
+async def test_a_stop_needs_no_file_of_the_hand(hand: Hand, library: ActionLibrary) -> None:
+    async with serving(hand, library) as served:
+        with _client(path_of(served)) as sender:
+            sender.settimeout(5.0)
+            soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
+            try:
+                with pytest.raises(OSError, match="Too many open files"):
+                    os.open(os.devnull, os.O_RDONLY)
+                sender.send(b"x test")
+                assert b"true" in await anyio.to_thread.run_sync(sender.recv, 1000)
+            finally:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_process_may_open_as_many_files_as_the_system_lets_it() -> None:
+    program = "from rtee.remote.connections import raise_file_limit as r; print(r())"
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    words = ["sh", "-c", f'ulimit -S -n 100; exec {sys.executable} -c "{program}"']
+    assert int(subprocess.run(words, capture_output=True, text=True).stdout) == hard
