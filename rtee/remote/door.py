@@ -27,7 +27,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from rtee import monotonic
+from rtee import child, monotonic
 from rtee.errors import ConfigError
 from rtee.remote.connections import raise_file_limit
 from rtee.remote.session import host_of, local_endpoint, open_listening
@@ -118,7 +118,8 @@ class Door:
 
     def _opened(self) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "rtee.remote.door"],
+            child.python("-m", "rtee.remote.door"),
+            env=child.environment(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

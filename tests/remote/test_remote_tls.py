@@ -329,7 +329,7 @@ def test_certificates_that_somebody_else_could_have_made_are_refused(
     else:
         pytest.skip("only root makes files of other users")
     with pytest.raises(ConfigError, match="must belong to you or root"):
-        credentials.Credentials(people.folder).settings()
+        credentials.Credentials(people.folder).files()
 
 
 def test_no_folder_of_certificates_is_open_to_others(tmp_path: Path) -> None:
@@ -341,7 +341,7 @@ def test_no_folder_of_certificates_is_open_to_others(tmp_path: Path) -> None:
         authority.add_client(tmp_path / "new" / "secure" / "small", "one", Role.OPERATOR)
     finally:
         os.umask(before)
-    credentials.Credentials(tmp_path / "new" / "secure" / "small").settings()
+    credentials.Credentials(tmp_path / "new" / "secure" / "small").files()
     assert (tmp_path / "new").stat().st_mode & 0o777 == 0o700
 
 
