@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+Amount = Annotated[float, Ge(0.0), Le(1e3)]
+Share = Annotated[float, Ge(0.0), Le(1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +32,16 @@ class Wear:
         force: What its force sensors read while nothing is held [their counts].
     """
 
-    lag: float = 0.0
-    pace: float = 1.0
-    backlash: float = 0.0
-    offset: float = 0.0
-    noise: float = 0.0
-    warmth: float = 0.0
-    late: float = 0.0
+    lag: Amount = 0.0
+    pace: Annotated[float, Gt(0.0), Le(10.0)] = 1.0
+    backlash: Share = 0.0
+    offset: Annotated[float, Ge(-1.0), Le(1.0)] = 0.0
+    noise: Share = 0.0
+    warmth: Amount = 0.0
+    late: Amount = 0.0
     garbled: bool = False
     touch: tuple[int, ...] = ()
-    touch_noise: float = 0.0
+    touch_noise: Amount = 0.0
     force: tuple[int, ...] = ()
 
 

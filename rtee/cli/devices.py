@@ -154,8 +154,11 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
 
     async def ask(question: Question) -> str:
         tail = {"yes": " [y/n] ", "number": " ", "enter": " "}[question.kind]
-        # In a thread: the driver goes on reading while a person thinks.
-        return await asyncio.to_thread(input, f"\n{question.text}{tail}")
+        try:
+            # In a thread: the driver goes on reading while a person thinks.
+            return await asyncio.to_thread(input, f"\n{question.text}{tail}")
+        except EOFError:  # nobody is there
+            return "q"
 
     async def execute() -> bool:
         refuted = False

@@ -6,13 +6,14 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, NamedTuple, Protocol
 
 from rtee.buses.emulator import Emulator
 from rtee.buses.wear import Wear
 from rtee.drivers.axis import Axis, VirtualObject
 from rtee.errors import ConfigError, suggestion
+from rtee.hand.validation import Invalid, validated
 from rtee.types import DeviceSpec
 
 OPTION = "object"
@@ -232,12 +233,18 @@ def _wear_of(kind: type[Emulator], state: object) -> Wear:
             f"the emulated device's wear is '{state}'; write worn, ideal, or what differs from "
             "worn, such as {lag: 0.05}"
         )
+    names = [one.name for one in fields(Wear)]
+    for name in state:
+        if name not in names:
+            raise ConfigError(f"nothing wears by '{name}'; {suggestion(str(name), names)}")
+    # As plain data has it: tuples are lists there.
+    worn = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(kind.WEAR).items()}
     try:
-        return replace(kind.WEAR, **state)
-    except TypeError:
-        names = [one.name for one in fields(Wear)]
-        wrong = next(name for name in state if name not in names)
-        raise ConfigError(f"nothing wears by '{wrong}'; {suggestion(str(wrong), names)}") from None
+        return validated(Wear, {**worn, **state})
+    except Invalid as error:
+        first = error.errors()[0]
+        what = ".".join(map(str, first["loc"]))
+        raise ConfigError(f"wear '{what}' of the emulated device: {first['msg'].lower()}") from None
 
 
 def wear_down(emulator: Emulator, wear: Wear) -> None:
