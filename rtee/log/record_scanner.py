@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, TypeVar
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from rtee.log.mcapfile import MAGIC
-from rtee.log.resync import DAMAGE, HEAD, LARGEST_CHUNK, DamagedRecordError, Finder, Record
+from rtee.log.resync import DAMAGE, HEAD, DamagedRecordError, Finder, Record
+from rtee.messages.mcap_chunk import DamagedChunkError, decompressed
 
 R = TypeVar("R", Header, Metadata, Attachment, Schema, Channel, Chunk)
 
@@ -60,14 +60,10 @@ def _checked(content: bytes) -> bool:
 def messages_of(content: bytes) -> tuple[bytes, Chunk]:
     """Return the uncompressed records of a chunk, and the chunk."""
     chunk = parsed(Chunk, content)
-    if chunk.uncompressed_size > LARGEST_CHUNK:
-        raise DamagedRecordError("a chunk is larger than any")
-    data = _decompressed(chunk)
-    if len(data) != chunk.uncompressed_size:
-        raise DamagedRecordError("a chunk has not the size it says")
-    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise DamagedRecordError("a chunk fails its checksum")
-    return data, chunk
+    try:
+        return decompressed(chunk), chunk
+    except DamagedChunkError as error:
+        raise DamagedRecordError(str(error)) from None
 
 
 def definitions_of(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -79,29 +75,3 @@ def definitions_of(data: bytes) -> Iterator[tuple[int, bytes]]:
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield opcode, data[position : position + length]
         position += length
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    if not chunk.compression:
-        return chunk.data
-    if chunk.compression == "zstd":
-        try:
-            # Checked before decompressing, since a small frame may expand to any size.
-            if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
-                raise DamagedRecordError("a chunk has not the size it says")
-            decompressor = zstandard.ZstdDecompressor()
-            return decompressor.decompress(chunk.data, max_output_size=chunk.uncompressed_size)
-        except zstandard.ZstdError as error:
-            raise DamagedRecordError(f"a chunk cannot be decompressed: {error}") from None
-    if chunk.compression == "lz4":
-        import lz4.frame
-
-        try:
-            # One byte more than the given size reveals a larger content without expanding it.
-            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(
-                chunk.data, max_length=chunk.uncompressed_size + 1
-            )
-        except RuntimeError as error:
-            raise DamagedRecordError(f"a chunk cannot be decompressed: {error}") from None
-        return data
-    raise DamagedRecordError(f"a chunk is compressed by '{chunk.compression}', which is unknown")

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 
 from rtee.log.chunks import INDEX_ENTRY
 from rtee.log.mcapfile import MAGIC
+from rtee.messages.mcap_chunk import LARGEST_CHUNK
 
 HEAD = struct.Struct("<BQ")
 """Layout of the head of a record: opcode and length of the content."""
@@ -28,10 +29,6 @@ DAMAGE = 0
 
 LATEST = 2**63 - 1
 """Latest log time accepted [ns since 1970]: in the year 2262, the limit of NumPy."""
-
-LARGEST_CHUNK = 1 << 30
-"""Largest uncompressed size of a chunk accepted [bytes]: 1 GiB, hundreds of times that of rtee's
-chunks; a forged size must not exhaust the memory."""
 
 _OWN = 0x80  # first opcode of records that other software may define for itself
 _FOOTER = struct.Struct("<BQQQI")  # head, begin of the summary, of its offsets, checksum

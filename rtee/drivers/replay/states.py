@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Chunk, Message, Schema
 from numpy.typing import NDArray
 
 from rtee.errors import LogError, MessageError
 from rtee.messages import convert
 from rtee.messages.codec import channels_of
+from rtee.messages.mcap_chunk import decompressed
 from rtee.messages.schema import MessageType, message_type, recorded_type
 from rtee.messages.topics import (
     ACTUATOR_STATES,
@@ -37,9 +40,12 @@ from rtee.touch import TouchSensor, TouchState
 
 Extras = Mapping[str, FloatArray]
 
-_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, EOFError, RuntimeError)
-"""Exceptions of the mcap package for damaged bytes: its own and those of decompression; LZ4 raises
-a `RuntimeError`."""
+_DAMAGE = (McapError, struct.error, ValueError, EOFError, OverflowError, MemoryError)
+"""Exceptions for damaged bytes: those of the mcap package, of decompression, and of sizes that no
+memory has."""
+
+_HEAD = struct.Struct("<BQ")
+"""Layout of the head of a record: opcode and length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +89,8 @@ class RecordedStates:
         except OSError as error:
             raise LogError(f"cannot be opened: {error.strerror}", path=path) from error
         try:
-            # Damaged data may decompress without an error, to wrong numbers.
-            self._reader = make_reader(self._file, validate_crcs=True)
+            # Only for the summary: the package's reader of messages decompresses to any size.
+            self._summary = make_reader(self._file).get_summary()
             self._topic = self._choose(hand)
             before = self._topic.removesuffix(ACTUATOR_STATES)
             self._extras_topic = f"{before}{CHANNELS}"
@@ -98,7 +104,7 @@ class RecordedStates:
             raise LogError(f"is not a recording: {error}", path=path) from error
 
     def _choose(self, hand: str) -> str:
-        summary = self._reader.get_summary()
+        summary = self._summary
         if summary is None:
             raise LogError("was not closed; `rtee log recover` makes it whole", path=self.path)
         topics = sorted(
@@ -127,8 +133,21 @@ class RecordedStates:
 
     def _stored(self, topics: Sequence[str]) -> Iterator[tuple[Schema | None, Channel, Message]]:
         """Yield the encoded messages of some topics; raises `LogError`."""
+        summary = self._summary
+        if summary is None:
+            return
+        channels = {c.id: c for c in summary.channels.values() if c.topic in topics}
         try:
-            yield from self._reader.iter_messages(topics=topics)
+            # Chunks do not overlap in recordings of rtee.
+            for place in sorted(summary.chunk_indexes, key=lambda each: each.message_start_time):
+                known = place.message_index_offsets
+                if known and channels.keys().isdisjoint(known):
+                    continue
+                self._file.seek(place.chunk_start_offset + _HEAD.size)
+                data = decompressed(Chunk.read(ReadDataStream(self._file)))
+                for message in _messages_in(data, channels):
+                    channel = channels[message.channel_id]
+                    yield summary.schemas.get(channel.schema_id), channel, message
         except (*_DAMAGE, OSError) as error:
             text = f"is damaged: {error}; `rtee log recover` keeps the rest"
             raise LogError(text, path=self.path) from error
@@ -200,6 +219,21 @@ class RecordedStates:
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+
+def _messages_in(data: bytes, channels: Collection[int]) -> list[Message]:
+    """Return the messages of some channels among the records of a chunk, by their log time."""
+    messages, position = [], 0
+    while position + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, position)
+        position += _HEAD.size
+        if opcode == Opcode.MESSAGE:
+            content = ReadDataStream(BytesIO(data[position : position + length]))
+            message = Message.read(content, length)
+            if message.channel_id in channels:
+                messages.append(message)
+        position += length
+    return sorted(messages, key=lambda message: message.log_time)
 
 
 def _recorded(name: str, schema: Schema | None) -> MessageType:

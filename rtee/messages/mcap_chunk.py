@@ -1,0 +1,62 @@
+"""Chunks of MCAP files of unknown origin, decompressed within bounds.
+
+A file of a megabyte may claim, or expand to, any size. What a chunk says of itself is checked
+before memory is used for it: against an absolute size, and against what compression of measurements
+gives.
+"""
+
+from __future__ import annotations
+
+import zlib
+
+import zstandard
+from mcap.records import Chunk
+
+LARGEST_CHUNK = 1 << 27
+"""Largest uncompressed size of a chunk that is accepted [bytes]: 128 MiB, a hundred times that of
+rtee's chunks, and thirty times what other writers make."""
+
+_MOST_RATIO = 1000
+"""Largest factor of compression that is accepted: measurements have up to a hundred."""
+
+_SPARE = 1 << 20
+"""Size up to which any factor is accepted [bytes]: little harm, and small chunks of zeros exist."""
+
+
+class DamagedChunkError(ValueError):
+    """A chunk that is damaged, or claims what no recording holds."""
+
+
+def decompressed(chunk: Chunk) -> bytes:
+    """Return the records in a chunk; raises `DamagedChunkError`."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK or size > _SPARE + _MOST_RATIO * len(chunk.data):
+        raise DamagedChunkError("a chunk is larger than any")
+    data = _expanded(chunk, size)
+    if len(data) != size:
+        raise DamagedChunkError("a chunk has not the size it says")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise DamagedChunkError("a chunk fails its checksum")
+    return data
+
+
+def _expanded(chunk: Chunk, size: int) -> bytes:
+    if not chunk.compression:
+        return chunk.data
+    try:
+        if chunk.compression == "zstd":
+            # Checked before decompressing, since a small frame may expand to any size.
+            if zstandard.frame_content_size(chunk.data) > size:
+                raise DamagedChunkError("a chunk has not the size it says")
+            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
+        if chunk.compression == "lz4":
+            import lz4.frame
+
+            # One byte more than the given size reveals a larger content without expanding it.
+            data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(
+                chunk.data, max_length=size + 1
+            )
+            return data
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise DamagedChunkError(f"a chunk cannot be decompressed: {error}") from None
+    raise DamagedChunkError(f"a chunk is compressed by '{chunk.compression}', which is unknown")
