@@ -163,7 +163,7 @@ def main() -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         _exit_unflushed(0)
-    except (ImportError, MemoryError, OSError) as error:
+    except (ImportError, MemoryError, OSError, RuntimeError) as error:
         shortage = _shortage(error)
         if not shortage:
             raise
@@ -184,10 +184,12 @@ def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:
     return first if isinstance(first, RteeError) else None
 
 
-def _shortage(error: ImportError | MemoryError | OSError) -> str:
+def _shortage(error: Exception) -> str:
     """Return a sentence about the resource that is used up; ``""`` for any other error."""
     # The dynamic linker reports a lack of memory as "failed to map segment".
-    if isinstance(error, MemoryError) or "failed to map segment" in str(error):
+    # Python reports a thread for whose stack there is none by a RuntimeError.
+    words = ("failed to map segment", "can't start new thread")
+    if isinstance(error, MemoryError) or any(each in str(error) for each in words):
         return _EXHAUSTED[errno.ENOMEM]
     number = error.errno if isinstance(error, OSError) else None
     # Functions that write files report a full disk themselves; this one is about stdout.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,8 +26,19 @@ from rtee.hand.xmlfile import Element, read_xml
 MOST_FILES: Final = 200
 """Most files that a model may include; those of hands have one to three."""
 
-MOST_BODIES: Final = 1000
-"""Most bodies of a model; hands have up to 50, and arms with hands 100."""
+MOST_BODIES: Final = 300
+"""Most bodies of a model; hands have up to 50, and arms with hands 100. The memory that the import
+takes grows with the square."""
+
+MOST_ELEMENTS: Final = 5000
+"""Most elements of a model; hands have up to a thousand."""
+
+MOST_OF_A_KIND: Final = 1000
+"""Most elements of one kind: MuJoCo compares the names of each with those of all others."""
+
+MOST_NESTED: Final = 40
+"""Most bodies inside one another; an arm with a hand has a chain of 15. The time for closed
+linkages grows with a power of it."""
 
 _GREATEST: Final = 1e10
 """Least number that is refused: MuJoCo's own limit for positions and forces."""
@@ -100,6 +112,10 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     allowed = [_real(folder) for folder in (file.absolute().parent, *folders)]
     parts = _parts(file, allowed)
     elements = [element for part in parts for element in _all(part)]
+    if len(elements) > MOST_ELEMENTS:
+        raise ModelError(
+            f"has {len(elements)} elements; more than {MOST_ELEMENTS} are not a hand", path=file
+        )
     for element in elements:
         if element.tag in _REFUSED:
             raise element.error(f"<{element.tag}> {_REFUSED[element.tag]}")
@@ -109,12 +125,30 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     bodies = sum(element.tag == "body" for element in elements)
     if bodies > MOST_BODIES:
         raise ModelError(f"has {bodies} bodies; more than {MOST_BODIES} are not a hand", path=file)
+    kind, number = Counter(element.tag for element in elements).most_common(1)[0]
+    if number > MOST_OF_A_KIND:
+        raise ModelError(
+            f"has {number} elements <{kind}>; more than {MOST_OF_A_KIND} are not a hand", path=file
+        )
+    for part in parts:
+        _check_depth(part)
     missing = _check_meshes(elements, file, allowed)
     with mujoco_says(file, lines=len(parts) == 1) as notes:
         spec = mujoco.MjSpec.from_file(str(file))
     notes += _reduce(spec, missing, file)
     says_angle = any(e.tag == "compiler" and "angle" in e.attributes for e in elements)
     return Source(file, spec, len(parts) == 1, says_angle, tuple(notes))
+
+
+def _check_depth(root: Element) -> None:
+    """Refuse bodies that are nested deeper than those of any hand."""
+    pending = [(root, 0)]
+    while pending:
+        element, depth = pending.pop()
+        depth += element.tag == "body"
+        if depth > MOST_NESTED:
+            raise element.error(f"more than {MOST_NESTED} bodies inside one another are not a hand")
+        pending += [(child, depth) for child in element.children]
 
 
 def _check_numbers(element: Element) -> None:

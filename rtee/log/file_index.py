@@ -171,6 +171,8 @@ class _Surveyor:
         self._unreadable: list[str] = []
         self._damage = Damage()
         self._indexing = False
+        self._repeats = False  # whether the summary is read, which repeats the definitions
+        self._defined: tuple[dict[tuple[int, int], bytes], ...] = ({}, {})
 
     def look(self) -> Survey:
         with self._path.open("rb") as stream:
@@ -195,8 +197,9 @@ class _Surveyor:
                 # The summary repeats the definitions, which only files of other software lack in
                 # the data; all other records have been counted.
                 elif data or record.opcode in _DEFINITIONS:
+                    self._repeats = not data
                     try:
-                        self._take(record, stream, repeated=not data)
+                        self._take(record, stream)
                     except DamagedRecordError as error:
                         self._unreadable.append(str(error))
                     good = record.end if data else good
@@ -220,6 +223,8 @@ class _Surveyor:
                 good = size
             else:
                 self._damage.summary = True
+        if all(self._defined) and self._defined[0] != self._defined[1] and self._ours:
+            self._unreadable.append("the definitions of its messages are altered")
         repairable = self._damage.sentences([(chunk.start, chunk.end) for chunk in self._chunks])
         damage = (*self._unreadable, *repairable)
         return Survey(
@@ -249,18 +254,17 @@ class _Surveyor:
             except DamagedRecordError:
                 continue
 
-    def _define(self, opcode: int, content: bytes, *, repeated: bool = False) -> None:
-        """Take a schema or channel, and one that is ``repeated`` only if it is unknown."""
-        if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema, content)
-            if not repeated or schema.id not in self._schemas:
-                self._schemas[schema.id] = schema
+    def _define(self, opcode: int, content: bytes) -> None:
+        """Take a schema or channel; the first of several copies counts."""
+        record = parsed(Schema if opcode == Opcode.SCHEMA else Channel, content)
+        if isinstance(record, Schema):
+            self._schemas.setdefault(record.id, record)
         else:
-            channel = parsed(Channel, content)
-            if not repeated or channel.id not in self._channels:
-                self._channels[channel.id] = channel
+            self._channels.setdefault(record.id, record)
+        # Definitions have no checksum, but two copies: in the data, and in the summary.
+        self._defined[self._repeats][opcode, record.id] = content
 
-    def _take(self, record: Record, stream: BinaryIO, *, repeated: bool) -> None:
+    def _take(self, record: Record, stream: BinaryIO) -> None:
         # An index belongs to the chunk before it, unless damage is in between.
         indexing, self._indexing = self._indexing, False
         match record.opcode:
@@ -292,7 +296,7 @@ class _Surveyor:
                     self._unreadable.append(f"attachment '{attachment.name}' has lost its checksum")
                 self._attachments[attachment.name] = attachment
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._define(record.opcode, record.read(stream), repeated=repeated)
+                self._define(record.opcode, record.read(stream))
             case Opcode.MESSAGE if not self._ours:
                 self._loose += 1
             case _ if record.opcode == DAMAGE:

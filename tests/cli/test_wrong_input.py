@@ -271,6 +271,21 @@ def test_too_few_files(home: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(("text", "status"), [("can't start new thread", 2), ("a bug", 1)])
+def test_no_memory_for_a_thread(text: str, status: int) -> None:
+    """Under a limit of memory, Python reports it by a RuntimeError, wherever a thread starts."""
+    code = (
+        "import rtee.cli.main as main\n"
+        f"def fail(**_): raise RuntimeError({text!r})\n"
+        "main.cli = fail\n"
+        "main.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == status
+    assert ("there is not enough memory; 'ulimit -v'" in done.stderr) is (status == 2)
+    assert ("Traceback" in done.stderr) is (status == 1)
+
+
 def test_a_number_that_never_ends(home: Path, refused: Run) -> None:
     file = home / "hand.yaml"
     for digits in ("0x" + "f" * 5000, "9" * 4000, "9" * 5000):
