@@ -275,7 +275,8 @@ def test_too_few_files(home: Path) -> None:
 def test_no_memory_for_a_thread(text: str, status: int) -> None:
     """Under a limit of memory, Python reports it by a RuntimeError, wherever a thread starts."""
     code = (
-        "import rtee.cli.main as main\n"
+        "import importlib\n"
+        "main = importlib.import_module('rtee.cli.main')\n"
         f"def fail(**_): raise RuntimeError({text!r})\n"
         "main.cli = fail\n"
         "main.main()\n"

@@ -705,7 +705,7 @@ def refused(folder: Path, text: str | bytes) -> ModelError:
         (hand_of('<extension><plugin plugin="p"/></extension>'), "plugin of MuJoCo", 26),
         (hand_of("", fingers='<replicate count="9999999"><site/></replicate>'), "makes many", None),
         (hand_of("", fingers='<flexcomp type="grid" count="999 999 99"/>'), "flexible", None),
-        (hand_of("", fingers="<body/>" * 1001), "more than 1000 are not a hand", None),
+        (hand_of("", fingers="<body/>" * 1001), "more than 300 are not a hand", None),
         (hand_of('<actuator><position joint="c_1"/></actuator>'), "c_1", None),
         (hand_of('<actuator><position body="palm"/></actuator>'), "'body'", None),
         (hand_of('<actuator><adhesion body="palm" ctrlrange="0 1"/></actuator>'), "neither", None),
