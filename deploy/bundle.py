@@ -1,10 +1,14 @@
 """Make a bundle that installs rtee where there is no network.
 
     python deploy/bundle.py [--python 3.12] [--platform aarch64] [--extras ethercat,gui] [--out DIR]
+        [--sign KEY]
 
 It holds the wheel of this checkout, the wheels of exactly the versions in constraints.txt for the
 wanted Python and processor (glibc 2.28 or newer), and `install.sh`, which makes an environment from
 them without an index and checks every file's SHA-256. `make bundle` runs this.
+
+Whoever can change a bundle can change its checksums, too. So the digest of the archive is printed,
+to be compared where it arrives, and with `--sign` an SSH key signs the archive.
 """
 
 from __future__ import annotations
@@ -30,6 +34,8 @@ PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 GLIBC = (5, *range(12, 29))
 """Minor versions of glibc 2 whose wheels run on glibc 2.28, as Debian 10 and Ubuntu 20.04 have."""
 MEGA = 1e6
+NAMESPACE = "rtee-bundle"
+"""What a signature is for: one of the same key for another purpose is worth nothing here."""
 
 
 class Problem(Exception):
@@ -149,7 +155,7 @@ def finish(folder: Path, target: Target, extras: Sequence[str]) -> None:
     script = script.replace("@PYTHON@", target.python).replace("@MACHINE@", target.machine)
     (folder / "install.sh").write_text(script)
     (folder / "install.sh").chmod(0o755)
-    files = [folder / "requirements.txt", *_wheels(wheels)]
+    files = [folder / "install.sh", folder / "requirements.txt", *_wheels(wheels)]
     sums = [f"{_digest(path)}  {path.relative_to(folder)}" for path in files]
     (folder / "SHA256SUMS").write_text("\n".join(sums) + "\n")
 
@@ -169,6 +175,25 @@ def _pip(*words: str) -> None:
     if done.returncode:
         said = [line for line in done.stderr.splitlines() if "ERROR" in line] or [done.stderr]
         raise Problem(said[0].strip())
+
+
+def sign(archive: Path, key: Path) -> Path:
+    """Sign an archive with an SSH key, which may be one of an agent, and return the signature.
+
+    Raises:
+        Problem: if there is no OpenSSH, or no such key.
+    """
+    signature = archive.with_name(f"{archive.name}.sig")
+    signature.unlink(missing_ok=True)
+    command = ["ssh-keygen", "-Y", "sign", "-q", "-f", str(key), "-n", NAMESPACE, str(archive)]
+    try:
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    except FileNotFoundError:
+        raise Problem("--sign needs ssh-keygen, which is a part of OpenSSH") from None
+    if done.returncode or not signature.is_file():
+        said = done.stderr.strip().splitlines() or ["no signature"]
+        raise Problem(f"{key} cannot sign: {said[-1]}")
+    return signature
 
 
 def bundle(target: Target, extras: Sequence[str], out: Path) -> Path:
@@ -196,6 +221,9 @@ def bundle(target: Target, extras: Sequence[str], out: Path) -> Path:
         print(f"{path.stat().st_size / MEGA:8.2f} MB  {path.name}")
     count = len(_wheels(whole / "wheels"))
     print(f"{archive.stat().st_size / MEGA:8.2f} MB  {archive}: {count} wheels")
+    print(
+        f"SHA-256 {_digest(archive)}; compare it with `sha256sum {archive.name}` where it arrives"
+    )
     return archive
 
 
@@ -209,10 +237,13 @@ def main() -> int:
     parser.add_argument("--platform", choices=PLATFORMS, default=platform.machine())
     parser.add_argument("--extras", default="", help="extras of rtee, with commas")
     parser.add_argument("--out", type=Path, default=Path("dist"), help="folder (default: dist)")
+    parser.add_argument("--sign", type=Path, metavar="KEY", help="SSH key that signs the archive")
     given = parser.parse_args()
     extras = [extra for extra in given.extras.split(",") if extra]
     try:
-        bundle(Target(given.python, given.platform), extras, given.out)
+        archive = bundle(Target(given.python, given.platform), extras, given.out)
+        if given.sign is not None:
+            print(f"{sign(archive, given.sign)}: signed")
     except Problem as problem:
         print(f"bundle: {problem}", file=sys.stderr)
         return 1

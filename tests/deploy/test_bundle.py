@@ -179,6 +179,41 @@ def test_it_installs_without_a_network_and_refuses_what_is_damaged(
     assert "HASH" in done.stderr.upper()
 
 
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs OpenSSH")
+def test_a_signature_tells_a_forged_bundle(bundle: ModuleType, tmp_path: Path) -> None:
+    """Who changes the bundle changes its checksums, too, and nobody noticed."""
+    key, archive = tmp_path / "key", tmp_path / "rtee.tar"
+    made = ["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)]
+    subprocess.run(made, check=True)
+    archive.write_bytes(b"wheels and checksums")
+    signature = bundle.sign(archive, key)
+    signers = tmp_path / "signers"
+    signers.write_text(f"bundle {(tmp_path / 'key.pub').read_text()}")
+
+    def verified() -> bool:
+        words = [
+            "-Y",
+            "verify",
+            "-f",
+            signers,
+            "-I",
+            "bundle",
+            "-n",
+            "rtee-bundle",
+            "-s",
+            signature,
+        ]
+        with archive.open("rb") as file:
+            done = subprocess.run(["ssh-keygen", *words], stdin=file, capture_output=True)
+        return done.returncode == 0
+
+    assert verified()
+    archive.write_bytes(b"wheels and checksums of another")
+    assert not verified()
+    with pytest.raises(bundle.Problem, match="cannot sign"):
+        bundle.sign(archive, tmp_path / "none")
+
+
 @pytest.mark.parametrize(
     ("python", "machine", "reason"),
     [("3.99", platform.machine(), "is for Python 3.99"), (HERE, "riscv128", "is for riscv128")],
