@@ -16,6 +16,7 @@ from rtee.hand.config_schema import Distro, Ros2Settings, ThermalSettings
 from rtee.hand.model import Hand
 from rtee.remote.client import RemoteHand, connect
 from rtee.remote.model import model_of
+from rtee.remote.session import TLS, is_safe
 from rtee.ros2.diagnostics import Diagnostics
 from rtee.ros2.face import Face, Part
 from rtee.ros2.grasp_action import Grasp
@@ -73,14 +74,20 @@ class Shown:
         return node_name(ros_name(self.name), self.settings.namespace).full
 
 
+def _others(router: str) -> str:
+    """Return a reminder that ports on this computer are open to all of its users."""
+    here = is_safe(router) and not router.startswith(TLS)
+    return ", which is every user of this computer," if here else ""
+
+
 def warnings(hands: Sequence[Shown]) -> list[str]:
     """Return sentences about the risks of showing these hands.
 
     Raises `ConfigError` if a namespace is malformed, or two hands would have the same node.
     """
     risks = [
-        f"whoever reaches the router of ROS 2 at {router} can move {_listed(names)}: ROS 2 knows no"
-        " identities"
+        f"whoever reaches the router of ROS 2 at {router}{_others(router)} can move"
+        f" {_listed(names)}: ROS 2 knows no identities"
         for router, names in _grouped((hand.settings.router, hand.name) for hand in hands).items()
     ]
     nodes = _grouped((hand.node, hand.name) for hand in hands)
