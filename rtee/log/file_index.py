@@ -256,13 +256,16 @@ class _Surveyor:
 
     def _define(self, opcode: int, content: bytes) -> None:
         """Take a schema or channel; the first of several copies counts."""
-        record = parsed(Schema if opcode == Opcode.SCHEMA else Channel, content)
-        if isinstance(record, Schema):
-            self._schemas.setdefault(record.id, record)
-        else:
-            self._channels.setdefault(record.id, record)
         # Definitions have no checksum, but two copies: in the data, and in the summary.
-        self._defined[self._repeats][opcode, record.id] = content
+        defined = self._defined[self._repeats]
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(Schema, content)
+            self._schemas.setdefault(schema.id, schema)
+            defined[opcode, schema.id] = content
+        else:
+            channel = parsed(Channel, content)
+            self._channels.setdefault(channel.id, channel)
+            defined[opcode, channel.id] = content
 
     def _take(self, record: Record, stream: BinaryIO) -> None:
         # An index belongs to the chunk before it, unless damage is in between.
