@@ -190,6 +190,26 @@ def doubtful(action: Action) -> bool:
     return not (evidence.clear and opposed)
 
 
+def meeting(action: Action, opening: Opening, actions: Iterable[Action]) -> float:
+    """Return the opening at which the empty hand's fingertips meet one another [m].
+
+    That of an action is where its own evidence has the first contact, or that of an action with the
+    same posture; else the narrowest of its table.
+
+    Args:
+        action: The action.
+        opening: Its opening.
+        actions: All actions of the hand.
+    """
+    wanted = action.waypoints[-1]
+    contacts = [
+        each.evidence[0].contact_at
+        for each in actions
+        if each.evidence and each.waypoints[-1].position == wanted.position
+    ]
+    return max((opening.at(at) for at in contacts if at is not None), default=opening.narrowest)
+
+
 def suitability(
     hand: Hand, action: Action, opening: Opening, width: float, margin: float = MARGIN
 ) -> tuple[float, ...]:

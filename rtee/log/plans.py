@@ -99,6 +99,7 @@ def _grip_fields(grip: Grip, actuators: Sequence[str]) -> dict[str, Any]:
         "friction": list(grip.friction),
         "efficiency": list(grip.efficiency),
         "inertia": list(grip.inertia),
+        "empty": grip.empty,
         "finger": [*grip.fingers, _SIDES, *grip.others],
         "around": grip.around,
         "sheet": table,
@@ -134,7 +135,8 @@ def _grip_of(fields: Mapping[str, Any], actuators: Sequence[str]) -> Grip:
         tuple(fingers[between + 1 :]),
         fields["around"],
         sheet,
-        tuple(fields["inertia"].tolist()) or (0.0,) * columns,  # empty in older recordings
+        tuple(fields["inertia"].tolist()) or (0.0,) * columns,  # none in older recordings
+        fields["empty"],
     )
 
 

@@ -84,6 +84,7 @@ class Grip:
         around: Whether the tips close from more than two sides.
         sheet: Force by effort limit from the device's data sheet, for a single actuator.
         inertia: Inertia of motor and gear at each actuator [kg·m² | kg]; 0: not stated.
+        empty: Opening at which the empty hand's fingertips meet one another [m].
     """
 
     indices: tuple[int, ...]
@@ -99,6 +100,7 @@ class Grip:
     around: bool = False
     sheet: GripForce | None = None
     inertia: tuple[float, ...] = (0.0,)
+    empty: float = 0.0
 
     @classmethod
     def of(
@@ -107,6 +109,7 @@ class Grip:
         opening: Opening,
         targets: Mapping[int, float],
         grips: Mapping[int, GripForce],
+        empty: float,
     ) -> Grip:
         """Return the grip of an action.
 
@@ -115,6 +118,7 @@ class Grip:
             opening: The action's table.
             targets: Positions of the action's actuators at intensity 1, by index [rad | m].
             grips: Forces by the devices' data sheets, by actuator index.
+            empty: Opening at which the empty hand's fingertips meet one another [m].
         """
         indices = tuple(hand.actuator_index(name) for name in opening.actuators)
         known = [hand.dynamics.get(name, ActuatorDynamics()) for name in opening.actuators]
@@ -135,6 +139,7 @@ class Grip:
             opening.around,
             single,
             tuple(k.armature or 0.0 for k in known),
+            empty,
         )
 
     # --- the opening -------------------------------------------------------------------------
@@ -171,7 +176,7 @@ class Grip:
             return math.nan
         at = min(max(share, self.intensity[0]), self.intensity[-1])
         off = abs(max(self._interpolated(self.width, at), 0.0) - self.opening(position))
-        return max(self.width[-1], 0.0) + _TABLE + _FIRST_ORDER * off
+        return max(self.empty, self.width[-1], 0.0) + _TABLE + _FIRST_ORDER * off
 
     def _nearest(self, position: Sequence[float]) -> float:
         """Return the intensity whose posture is nearest to actuator positions."""

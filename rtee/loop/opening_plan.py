@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from rtee.actions.naming import label
-from rtee.actions.openings import MARGIN, Opening, suitability
+from rtee.actions.openings import MARGIN, Opening, meeting, suitability
 from rtee.actions.types import Action
 from rtee.capabilities import GripForce
 from rtee.errors import ActionError, GoalRejected, suggestion
@@ -159,7 +159,8 @@ def plan_opening(
     width = goal.opening
 
     def grip_of(action: Action, opening: Opening) -> Grip:
-        return Grip.of(hand, opening, targets(action), devices.grips)
+        empty = meeting(action, opening, library)
+        return Grip.of(hand, opening, targets(action), devices.grips, empty)
 
     if goal.action:
         action = find()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from rtee.actions.openings import doubtful
+from rtee.actions.openings import doubtful, meeting
 from rtee.actions.types import Action, Primitive
 from rtee.errors import ActionError, GoalRejected, suggestion
 from rtee.hand.model import Hand
@@ -67,7 +67,8 @@ def grip_of(
         opening = library.openings.of(action)
     except ActionError:
         return None
-    return Grip.of(hand, opening, targets(action), devices.grips)
+    empty = meeting(action, opening, library)
+    return Grip.of(hand, opening, targets(action), devices.grips, empty)
 
 
 def touching_action(goal: Goal, hand: Hand, library: ActionLibrary) -> Action:

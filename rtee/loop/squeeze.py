@@ -31,7 +31,7 @@ _SLIP_STEP = 0.25
 """Least increase of the effort after a slip, as a share of the goal's effort limits: the slip ends
 within a few steps, or the object is gone."""
 
-_SLIP_SHARE = 0.5
+_SLIP_SHARE = 0.75
 """Increase of the effort after a slip as a share of the present effort, if that is more: it
 overtakes a growing load."""
 

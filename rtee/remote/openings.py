@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rtee.actions.library import ActionLibrary
-from rtee.actions.openings import Opening
+from rtee.actions.openings import Opening, meeting
 from rtee.actions.types import Action
 from rtee.errors import ActionError
 from rtee.loop.devices import device_forces
@@ -107,7 +107,8 @@ def _fields(
 ) -> dict[str, Any]:
     hand, last = library.hand, action.waypoints[-1]
     targets = {hand.actuator_index(name): last.position[name] for name in last.involved}
-    grip = Grip.of(hand, opening, targets, forces.grips)
+    empty = meeting(action, opening, library)
+    grip = Grip.of(hand, opening, targets, forces.grips, empty)
     unlimited = force_refused(hand, opening, grip, forces)
     ranges = [(0.0, 0.0) if unlimited else grip.forces(hand, at) for at in grip.intensity]
     low, high = zip(*ranges, strict=True)

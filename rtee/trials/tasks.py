@@ -42,8 +42,9 @@ _SPEED: Final = 0.02
 _SETTLE: Final = 1.0
 """Time in which a grip, or what disturbed it, settles [s]."""
 
-_LOST: Final = 0.02
-"""What has moved farther than this in the hand is lost [m]: a finger's breadth."""
+_LOST: Final = 0.015
+"""What has moved farther than this in the hand is lost [m]: less than a finger's breadth: what
+slides from the pads may come to rest in the fingers' roots."""
 
 _BESIDE: Final = 0.003
 """How far off the middle the object is along each axis at most [m], as a camera or a person puts
@@ -188,6 +189,7 @@ class _Run:
         mass = trial.task.mass if trial.mass is None else trial.mass
         options = SimOptions(
             object=trial.object,
+            support="floating",  # let go of when the hand says that it has it
             object_mass=mass * varied.uniform(*_MASS),
             friction=varied.uniform(*_FRICTION),
         )
