@@ -122,7 +122,7 @@ def test_the_variants_have_the_stated_primitives(variant: int, tmp_path: Path) -
         pytest.param(
             gripper,
             id=gripper.name,
-            marks=[pytest.mark.heavy] if gripper.name == "qb_softhand" else [],
+            marks=[] if gripper.name == "robotiq_2f_85" else [pytest.mark.heavy],
         )
         for gripper in same_object.GRIPPERS
     ],
@@ -171,6 +171,7 @@ def test_the_steps_of_a_timed_action_get_their_pictures(tmp_path: Path) -> None:
     assert names == ["start", "approach", wide_grasp.WIDE, "grasp", "lift", "shake"]
 
 
+@pytest.mark.heavy
 def test_two_runs_of_an_experiment_are_recorded_bit_for_bit_alike(tmp_path: Path) -> None:
     recordings, ready = [], bench("robotiq_2f_85")
     for run in ("one", "two"):

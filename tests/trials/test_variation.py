@@ -193,6 +193,7 @@ def test_a_place_is_chosen_by_more_tries() -> None:
     assert result.trial == Trial("Grasp", object=shape, variations=3, choosing=10)
 
 
+@pytest.mark.heavy
 @pytest.mark.timeout(300)
 def test_a_place_on_the_edge_is_moved_towards_the_middle() -> None:
     ready = bench(GRIPPER)
