@@ -126,6 +126,8 @@ async def test_bad_samples_are_refused_in_one_sentence(hand: Hand, library: Acti
                 await stream.send({"near": math.nan})
             with pytest.raises(GoalRejected, match="finite"):
                 await stream.send({"near": 0.1}, stamp=math.inf)
+            with pytest.raises(GoalRejected, match="finite"):
+                await stream.send({"near": 0.1}, velocity={"near": math.nan})
             for targets, stamp, said in (
                 ({"near": 57.0}, now, "degrees"),
                 ({"nose": 0.1}, now, "neither an actuator"),
