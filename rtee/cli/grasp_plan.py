@@ -149,8 +149,8 @@ def _show(ranking: Ranking, top: int) -> None:
     print(f"\n{first.label}: " + "; ".join(first.reasons))
     x, y, z, roll, pitch, yaw = _pose(first)
     print(
-        f"the object in the hand's base frame: x {x * 1e3:.0f} mm, y {y * 1e3:.0f} mm, "
-        f"z {z * 1e3:.0f} mm; roll {roll:.0f}°, pitch {pitch:.0f}°, yaw {yaw:.0f}°"
+        f"the object in the hand's base frame: x {x * 1e3:z.0f} mm, y {y * 1e3:z.0f} mm, "
+        f"z {z * 1e3:z.0f} mm; roll {roll:z.0f}°, pitch {pitch:z.0f}°, yaw {yaw:z.0f}°"
     )
     if first.action:
         words = " ".join((first.action, *first.elements))

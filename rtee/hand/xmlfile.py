@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 from xml.parsers import expat
-from xml.sax.saxutils import escape, quoteattr
 
 from rtee.errors import ModelError, foreign
 from rtee.hand.files import read_bytes
@@ -120,6 +119,9 @@ class Element:
 
 def to_text(root: Element) -> str:
     """Return an element as XML; comments and the place of text between elements are lost."""
+    # Imports urllib and email, which a running hand does not need.
+    from xml.sax.saxutils import escape, quoteattr
+
     lines: list[str] = []
     # A stack of what is to be written, since elements may be nested deeply.
     pending: list[tuple[int, Element | str]] = [(0, root)]
