@@ -157,7 +157,8 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
 
     Raises `ConfigError` if that is wrong, `zenoh.ZError` for all that Zenoh itself refuses.
     """
-    text = os.environ.get(_RUNTIME_VARIABLE, "").strip()
+    # Not set, where another environment took the place of that in which this module was imported.
+    text = os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME).strip()
     wrong = ConfigError(
         f"{_RUNTIME_VARIABLE}={text[:80]} does not describe Zenoh's threads, as "
         "(rx:(worker_threads:1)) does"
