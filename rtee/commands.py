@@ -39,7 +39,8 @@ class Freeze:
 
     Attributes:
         reason: Why, in words, for the result of the goal that ends.
-        actuators: Actuators concerned; empty: all.
+        actuators: Actuators concerned; empty: all. Goals and streams of others go on: a device that
+            refuses its references ends nothing of theirs.
     """
 
     reason: str = ""

@@ -239,7 +239,6 @@ class Controller:
                 self._hold(stamp, self._free())
             case Freeze(reason, actuators):
                 frozen, plan, stream = self._indices(actuators), self.running, self.stream
-                # A device that refuses its references ends nothing of the others.
                 if not actuators or (stream and not set(stream.indices).isdisjoint(frozen)):
                     self._end_stream(stamp, reason or "the hand has stopped")
                 if not actuators or (plan and not plan.involved.isdisjoint(frozen)):
