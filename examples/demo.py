@@ -115,7 +115,7 @@ def emulated() -> None:
         print(f"  {hand:<14} on {wire}; between the fingers: {thing}")
     with ExitStack() as grippers:
         for hand, _, thing, _ in GRIPPERS:
-            grippers.enter_context(running(hand, "--emulated", "--object", thing))
+            grippers.enter_context(running(hand, "--emulated", "--ideal", "--object", thing))
         for hand, fingers, *_ in GRIPPERS:
             wait_for(hand)
             rtee("do", "PinchTight", *fingers, "--hand", hand)

@@ -148,7 +148,8 @@ def _first_contact(specs: list[DeviceSpec], out: Path | None) -> int:
     """Go through the first contact with each device; return the exit status."""
     from rtee.buses.pool import BusPool
     from rtee.drivers.connection import owner_of
-    from rtee.drivers.diagnosis.first_contact import FirstContact, Question, Verdict
+    from rtee.drivers.diagnosis.contact_report import Question, Verdict
+    from rtee.drivers.diagnosis.first_contact import FirstContact
     from rtee.drivers.registry import find_driver
     from rtee.log.first_contact import write
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rtee import monotonic
-from rtee.drivers.diagnosis.first_contact import Finding, Report, Verdict
+from rtee.drivers.diagnosis.contact_report import Finding, Report, Verdict
 from rtee.errors import ConfigError
 from rtee.hand.files import write_together
 

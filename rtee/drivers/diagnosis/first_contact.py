@@ -10,15 +10,14 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
 from rtee import monotonic
 from rtee.buses.retry import patiently
-from rtee.drivers.assumptions import ASSUMPTIONS, Assumption, Topic
+from rtee.drivers.assumptions import Topic
 from rtee.drivers.base import Driver
+from rtee.drivers.diagnosis.contact_report import Finding, Question, Report, Sample, Verdict
 from rtee.errors import BusError, DeviceFault, NotConnected, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, JointKind, Reference
@@ -45,107 +44,8 @@ _LEAST_FORCE, _MOST_FORCE = 0.4, 2.5
 """Range of the measured by the told force within which a rough gauge confirms it."""
 
 
-class Verdict(StrEnum):
-    """What a step says of an assumption."""
-
-    CONFIRMED = "confirmed"
-    REFUTED = "refuted"
-    OPEN = "not tried"
-
-
-@dataclass(frozen=True, slots=True)
-class Question:
-    """A question to the person at the device.
-
-    Attributes:
-        topic: What it is about.
-        text: The question.
-        kind: ``yes`` (y or n), ``number`` or ``enter``; a number may be left out by Enter.
-        actuator: The actuator that it is about; empty: the device.
-        unit: Unit of a number.
-    """
-
-    topic: Topic
-    text: str
-    kind: str = "yes"
-    actuator: str = ""
-    unit: str = ""
-
-
 Ask = Callable[[Question], Awaitable[str]]
 """Puts a question to the person and returns the answer."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What one step found.
-
-    Attributes:
-        topic: The topic of the assumptions that it speaks of.
-        verdict: Whether it confirms or refutes them.
-        text: What was found, in words.
-        actuator: The actuator; empty: the device.
-    """
-
-    topic: Topic
-    verdict: Verdict
-    text: str
-    actuator: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """A measurement, with what was commanded.
-
-    Attributes:
-        stamp: Time, CLOCK_MONOTONIC [s].
-        step: The step that was under way.
-        state: What was measured.
-        reference: Positions commanded; empty: none.
-    """
-
-    stamp: float
-    step: str
-    state: ActuatorState
-    reference: tuple[float, ...] = ()
-
-
-@dataclass
-class Report:
-    """The record of a first contact.
-
-    Attributes:
-        device: The device's name.
-        driver: The driver's name.
-        identity: What the device says of itself.
-        findings: What the steps found, in order.
-        answers: Questions and answers, in order.
-        samples: Measurements, in order.
-        ended: Why it ended early; empty: it did not.
-    """
-
-    device: str
-    driver: str
-    identity: dict[str, str] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
-    answers: list[tuple[Question, str]] = field(default_factory=list)
-    samples: list[Sample] = field(default_factory=list)
-    ended: str = ""
-
-    def judged(self) -> list[tuple[Assumption, Verdict]]:
-        """Return the assumptions of the device's page with what was found about their topic."""
-        return [
-            (assumption, self.verdict(assumption.topic))
-            for assumption in ASSUMPTIONS.get(self.driver, ())
-        ]
-
-    def verdict(self, topic: Topic) -> Verdict:
-        """Return what all findings say of a topic: one refutes it, else one confirms it."""
-        said = {one.verdict for one in self.findings if one.topic is topic}
-        for verdict in (Verdict.REFUTED, Verdict.CONFIRMED):
-            if verdict in said:
-                return verdict
-        return Verdict.OPEN
 
 
 def _ends(one: ActuatorSpec) -> tuple[float, float]:

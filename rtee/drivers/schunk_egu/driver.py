@@ -49,9 +49,7 @@ from rtee.errors import (
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
 
-_PER_FINGER = 2e6
-"""Micrometres of the images by a metre of a finger: the images have the distance between the
-fingers, which both of them change."""
+_PER_FINGER = 2e6  # of the images [µm] by a metre of one finger: they have the distance between
 _SAME, _REACHED = 1000.0, 200.0
 """Difference to the measured position within which a target commands no motion just after
 connecting, and within which it counts as reached [µm]."""

@@ -17,7 +17,8 @@ from mcap.reader import make_reader
 from rtee.buses.pool import BusPool
 from rtee.drivers.assumptions import ASSUMPTIONS, Topic
 from rtee.drivers.connection import owner_of
-from rtee.drivers.diagnosis.first_contact import FirstContact, Question, Report, Verdict
+from rtee.drivers.diagnosis.contact_report import Question, Report, Verdict
+from rtee.drivers.diagnosis.first_contact import FirstContact
 from rtee.drivers.registry import find_driver
 from rtee.log.first_contact import text_of, write
 from rtee.testing import DeviceCase, simulated_time
