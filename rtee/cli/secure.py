@@ -108,7 +108,7 @@ def revoke(hand: HandArgument, name: PersonArgument) -> None:
         print(f"{person.name} is refused")
     if not revoked:
         print(f"{name} was refused already")
-    print("Within a second a hand that runs takes no request of it but stop, and sends it nothing.")
+    print("Within a second a hand that runs closes its connections, and lets in no new ones.")
 
 
 @app.command(name="list")

@@ -199,6 +199,31 @@ def test_each_user_has_so_many_connections(tmp_path: Path, monkeypatch: pytest.M
         wait(lambda: len(list(session.info.links())) == 3)
 
 
+async def test_tokens_cost_no_look_at_the_files(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[float] = []
+    connected = connections._connected
+
+    def counted() -> Iterator[tuple[socket.socket, object]]:
+        looks.append(0.0)
+        return connected()
+
+    async with serving(hand, library) as served:
+        session = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
+        remote = session.liveliness()
+        monkeypatch.setattr(connections, "_connected", counted)
+        for number in range(300):
+            token = remote.declare_token(f"rtee/small/clients/{number:032x}")
+            token.undeclare()  # type: ignore[no-untyped-call]
+        last = remote.declare_token(f"rtee/small/clients/{300:032x}")
+        await until(lambda: f"{300:032x}" in served.server._identities._tokens)
+        # Those of the new connection, and of their surplus; not one for each token.
+        assert len(looks) <= 2
+        last.undeclare()  # type: ignore[no-untyped-call]
+        session.close()
+
+
 def wait(condition: Callable[[], bool]) -> None:
     """Wait until something is true; the test's timeout ends it."""
     while not condition():
