@@ -97,7 +97,7 @@ def extract(
     """Find the primitive grasping actions of a hand."""
     from rtee.actions.openings import write_openings
     from rtee.errors import ConfigError, needing_extra
-    from rtee.exchange.reading import as_urdf
+    from rtee.exchange.reading import as_srdf, as_urdf
     from rtee.hand.files import check_writable
     from rtee.hand.load import load_hand
 
@@ -134,8 +134,10 @@ def extract(
             if folder is not None:
                 model = load_hand(folder)
             else:
-                readable = as_urdf(urdf, mjcf, words, package_dir or [])
-                model = _hand_in(stack.enter_context(readable), srdf, subtree)
+                folders = package_dir or []
+                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders))
+                groups = stack.enter_context(as_srdf(srdf, (), folders))
+                model = _hand_in(readable, groups, subtree)
             with progress_bar() as progress:
                 extraction = run(model, jobs=jobs, rank=rank.value, progress=progress)
         page = {} if report is None else {report: _report(model, extraction, folder, jobs)}

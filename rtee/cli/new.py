@@ -74,15 +74,25 @@ def new(
     with needing_extra("making a hand from a URDF", "extract"):
         from rtee.hand.scaffold import make_hand
 
-    from rtee.exchange.reading import as_urdf
+    from rtee.exchange.reading import XACRO, as_srdf, as_urdf
 
-    with as_urdf(urdf, mjcf, arguments or [], package_dir or []) as model:
+    words, folders = arguments or [], package_dir or []
+    # A model that is no xacro file has no arguments; those given are the SRDF's then.
+    own = words if srdf is None or srdf.suffix != XACRO or _is_xacro(urdf) else []
+    with (
+        as_urdf(urdf, mjcf, own, folders) as model,
+        as_srdf(srdf, words, folders) as groups,
+    ):
         new_hand = make_hand(
-            name, model.urdf, srdf, package_dirs=model.package_dirs, into=into,
+            name, model.urdf, groups, package_dirs=model.package_dirs, into=into,
             ask=typer.confirm if ask else None, passive=model.passive, excluded=model.excluded,
             subtree=subtree_of(root, outside),
         )  # fmt: skip
     _print(new_hand, model.notes)
+
+
+def _is_xacro(urdf: Path | None) -> bool:
+    return urdf is not None and urdf.suffix == ".xacro"
 
 
 def _copy(folder: Path, target: Path) -> None:

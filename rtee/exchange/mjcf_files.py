@@ -293,7 +293,11 @@ def _check_meshes(
             if element.tag != "mesh":  # textures and the like are never opened
                 continue
             if not files:
-                missing[name] = f"mesh '{name[:200]}' does not exist"
+                searched = ", ".join(dict.fromkeys(str(place.parent) for place in places))
+                missing[name] = (
+                    f"mesh '{name[:200]}' (line {element.line}) does not exist; it was searched in "
+                    f"{searched}" + ("" if folders else "; <compiler> has no meshdir")
+                )
             elif files[-1].suffix.lower() not in _MESHES:
                 missing[name] = f"mesh '{name[:200]}' is of none of MuJoCo's formats: stl, obj, msh"
             else:

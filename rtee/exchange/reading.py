@@ -85,6 +85,25 @@ def xacro_as_urdf(
 
 
 @contextmanager
+def as_srdf(
+    path: Path | None, arguments: Sequence[str] = (), package_dirs: Sequence[Path] = ()
+) -> Iterator[Path | None]:
+    """Return a context in which an SRDF exists, expanded if its name ends with ``.xacro``.
+
+    Raises:
+        MissingExtra: The extra ``xacro`` is not installed.
+        ModelError: The file cannot be expanded.
+    """
+    if path is None or path.suffix != XACRO:
+        yield path
+        return
+    with _temporary_folder(path) as folder:
+        srdf = folder / f"{path.name.partition('.')[0] or 'hand'}.srdf"
+        expand(path, srdf, arguments_of(arguments), package_dirs)
+        yield srdf
+
+
+@contextmanager
 def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableModel]:
     """Convert an MJCF file to a URDF, which exists inside the context.
 

@@ -12,7 +12,7 @@ import trimesh
 
 from rtee.errors import ModelError, needing_extra
 from rtee.hand.frames import origin
-from rtee.hand.meshes import check_mesh
+from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry
@@ -69,7 +69,7 @@ def _of_shape(hand: Hand, shape: UrdfGeometry) -> Triangles:
         raise _refusal(hand, shape, "has no triangles")
     if not np.isfinite(points).all():
         raise _refusal(hand, shape, "has a vertex that is not finite")
-    return points * shape.scale, faces
+    return points * (unit_of(path) * np.array(shape.scale)), faces
 
 
 def _refusal(hand: Hand, shape: UrdfGeometry, why: str) -> ModelError:

@@ -17,7 +17,7 @@ from rtee.errors import ModelError
 from rtee.hand.kinematics import Kinematics, pose
 from rtee.hand.linalg import norm, rotated
 from rtee.hand.mesh_repair import repaired
-from rtee.hand.meshes import check_mesh
+from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
 from rtee.hand.tessellation import Triangles, box, cylinder, sphere
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
@@ -274,7 +274,7 @@ class _Meshes:
         self, loader: coal.MeshLoader, path: Path, source: UrdfGeometry
     ) -> coal.BVHModelBase:
         try:
-            mesh = loader.load(str(path), np.array(source.scale))
+            mesh = loader.load(str(path), unit_of(path) * np.array(source.scale))
         except (ValueError, RuntimeError) as error:
             lines = str(error).splitlines()
             why = next((s for s in lines if not s.startswith(_COAL_PREFIXES)), "unknown reason")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,9 @@ from rtee.hand.files import read_bytes, reason
 from rtee.hand.urdf import Urdf, UrdfGeometry
 
 FORMATS: Final = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off", ".3ds", ".fbx")
+
+_HEAD: Final = 100_000
+"""Beginning of a COLLADA file in which its unit stands [byte]."""
 
 _NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
@@ -43,10 +47,11 @@ def resolve_mesh(
     try:
         if match is None:
             candidates = [folder / uri]
-            candidates += [Path(package) / uri for package in package_dirs]
+            candidates += _elsewhere(uri, package_dirs)
         elif match[1] == "file":
             # file://localhost/… names the same file as file:///… (RFC 8089).
-            candidates = [Path(unquote(match[2].removeprefix("localhost")))]
+            place = unquote(match[2].removeprefix("localhost"))
+            candidates = [Path(place), *_elsewhere(place, package_dirs)]
         elif match[1] in ("package", "model"):
             candidates = list(_in_packages(match[2], folder, package_dirs))
         else:
@@ -60,11 +65,29 @@ def resolve_mesh(
             raise
         raise ModelError(f"mesh '{uri[:200]}': {reason(error)}", path=urdf, line=line) from None
     if found is None:
-        hint = (
-            "; give its package's folder by --package-dir" if match and match[1] != "file" else ""
-        )
+        if match and match[1] != "file":
+            hint = "; give its package's folder by --package-dir"
+        elif match or Path(uri).is_absolute():
+            hint = "; it is an absolute path, perhaps of another computer: give the folder that "
+            hint += "has it here by --package-dir"
+        else:
+            hint = ""
         raise ModelError(f"mesh '{uri}' does not exist{hint}", path=urdf, line=line)
     return found
+
+
+def _elsewhere(address: str, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
+    """Yield the possible paths of a file in given folders.
+
+    An absolute path may be one of another computer, of which only the end is the same here.
+    """
+    parts = Path(address).parts
+    begins = range(1, len(parts)) if Path(address).is_absolute() else (0,)
+    for begin in begins:
+        for folder in package_dirs:
+            # Such parts would lead out of the folders.
+            if ".." not in parts[begin:] or begin == 0:
+                yield Path(folder, *parts[begin:])
 
 
 def _in_packages(address: str, folder: Path, package_dirs: Sequence[Path | str]) -> Iterator[Path]:
@@ -148,6 +171,25 @@ def check_mesh(shape: UrdfGeometry, urdf: Urdf, package_dirs: Sequence[Path | st
             f"mesh '{shape.mesh}' cannot be read: {wrong}", path=urdf.path, line=shape.line
         )
     return path
+
+
+_UNIT: Final = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)[\"']")
+
+
+def unit_of(path: Path) -> float:
+    """Return the length of a mesh's unit [m]: what a COLLADA file states, or else 1.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    if path.suffix.lower() != ".dae":
+        return 1.0
+    found = _UNIT.search(read_bytes(path, "mesh", ModelError)[:_HEAD])
+    try:
+        unit = float(found[1]) if found else 1.0
+    except ValueError:
+        return 1.0
+    return unit if 0.0 < unit < math.inf else 1.0
 
 
 def why_no_mesh(data: bytes, suffix: str) -> str | None:

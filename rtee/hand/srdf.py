@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from rtee.hand.vocabulary import SRDF, unread
-from rtee.hand.xmlfile import Element, read_xml
+from rtee.hand.xmlfile import Element, check_expanded, read_xml
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +111,7 @@ def read_srdf(path: Path | str) -> Srdf:
     root, _ = read_xml(path, "SRDF")
     if root.tag != "robot":
         raise root.error(f"is <{root.tag}>, not an SRDF, whose root element is <robot>")
+    check_expanded(root)
     # Without this check, a URDF would be read as an SRDF without groups.
     joint = next(root.all("joint"), None)
     if joint is not None:

@@ -24,7 +24,7 @@ from rtee.hand.urdf import (
     UrdfMimic,
 )
 from rtee.hand.vocabulary import URDF, unread
-from rtee.hand.xmlfile import Element, read_xml, to_text
+from rtee.hand.xmlfile import Element, check_expanded, read_xml, to_text
 
 FARTHEST: Final = 1e3
 """Largest length accepted [m]: no hand is larger, and rounding errors would grow to micrometres."""
@@ -89,13 +89,7 @@ def _check_root(root: Element) -> None:
         what = other.get(root.tag, f"<{root.tag}>")
         remedy = "; give it by --mjcf" if root.tag == "mujoco" else ""
         raise root.error(f"is {what}, not a URDF, whose root element is <robot>{remedy}")
-    # A frequent mistake, which would otherwise be reported as a URDF without links.
-    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
-    if macro is not None:
-        raise macro.error(
-            "is a xacro file; let its name end with .xacro, and rtee expands it, which runs its "
-            "expressions"
-        )
+    check_expanded(root)
 
 
 def _links(root: Element) -> dict[str, UrdfLink]:

@@ -117,6 +117,20 @@ class Element:
         return value
 
 
+def check_expanded(root: Element) -> None:
+    """Refuse a xacro file, which would otherwise be reported as one without content.
+
+    Raises:
+        ModelError: One of the elements is xacro's.
+    """
+    macro = next((child for child in root.children if child.tag.startswith("xacro:")), None)
+    if macro is not None:
+        raise macro.error(
+            "is a xacro file; let its name end with .xacro, and rtee expands it, which runs its "
+            "expressions"
+        )
+
+
 def to_text(root: Element) -> str:
     """Return an element as XML; comments and the place of text between elements are lost."""
     # Imports urllib and email, which a running hand does not need.
@@ -195,7 +209,7 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
             document type or entities.
     """
     file = Path(path)
-    data = read_bytes(file, what, ModelError)
+    data = _decodable(read_bytes(file, what, ModelError))
     parser = expat.ParserCreate()
     builder = _Builder(file, parser)
     parser.StartElementHandler = builder.start
@@ -217,6 +231,36 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     if builder.root is None:
         raise ModelError(f"{what} is empty", path=file)
     return builder.root, _text(data)
+
+
+_LEAD: Final = re.compile(rb"\A((?:\s|<!--.*?-->)+)(<\?xml[^>]*\?>)", re.DOTALL)
+"""What some files have before their XML declaration: blank lines and comments."""
+
+_DECLARED: Final = re.compile(
+    rb"""\A<\?xml[^>]*?\sencoding\s*=\s*["'](?!utf-?8["'])""", re.IGNORECASE
+)
+"""A declaration of another encoding than UTF-8."""
+
+
+def _decodable(data: bytes) -> bytes:
+    """Return XML that is a little wrong as it is meant, as the readers of other programs take it.
+
+    What stands before the declaration goes behind it, with as many lines. Text that claims to be
+    UTF-8 and is not is Latin-1, such as a name in a comment.
+    """
+    lead = _LEAD.match(data)
+    if lead is not None:
+        data = lead[2] + lead[1] + data[lead.end() :]
+    if _DECLARED.match(data) or data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data
+    try:
+        # Zeros mean UTF-16 without a mark, which the parser detects.
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        if b"\0" in data[:4]:
+            return data
+        return _ENCODING.sub(r"\1", data.decode("latin-1"), count=1).encode()
+    return data
 
 
 _ENCODING: Final = re.compile(r"""(\A<\?xml[^>]*?)\s+encoding\s*=\s*(?:"[^"]*"|'[^']*')""")
