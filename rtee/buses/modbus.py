@@ -17,7 +17,7 @@ from rtee.buses.link import Line
 from rtee.buses.modbus_frames import READ_HOLDING, READ_INPUT, AnswerParser
 from rtee.buses.serial import SerialBus
 from rtee.buses.timing import silence, wire_time
-from rtee.errors import BusError
+from rtee.errors import BusError, BusTimeout
 
 EXCEPTIONS = {
     1: "illegal function",
@@ -31,6 +31,10 @@ EXCEPTIONS = {
     11: "gateway target device failed to respond",
 }
 """Names of the exception codes (Modbus application protocol V1.1b3, section 7)."""
+
+
+_OF_GATEWAYS = (10, 11)
+"""Exceptions with which a gateway answers for a unit behind it that does not."""
 
 
 class ModbusRefusal(BusError):
@@ -176,5 +180,9 @@ class ModbusBus(SerialBus):
             numbered, parser, deadline, retries, whom=f"unit {request.dev_id}"
         )
         if isinstance(answer, ExceptionResponse):
+            code = answer.exception_code
+            # Only a gateway says so, of a unit that it cannot reach: the unit has said nothing.
+            if code in _OF_GATEWAYS:
+                raise BusTimeout(self.name, f"unit {request.dev_id}: {EXCEPTIONS[code]}")
             raise ModbusRefusal(self.name, request.function_code, answer.exception_code)
         return tuple(answer.registers)

@@ -136,7 +136,7 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
             raise NotConnected(
                 self.spec.name,
                 f"no answer from unit {self._settings.unit} at {self._settings.port}",
-                hint="check supply, wiring, `unit` and `baudrate`; `rtee doctor` helps",
+                hint="check supply, wiring, `unit` and `baudrate`",
             ) from error
         except FrameError as error:
             raise HandshakeError(

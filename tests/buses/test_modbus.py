@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import pytest
@@ -15,7 +15,7 @@ from rtee.buses.modbus_frames import rtu_frame
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
 from rtee.errors import BusBroken, BusTimeout, FrameError
-from tests.buses.devices import Registers, in_real_time
+from tests.buses.devices import Framing, Refused, Registers, in_real_time
 
 pytestmark = pytest.mark.anyio
 
@@ -54,6 +54,27 @@ async def test_a_refusal_carries_its_code(pool: BusPool, url: str) -> None:
     with pytest.raises(ModbusRefusal, match="for function 0x10: illegal data address") as caught:
         await bus.write(9, 50, [1], deadline=1.0)
     assert (caught.value.function, caught.value.code) == (0x10, 2)
+
+
+class Gateway(Registers):
+    """A gateway whose unit is not there."""
+
+    def __init__(self, framing: Framing, code: int) -> None:
+        super().__init__(9, framing)
+        self.code = code
+
+    def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
+        raise Refused(self.code)
+
+
+@pytest.mark.parametrize("code", [10, 11])
+async def test_a_gateway_that_reaches_nobody_is_no_slave(
+    pool: BusPool, url: str, code: int
+) -> None:
+    framing: Framing = "tcp" if url.startswith("tcp") else "rtu"
+    bus = await pool.modbus(url, owner="a", emulator=lambda: Gateway(framing, code))
+    with pytest.raises(BusTimeout, match="unit 9: gateway"):
+        await bus.read(9, 0, 1, deadline=1.0)
 
 
 async def test_two_slaves_share_a_line(pool: BusPool) -> None:
