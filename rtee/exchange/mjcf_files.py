@@ -21,6 +21,7 @@ import mujoco
 from rtee.errors import ModelError
 from rtee.hand.files import MAX_SIZE, read_bytes, reason
 from rtee.hand.meshes import why_no_mesh
+from rtee.hand.vocabulary import unread_of_mjcf
 from rtee.hand.xmlfile import Element, read_xml
 
 MOST_FILES: Final = 200
@@ -135,7 +136,7 @@ def read_mjcf(path: Path | str, folders: Sequence[Path | str] = ()) -> Source:
     missing = _check_meshes(elements, file, allowed)
     with mujoco_says(file, lines=len(parts) == 1) as notes:
         spec = mujoco.MjSpec.from_file(str(file))
-    notes += _reduce(spec, missing, file)
+    notes += [*_reduce(spec, missing, file), *unread_of_mjcf(elements)]
     says_angle = any(e.tag == "compiler" and "angle" in e.attributes for e in elements)
     return Source(file, spec, len(parts) == 1, says_angle, tuple(notes))
 

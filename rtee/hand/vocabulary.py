@@ -1,11 +1,12 @@
-"""The elements and attributes of URDF and SRDF that are read, or that mean nothing to a hand.
+"""The elements and attributes of models that are read, or that mean nothing to a hand.
 
-Everything else is noted, so that nothing physical is passed over in silence.
+Everything else in a URDF or SRDF is noted, so that nothing physical is passed over in silence. In
+an MJCF, MuJoCo refuses what it does not know; what it knows and a hand does not have is noted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -115,6 +116,16 @@ SRDF: Final = _known(
     virtual_joint=_known("|name type parent_frame child_link"),
 )
 
+_MJCF_UNREAD: Final = {
+    "joint": _words("damping frictionloss armature"),
+    "geom": _words("friction"),
+    "body": _words("gravcomp"),
+    "fixed": _words("damping frictionloss"),
+    "spatial": _words("damping frictionloss"),
+    "option": _words("gravity wind density viscosity"),
+}
+"""Physical attributes of an MJCF that a hand does not take over."""
+
 _SEVERAL: Final = _words(
     "link joint visual collision material transmission ros2_control sensor gazebo group chain "
     "group_state end_effector passive_joint disable_collisions virtual_joint"
@@ -122,6 +133,10 @@ _SEVERAL: Final = _words(
 """Elements of which there may be several beside each other; of all others the first is read."""
 
 _HINTS: Final = {
+    "the attribute 'damping' of <joint>": "hand.yaml has damping in dynamics:",
+    "the attribute 'frictionloss' of <joint>": "hand.yaml has dry_friction in dynamics:",
+    "the attribute 'armature' of <joint>": "hand.yaml has armature in dynamics:",
+    "the attribute 'friction' of <geom>": "hand.yaml has that of fingertips in tip_friction:",
     "the attribute 'damping' of <dynamics>": "hand.yaml has damping in dynamics:",
     "the attribute 'friction' of <dynamics>": "hand.yaml has dry_friction in dynamics:",
     "<contact_coefficients>": "hand.yaml has the friction of fingertips in tip_friction:",
@@ -131,8 +146,22 @@ _HINTS: Final = {
 
 def unread(root: Element, known: Known) -> list[str]:
     """Return a sentence for each kind of element and attribute that is not read, with its line."""
+    return _sentences(_unknown(root, known))
+
+
+def unread_of_mjcf(elements: Iterable[Element]) -> list[str]:
+    """Return a sentence for each kind of physical attribute of an MJCF that is not read."""
+    return _sentences(
+        (f"the attribute '{name}' of <{element.tag}>", element)
+        for element in elements
+        for name in element.attributes
+        if name in _MJCF_UNREAD.get(element.tag, ())
+    )
+
+
+def _sentences(unread: Iterable[tuple[str, Element]]) -> list[str]:
     found: dict[str, list[Element]] = {}
-    for what, element in _unknown(root, known):
+    for what, element in unread:
         found.setdefault(what, []).append(element)
     return [_sentence(what, elements) for what, elements in found.items()]
 

@@ -725,7 +725,7 @@ def test_what_is_no_hand_is_refused_in_a_sentence(
 def test_missing_meshes_count_where_they_touch(tmp_path: Path) -> None:
     asset = '<asset><mesh name="m" file="m.stl"/></asset>'
     error = refused(tmp_path, hand_of(asset, fingers='<geom type="mesh" mesh="m"/>'))
-    assert "mesh 'm.stl' does not exist" in error.message
+    assert "mesh 'm.stl' (line 26) does not exist" in error.message
     (tmp_path / "m.stl").write_text("version https://git-lfs")
     error = refused(tmp_path, hand_of(asset, fingers='<geom type="mesh" mesh="m"/>'))
     assert "git lfs pull" in error.message

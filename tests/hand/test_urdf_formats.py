@@ -252,6 +252,20 @@ def test_what_is_physical_and_not_read_is_noted_with_its_line(
     assert ("more)" in notes[0]) == (where != "</robot>")
 
 
+def test_the_same_in_an_mjcf(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    from rtee.exchange.mjcf_import import import_mjcf
+
+    path = tmp_path / "m.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="a"><joint name="j" range="0 1"\n damping="0.1"/>'
+        '<geom type="box" size="1 1 1" friction="2"/></body></worldbody></mujoco>'
+    )
+    notes = [note for note in import_mjcf(path, tmp_path).notes if "is not read" in note]
+    assert len(notes) == 2
+    assert any("'damping' of <joint> is not read (line 1 of m.xml)" in note for note in notes)
+
+
 def test_the_same_in_an_srdf(tmp_path: Path) -> None:
     path = tmp_path / "r.srdf"
     path.write_text('<robot name="r">\n<enable_collisions link1="a" link2="b"/>\n</robot>')
