@@ -74,8 +74,12 @@ async def test_the_router_decides_who_steers_and_who_watches(
         monkeypatch.setenv(IDENTITY_VARIABLE, str(tmp_path / f"{who}.pem"))
         return Context.open(settings, {}, router_needed=True)
 
+    files = Credentials(folder).files()
     secured = {
-        key.replace("/", "__"): value for key, value in Credentials(folder).settings().items()
+        "transport__link__tls__root_ca_certificate": files["authority"],
+        "transport__link__tls__listen_private_key": files["key"],
+        "transport__link__tls__listen_certificate": files["certificate"],
+        "transport__link__tls__enable_mtls": True,
     }
     with open_router(endpoint, **secured, access_control=access):
         async with opened("hand") as hand, opened("planner") as planner, opened("screen") as screen:
