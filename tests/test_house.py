@@ -1,4 +1,4 @@
-"""The shape of the code: how long modules are, and that none imports itself by a detour."""
+"""The shape of the code: modules are things of their own, and none imports itself by a detour."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MOST_LINES = 500
-"""A module longer than this [lines] is no longer read in one go."""
 FEWEST_LINES = 60
 """A module shorter than this [lines] that one other module alone imports is a part of that one."""
 
@@ -27,10 +25,6 @@ def lines(module: str) -> int:
 def path_of(module: str) -> Path:
     path = ROOT / module.replace(".", "/")
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-
-
-def test_no_module_is_too_long(graph: grimp.ImportGraph) -> None:
-    assert [each for each in sorted(graph.modules) if lines(each) > MOST_LINES] == []
 
 
 def test_no_small_module_is_there_for_another_alone(graph: grimp.ImportGraph) -> None:
