@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtee.errors import MessageError, MissingExtra
+from rtee.errors import MessageError, MissingExtra, foreign
 from rtee.messages.cdr import DTYPES, HEADER
 from rtee.messages.schema import DEFINITIONS, Field, MessageType, message_type, parse
 from rtee.messages.typestore import typestore
@@ -56,13 +56,14 @@ def fields(kind: MessageType) -> st.SearchStrategy[dict[str, Any]]:
 
 
 def plain(values: Any) -> Any:
-    """Return fields with arrays as lists, to compare them."""
+    """Return fields with arrays as lists, and names as they are read, to compare them."""
     if isinstance(values, dict):
         return {name: plain(value) for name, value in values.items()}
     if isinstance(values, np.ndarray):
         return values.tolist()
     if isinstance(values, list):
-        return [plain(value) for value in values]
+        # Strings in sequences are names, whose control characters are escaped.
+        return [foreign(value) if isinstance(value, str) else plain(value) for value in values]
     return values
 
 
