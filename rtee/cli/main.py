@@ -163,14 +163,15 @@ def main() -> None:
         sys.exit(error.exit_code)
     except BrokenPipeError:
         _exit_unflushed(0)
+    # Before RuntimeError, of which typer's Abort is one.
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(130)  # 128 + SIGINT, the shells' convention
     except (ImportError, MemoryError, OSError, RuntimeError) as error:
         shortage = _shortage(error)
         if not shortage:
             raise
         print(f"rtee: {shortage}", file=sys.stderr)
         _exit_unflushed(2)
-    except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)  # 128 + SIGINT, the shells' convention
 
 
 def _mistake(group: BaseExceptionGroup[BaseException]) -> RteeError | None:

@@ -341,7 +341,7 @@ def test_new_ends_with_what_makes_the_actions(shipped: Path) -> None:
         ),
         (
             f"mine --from {GRIPPER} --srdf g.srdf",
-            "--srdf, --package-dir and NAME:=VALUE go with --urdf or --mjcf",
+            "--srdf, --root, --package-dir and NAME:=VALUE go with --urdf or --mjcf",
         ),
         ("mine --from nix", "unknown hand 'nix'"),
         (f"a/b --from {GRIPPER}", "'a/b'"),
