@@ -252,9 +252,13 @@ def _called(end: str, ends: Sequence[str], urdf: Urdf) -> tuple[str, str] | None
     texts = [text.lower() for link in links for text in (link, urdf.joint_to[link].name)]
     # The first word of a name: `index_middle` is the middle phalanx of the index finger. Only at
     # the beginning of a word, since "spring" contains "ring".
-    words = {found[1] for text in texts if (found := _WORD.search(text))}
+    words = dict.fromkeys(found[1] for text in texts if (found := _WORD.search(text)))
     if len(words) == 1:
-        return words.pop(), "named after the word in its links and joints"
+        return next(iter(words)), "named after the word in its links and joints"
+    if words:
+        first, *rest = words
+        others = ", ".join(f"'{word}'" for word in rest)
+        return first, f"named after the first word in its links and joints, among {others}"
     text = " ".join(texts)
     prefixes = set(_PREFIX.findall(text))
     if len(prefixes) == 1:

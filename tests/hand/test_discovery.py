@@ -160,3 +160,35 @@ def test_the_reason_says_where_the_name_comes_from(load: Load) -> None:
     )
     hand = load(fingers_called("f1_{}", "f2_{}"), None)
     assert hand.finger("finger_1").reason.endswith("named after the number in its links and joints")
+
+
+def test_the_first_finger_word_of_a_name_decides(load: Load) -> None:
+    links = [(finger, f"{finger}_{part}") for finger in ALL_FIVE for part in ("middle", "distal")]
+    joints = []
+    for finger, link in links:
+        parent = "palm" if link.endswith("middle") else f"{finger}_middle"
+        joints.append(("r", parent, link))
+    hand = load(robot(*joints, solid=" ".join(["palm", *(link for _, link in links)])), None)
+    assert {finger.name: finger.tip for finger in hand.fingers} == {
+        finger: f"{finger}_distal" for finger in ALL_FIVE
+    }
+
+
+def test_the_innermost_of_several_finger_words_decides_and_is_told(load: Load) -> None:
+    text = robot(
+        *(("r", "palm", "index_base"), ("r", "index_base", "middle_phalanx")),
+        *(("r", "palm", "thumb_base"), ("r", "thumb_base", "thumb_end")),
+        solid="palm index_base middle_phalanx thumb_base thumb_end",
+    )
+    hand = load(text, None)
+    assert set(hand.finger_names) == {"index", "thumb"}
+    reason = hand.finger("index").reason
+    assert reason.endswith("named after the first word in its links and joints, among 'middle'")
+
+
+def test_fingers_with_the_same_word_are_named_by_their_ends_and_it_is_told(load: Load) -> None:
+    joints = [("r", "palm", "index_left"), ("r", "palm", "index_right"), ("r", "palm", "thumb_up")]
+    hand = load(robot(*joints, solid="palm index_left index_right thumb_up"), None)
+    assert set(hand.finger_names) == {"index_left", "index_right", "thumb"}
+    for name in ("index_left", "index_right"):
+        assert hand.finger(name).reason.endswith("as another finger is called 'index', too")
