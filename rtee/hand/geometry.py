@@ -19,7 +19,7 @@ from rtee.hand.linalg import norm, rotated
 from rtee.hand.mesh_repair import repaired
 from rtee.hand.meshes import check_mesh, unit_of
 from rtee.hand.model import Hand
-from rtee.hand.tessellation import Triangles, box, cylinder, sphere
+from rtee.hand.tessellation import Triangles, box, cylinder, sphere, stl_corners
 from rtee.hand.urdf import UrdfGeometry, UrdfLink
 from rtee.hand.urdfread import FARTHEST
 from rtee.sample import FloatArray
@@ -262,30 +262,43 @@ class _Meshes:
         return self._known[key]
 
     def _read(self, path: Path, source: UrdfGeometry) -> coal.BVHModelBase:
-        # Files of other formats may have several parts, which the loader mixes up (see
-        # `mesh_repair`). The fast loader is enough to detect that.
-        if path.suffix.lower() == ".stl":  # a single part
-            return self._checked(self._loader, path, source)
-        draft = self._checked(self._draft, path, source)
-        mesh = repaired(draft, self._loader)
-        return self._checked(self._loader, path, source) if mesh is draft else mesh
+        scale = unit_of(path) * np.array(source.scale)
+        # The tree of boxes is built by Eigen, which prints to the error output about numbers that
+        # are not finite; so they are checked before that, in files of text after a fast draft.
+        corners = stl_corners(path.read_bytes()) if path.suffix.lower() == ".stl" else None
+        if corners is not None:
+            with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused, too
+                self._check(corners * scale, source)
+            return self._loaded(self._loader, path, scale, source)
+        draft = self._loaded(self._draft, path, scale, source)
+        self._check(draft.vertices(), source)
+        if path.suffix.lower() != ".stl":
+            # Files of other formats may have several parts, which the loader mixes up (see
+            # `mesh_repair`).
+            mesh = repaired(draft, self._loader)
+            if mesh is not draft:
+                return mesh
+        return self._loaded(self._loader, path, scale, source)
 
-    def _checked(
-        self, loader: coal.MeshLoader, path: Path, source: UrdfGeometry
+    def _loaded(
+        self, loader: coal.MeshLoader, path: Path, scale: FloatArray, source: UrdfGeometry
     ) -> coal.BVHModelBase:
         try:
-            mesh = loader.load(str(path), unit_of(path) * np.array(source.scale))
+            mesh = loader.load(str(path), scale)
         except (ValueError, RuntimeError) as error:
             lines = str(error).splitlines()
             why = next((s for s in lines if not s.startswith(_COAL_PREFIXES)), "unknown reason")
             raise self._refusal(source, f"cannot be read: {why}") from None
         if mesh.num_tris == 0:
             raise self._refusal(source, "has no triangles")
-        if not np.isfinite(mesh.vertices()).all():
-            raise self._refusal(source, "has a vertex that is not finite")
-        if np.abs(mesh.vertices()).max() > FARTHEST:
-            raise self._refusal(source, "is larger than 1 km; its scale should bring it to metres")
         return mesh
+
+    def _check(self, vertices: FloatArray, source: UrdfGeometry) -> None:
+        """Refuse vertices ``(v, 3)`` [m] that are not finite or too far away."""
+        if not np.isfinite(vertices).all():
+            raise self._refusal(source, "has a vertex that is not finite")
+        if np.abs(vertices).max() > FARTHEST:
+            raise self._refusal(source, "is larger than 1 km; its scale should bring it to metres")
 
     def _refusal(self, source: UrdfGeometry, why: str) -> ModelError:
         return ModelError(

@@ -59,12 +59,28 @@ def subdivided(corners: FloatArray, longest: float) -> FloatArray:
         corners = np.concatenate([corners[~long], *pieces])
 
 
+_RECORD: Final = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of a binary STL file."""
+
+_HEADER: Final = 84
+"""Bytes of a binary STL file before its triangles; the last four are their number."""
+
+
 def binary_stl(corners: FloatArray) -> bytes:
     """Return triangles ``(t, 3, 3)`` [m] as a binary STL file; readers compute the normals."""
-    record = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    triangles = np.zeros(len(corners), dtype=record)
+    triangles = np.zeros(len(corners), dtype=_RECORD)
     triangles["corners"] = corners
-    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()
+    return bytes(_HEADER - 4) + len(corners).to_bytes(4, "little") + triangles.tobytes()
+
+
+def stl_corners(data: bytes) -> FloatArray | None:
+    """Return the corners ``(3 t, 3)`` of a binary STL file; ``None`` if it is none, or text."""
+    count = int.from_bytes(data[_HEADER - 4 : _HEADER], "little")
+    # Binary files may begin with "solid", too, but their length tells them apart.
+    if len(data) != _HEADER + count * _RECORD.itemsize:
+        return None
+    triangles = np.frombuffer(data, _RECORD, count, _HEADER)
+    return triangles["corners"].reshape(-1, 3).astype(np.float64)
 
 
 def _revolve(profile: list[tuple[float, float]]) -> Triangles:

@@ -11,6 +11,7 @@ from extract.models import Model, box, mesh, sphere
 from rtee.errors import ModelError
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Hand
+from rtee.hand.tessellation import binary_stl
 
 
 def write_stl(path: Path, triangles: np.ndarray) -> Path:
@@ -103,3 +104,55 @@ def test_a_mesh_that_is_not_in_metres_at_all_is_refused(tmp_path: Path) -> None:
     path = write_stl(tmp_path / "far.stl", far)
     with pytest.raises(ModelError, match=r"far\.stl' is larger than 1 km"):
         HandGeometry(hand_with(tmp_path, mesh(path)))
+
+
+TEXT_STL = """solid part
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 {} 0
+endloop
+endfacet
+endsolid
+"""
+
+UNREADABLE = {
+    "nan.stl": TEXT_STL.format("nan").encode(),
+    "far.stl": TEXT_STL.format("1e38").encode(),
+    "cut.stl": TEXT_STL[:60].encode(),
+    "binary.stl": binary_stl(np.full((1, 3, 3), np.nan)),
+    "infinite.stl": binary_stl(np.array([[[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]])),
+    "words.obj": b"hello\nfoo bar\n",
+    "lost.obj": b"mtllib none.mtl\nusemtl x\nv 0 0 0\nv 1 0 0\nf 1 2 9\n",
+    "cut.dae": b"<COLLADA><asset>",
+    "cut.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nend_header\n1\n",
+    "cut.gltf": b'{"asset":1',
+    "cut.glb": b"glTF\x02\0\0\0aaaaa",
+    "cut.off": b"OFF\n3 1 0\n0 0\n",
+    "cut.3ds": b"MM\x01\0\0\0",
+    "cut.fbx": b"Kaydara FBX Binary  \0\x1a\0aaaaaaaa",
+}
+
+
+@pytest.mark.parametrize("name", UNREADABLE)
+def test_libraries_print_nothing_about_unreadable_meshes(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(UNREADABLE[name])
+    with pytest.raises(
+        ModelError, match=rf"{name}' (cannot be read: \S|has |is larger)"
+    ) as refusal:
+        HandGeometry(hand_with(tmp_path, mesh(path)))
+    assert "\n" not in str(refusal.value)
+    # Eigen and Assimp would write to the descriptors themselves.
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_text_stl_is_read_like_a_binary_one(tmp_path: Path) -> None:
+    path = tmp_path / "text.stl"
+    path.write_text(TEXT_STL.format("0.5"))
+    vertices, faces = HandGeometry(hand_with(tmp_path, mesh(path))).triangles("part")
+    assert len(faces) == 1
+    np.testing.assert_allclose(vertices.max(axis=0), [1, 0.5, 0], atol=1e-7)
