@@ -37,6 +37,10 @@ _OF_GATEWAYS = (10, 11)
 """Exceptions with which a gateway answers for a unit behind it that does not."""
 
 
+class UnitUnreachable(BusTimeout):
+    """A gateway answered, but only to say that the unit behind it does not."""
+
+
 class ModbusRefusal(BusError):
     """The device answered with a Modbus exception.
 
@@ -183,6 +187,6 @@ class ModbusBus(SerialBus):
             code = answer.exception_code
             # Only a gateway says so, of a unit that it cannot reach: the unit has said nothing.
             if code in _OF_GATEWAYS:
-                raise BusTimeout(self.name, f"unit {request.dev_id}: {EXCEPTIONS[code]}")
+                raise UnitUnreachable(self.name, f"unit {request.dev_id}: {EXCEPTIONS[code]}")
             raise ModbusRefusal(self.name, request.function_code, answer.exception_code)
         return tuple(answer.registers)

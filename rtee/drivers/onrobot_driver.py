@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.emulators import emulator_of
@@ -28,9 +28,6 @@ from rtee.types import DeviceSpec, Reference
 
 CONNECTING = 0.5
 """Longest time for a request about the gripper while connecting [s]; the box may be slow."""
-
-_GATEWAY = (0x0A, 0x0B)
-"""Exceptions by which the Compute Box reports that no tool answers."""
 
 S = TypeVar("S")
 
@@ -99,14 +96,11 @@ class OnRobotDriver(ExchangingDriver[S]):
         best = blocks.best_rate(self.SENT) if blocks.bus.rtu else options.rate
         try:
             identity = await self._identify(blocks.bus)
+        except UnitUnreachable as error:
+            raise self._absent("the Compute Box finds no tool") from error
         except BusTimeout as error:
             raise self._absent("no answer") from error
-        except ModbusRefusal as error:
-            # Other refusals come from a tool that does not have these registers.
-            if error.code not in _GATEWAY:
-                raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
-            raise self._absent("the Compute Box finds no tool") from error
-        except FrameError as error:
+        except (ModbusRefusal, FrameError) as error:  # a tool that does not have these registers
             raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
         self.capabilities = self._abilities(best, identity)
         self._pace(best)

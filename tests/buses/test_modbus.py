@@ -10,7 +10,7 @@ import pytest
 
 from rtee.buses.faults import Faults
 from rtee.buses.link import Line
-from rtee.buses.modbus import ModbusBus, ModbusRefusal
+from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.modbus_frames import rtu_frame
 from rtee.buses.pool import BusPool
 from rtee.buses.simulated import SimulatedLine
@@ -73,7 +73,7 @@ async def test_a_gateway_that_reaches_nobody_is_no_slave(
 ) -> None:
     framing: Framing = "tcp" if url.startswith("tcp") else "rtu"
     bus = await pool.modbus(url, owner="a", emulator=lambda: Gateway(framing, code))
-    with pytest.raises(BusTimeout, match="unit 9: gateway"):
+    with pytest.raises(UnitUnreachable, match="unit 9: gateway"):
         await bus.read(9, 0, 1, deadline=1.0)
 
 
