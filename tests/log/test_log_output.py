@@ -20,7 +20,18 @@ from rtee_process import RTEE
 from typer.testing import CliRunner
 
 import rtee
-from log.samples import BEGIN, COMMAND, RATE, STATISTICS, STATUS, Log, recorded, settings, tick
+from log.samples import (
+    BEGIN,
+    COMMAND,
+    RATE,
+    SRDF,
+    STATISTICS,
+    STATUS,
+    Log,
+    recorded,
+    settings,
+    tick,
+)
 from rtee.cli.log import app
 from rtee.errors import LogError, MissingExtra
 from rtee.hand.load import load_hand
@@ -256,16 +267,13 @@ def test_states_come_out_as_the_loop_told_them(recording: Recording) -> None:
 
 def test_the_hand_of_a_recording_can_be_run(recording: Recording, tmp_path: Path) -> None:
     hostile = {"actions/generic/../../../evil.yaml": b"", "/actions/x/y.yaml": b"", "z.srdf": b""}
-    srdf = (
-        b'<robot name="claw"><group name="one">'
-        b'<chain base_link="palm" tip_link="a2"/></group></robot>'
-    )
     actions = {"actions/generic/fist.yaml": b"name: fist\n"}
-    attached = {"claw.srdf": srdf, **recording.attachments, **actions, **hostile}
+    attached = {"claw.srdf": SRDF.encode(), **recording.attachments, **actions, **hostile}
     home = write_hand(replace(recording, attachments=attached), tmp_path / "hands")
     hand = load_hand(home)
     assert hand.name == "claw"
     assert hand.actuator_names == ("first", "second")
+    assert hand.finger_names == ("one", "two")
     files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     assert files == {
         "hands/claw/hand.urdf",
