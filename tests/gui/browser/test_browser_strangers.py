@@ -100,7 +100,8 @@ def stranger(addresses: tuple[str, str]) -> Iterator[Stranger]:
 
 @pytest.fixture
 def page(only_window: Window, context: BrowserContext) -> Iterator[Page]:
-    """Another tab of a browser that may use the GUI."""
+    """Another tab of a browser that may use the GUI, which shows the gripper to every window."""
+    only_window.show(GRIPPER)
     found = context.new_page()
     yield found
     found.close()
