@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 pytestmark = in_a_browser
 
+BALL_WIDTH, SOFT = 60.0, 1.5
+"""Width of the ball, and how far what is said of it may be off [mm]: a simulated contact gives way.
+At 30 N the fingertips were 0.3 to 0.9 mm closer than the ball is wide."""
+
 
 @pytest.fixture
 def squeezer(any_window: Window, hands: Hands) -> Window:
@@ -77,6 +81,13 @@ def test_fingers_stop_where_they_touch(
         window.button("Open").click()
 
 
+def _width_said(held: Locator) -> float:
+    """Return the width that a sentence about a grasp names [mm]."""
+    found = re.search(r" at ([\d.]+) mm", held.text_content() or "")
+    assert found is not None
+    return float(found[1])
+
+
 def test_an_object_is_held_by_its_width_and_a_force(
     squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,13 +102,14 @@ def test_an_object_is_held_by_its_width_and_a_force(
         held = window.says(re.compile(r"grasped with finger_1, finger_2 at [\d.]+ mm"), panel)
         state = hand.state()
         assert state.force == pytest.approx(30.0, rel=0.25)
-        assert f"{1e3 * state.opening:.0f}" in (held.text_content() or "")
+        assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
+        assert 1e3 * state.opening == pytest.approx(BALL_WIDTH, abs=SOFT)
         window.button("Open").click()
         # The ball is wider than what is asked for: held, but outside of the tolerance.
         window.type("Width [mm]", "20", panel)
         window.button("Grasp", panel).click()
-        window.says("something of another width is held at 6", panel)
-
+        held = window.says("something of another width is held at", panel)
+        assert _width_said(held) == pytest.approx(BALL_WIDTH, abs=SOFT)
         window.button("Open").click()
 
 
