@@ -162,13 +162,16 @@ class _Idle:
         self.resume: Callable[[_Idle], object] | None = None
         self.context: Context | None = None
         self._cancelled: tuple[str, ...] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
 
     def __await__(self) -> Generator[_Idle, None, None]:
+        # Kept for `cancel`: `asyncio.run` cancels what is left when the loop does not run any more.
+        self._loop = asyncio.get_running_loop()
         self._asyncio_future_blocking = True
         yield self
 
     def get_loop(self) -> asyncio.AbstractEventLoop:
-        return asyncio.get_running_loop()
+        return self._loop or asyncio.get_running_loop()
 
     def add_done_callback(
         self, resume: Callable[[_Idle], object], *, context: Context | None = None

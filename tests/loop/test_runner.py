@@ -181,3 +181,27 @@ async def test_cancelling_the_task_ends_it_idle_or_not() -> None:
         runner.start(work())
     assert ended == ["cancelled"]
     assert not runner.idle
+
+
+@pytest.mark.parametrize("fast", [False, True], ids=["asyncio", "uvloop"])
+def test_an_idle_task_that_is_left_over_ends_with_its_event_loop(fast: bool) -> None:
+    loop_factory = pytest.importorskip("uvloop").new_event_loop if fast else None
+    ended: list[bool] = []
+
+    async def idle(runner: Runner) -> None:
+        try:
+            await runner.carry_on()
+        finally:
+            ended.append(True)
+
+    async def leave() -> asyncio.Task[None]:
+        runner = Runner(Time().now)
+        left = asyncio.create_task(idle(runner))
+        await until_idle(runner)
+        return left
+
+    with asyncio.Runner(loop_factory=loop_factory) as asyncio_runner:
+        # Closing the runner cancels what is left, while the event loop does not run.
+        left = asyncio_runner.run(leave())
+    assert ended == [True]
+    assert left.cancelled()
