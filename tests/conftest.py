@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import HealthCheck, settings
 
+from rtee import monotonic
+
 if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.scheduler import Scheduling
@@ -90,6 +92,17 @@ def priority() -> Iterator[None]:
     before = _priority()
     yield
     assert _priority() == before, "the test has changed the priority of the tests' own process"
+
+
+@pytest.fixture(autouse=True)
+def the_time() -> Iterator[None]:
+    """Fail a test that leaves a clock of its own to all that run after it, in which time stands."""
+    before = monotonic.now, monotonic.now_ns, monotonic.sleep
+    yield
+    after = monotonic.now, monotonic.now_ns, monotonic.sleep
+    # Put right first, so that this test alone fails.
+    monotonic.now, monotonic.now_ns, monotonic.sleep = before
+    assert after == before, "the test has left the tests' own process another clock"
 
 
 def _priority() -> tuple[int, int]:
