@@ -31,6 +31,7 @@ from rtee.exchange.mjcf_motion import (
     null_space,
     resting_length,
     rounded,
+    tendon_joints,
 )
 from rtee.sample import FloatArray
 
@@ -79,14 +80,21 @@ def motion_of(model: mujoco.MjModel) -> Motion:
             motion.notes.append(
                 "the model has no actuators, so every joint that is free to move counts as one"
             )
+    unread = set(constraints.cords)
     for group in _groups(model, constraints, motion):
         if not group.motors:
             # Joints coupled only to each other stay in the position of the model.
             motion.passive += group.joints
         elif group.loops or group.curves:
             _solve_numerically(model, group, motion)
+            unread -= set(group.cords)
         else:
             _solve_lines(model, group, motion)
+    motion.notes += [
+        f"the spring of the spatial tendon '{model.tendon(cord).name}' is not read, since its "
+        "joints are not those of one closed linkage with a motor"
+        for cord in sorted(unread)
+    ]
     if not motion.driven:
         raise ModelError("has no joint that a motor could move")
     return motion
@@ -197,6 +205,11 @@ def _groups(model: mujoco.MjModel, constraints: Constraints, motion: Motion) -> 
             springs=[spring for spring in springs if members & set(spring.factors)],
             curves=[curve for curve in constraints.curves if members & {curve.joint, curve.of}],
             loops=[loop for loop in constraints.loops if members & loop.joints],
+            cords=[
+                cord
+                for cord in constraints.cords
+                if tendon_joints(model, cord) - motion.fixed.keys() <= members
+            ],
         )
         for members in {id(members): members for members in group.values()}.values()
     ]
@@ -389,7 +402,7 @@ def _solve_numerically(model: mujoco.MjModel, group: _Group, motion: Motion) -> 
     others = [other for other in group.joints if other != joint]
     numbers = {loop.equality for loop in group.loops} | {line.equality for line in group.lines}
     numbers = (numbers | {curve.equality for curve in group.curves}) - {-1}
-    linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs)
+    linkage = Linkage(model, joint, others, numbers, motion.fixed, group.springs, group.cords)
     solved = solve_loop(linkage, (lower, upper), what) if others else None
     # A tendon's force is no effort of one joint: its lever is not known here.
     effort = 0.0 if motor.tendon is not None else motor.effort

@@ -48,6 +48,13 @@ _FLAT: Final = 1e-6
 _SINGULAR: Final = 1e-8
 """Share of the largest singular value below which others count as rounding."""
 
+_SOFT: Final = 1e-10
+"""Stiffness that counts as none [N·m/rad | N/m]: springs of fingers have 1e-4 or more."""
+
+_NEAR: Final = 1e-5
+"""Distance of postures whose forces are compared [rad | m]: errors of rounding and of curvature are
+both below a billionth of the stiffness."""
+
 _JUMP: Final = 20.0
 """Largest motion of another joint within one step of the moving joint, in such steps: a stretched
 linkage moves fast, and a faster motion is a jump to another solution."""
@@ -96,6 +103,7 @@ class Linkage:
         equalities: Collection[int],
         fixed: Mapping[int, float],
         springs: Sequence[Line],
+        cords: Sequence[int] = (),
     ) -> None:
         """Prepare a model.
 
@@ -107,6 +115,7 @@ class Linkage:
             fixed: Positions of the joints that are held [rad | m].
             springs: Springs, which with the joints' limits decide the directions that the
                 equalities leave open.
+            cords: Spatial tendons with springs, which decide them together with these.
         """
         flags = mujoco.mjtDisableBit
         # Contacts and limits would move the joints, but only the equalities are solved here.
@@ -125,6 +134,7 @@ class Linkage:
         pull = root[:, None] * np.array(factors).reshape(-1, 1 + len(self.others))
         self._moved, self._pull = pull[:, 0], pull[:, 1:]
         self._rest = root * np.array([spring.value for spring in springs])
+        self._cords = list(cords)
         self._ranges = [joint_range(model, other) for other in others]
         self._stopped: dict[int, float] = {}
         self._by_springs = False
@@ -141,13 +151,66 @@ class Linkage:
         jacobian = data.efc_J.reshape(-1, model.nv)[own]
         return data.efc_pos[own].copy(), jacobian[:, [self.joint, *self.others]]
 
+    def _springs(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the springs lack to their rest ``(s,)`` and their pull ``(s, 1 + n)``.
+
+        Both are scaled by the root of the stiffness, so that half the square of the first is the
+        energy [J]. The second is the change of the springs' lengths by all joints.
+        """
+        lacking = self._rest - self._moved * x - self._pull @ q
+        pull = np.column_stack([self._moved, self._pull])
+        if not self._cords:
+            return lacking, pull
+        self._at(x, q)
+        model, data = self.model, self._data
+        root = np.sqrt(model.tendon_stiffness[self._cords])
+        lower, upper = model.tendon_lengthspring[self._cords].T
+        length = data.ten_length[self._cords]
+        levers = np.zeros((len(self._cords), model.nv))
+        for row, cord in zip(levers, self._cords, strict=True):
+            first = model.ten_J_rowadr[cord]
+            entries = slice(first, first + model.ten_J_rownnz[cord])
+            row[model.ten_J_colind[entries]] = data.ten_J[entries]
+        apart = root * (np.clip(length, lower, upper) - length)
+        # Between the two lengths, such a tendon is slack.
+        levers[(lower < length) & (length < upper)] = 0.0
+        levers = levers[:, [self.joint, *self.others]]
+        return np.append(lacking, apart), np.vstack([pull, root[:, None] * levers])
+
+    def _force(self, x: float, q: FloatArray) -> FloatArray:
+        """Return the springs' forces on the others ``(n,)`` [N·m | N]."""
+        lacking, pull = self._springs(x, q)
+        return np.asarray(pull[:, 1:].T @ lacking)
+
+    def _stiffness(self, x: float, q: FloatArray, left: FloatArray) -> FloatArray:
+        """Return the springs' stiffness ``(k, k)`` along open directions ``(n, k)`` [N·m/rad].
+
+        The levers of cords and the open directions turn with the posture, which adds to it; so it
+        is a difference of the forces along the open directions of neighbouring postures.
+        """
+        pull = self._springs(x, q)[1][:, 1:] @ left
+        if not self._cords:
+            return np.asarray(pull.T @ pull)
+        columns = []
+        for direction in left.T:
+            sides = []
+            for side in (q - _NEAR * direction, q + _NEAR * direction):
+                open_there = self._open(x, side)
+                sides.append(open_there @ (open_there.T @ self._force(x, side)))
+            columns.append(left.T @ (sides[0] - sides[1]) / (2.0 * _NEAR))
+        stiffness = np.array(columns)
+        stiffness = 0.5 * (stiffness + stiffness.T)
+        # Far from the equilibrium, the energy may be concave; the levers alone lead downhill there.
+        if np.linalg.eigvalsh(stiffness)[0] > _SOFT:
+            return stiffness
+        return np.asarray(pull.T @ pull)
+
     def slopes(self, x: float, q: FloatArray) -> FloatArray:
         """Return the velocities of the others per that of the joint ``(n,)``, in a closed linkage.
 
         Approximate if springs decide them, since springs count as rigid here.
         """
-        springs = np.column_stack([self._moved, self._pull])
-        rows = np.vstack([self._at(x, q)[1], springs])
+        rows = np.vstack([self._at(x, q)[1], self._springs(x, q)[1]])
         return np.asarray(-np.linalg.pinv(rows[:, 1:], rcond=_SINGULAR) @ rows[:, 0])
 
     def settle(self, x: float) -> tuple[FloatArray | None, int]:
@@ -168,7 +231,9 @@ class Linkage:
         if q is None:
             return None, 0
         left = self._open(x, q)
-        decided = np.linalg.matrix_rank(self._pull @ left, tol=_FLAT) if left.size else 0
+        if not left.size:
+            return q, 0
+        decided = np.linalg.matrix_rank(self._stiffness(x, q, left), tol=_SOFT, hermitian=True)
         return q, left.shape[1] - int(decided)
 
     def _held(self, x: float, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -199,9 +264,9 @@ class Linkage:
             if self._by_springs:
                 # Along the open directions, to the equilibrium of the springs.
                 left = null_space(jacobian, _FLAT)
-                pull = self._pull @ left
-                lacking = self._rest - self._moved * x - self._pull @ (q + step)
-                along = left @ np.linalg.pinv(pull, rcond=_SINGULAR) @ lacking
+                force = left.T @ self._force(x, q + step)
+                stiffness = self._stiffness(x, q, left)
+                along = left @ np.linalg.pinv(stiffness, rcond=_SINGULAR, hermitian=True) @ force
                 # In small steps, since the path of a linkage is straight only over short distances.
                 step = step + along * min(1.0, _STRIDE / max(float(np.abs(along).max()), TINY))
             q = q + step
@@ -229,7 +294,7 @@ class Linkage:
         """Release a joint that springs pull away from its stop; return whether there was one."""
         if not self._stopped:
             return False
-        force = self._pull.T @ (self._rest - self._moved * x - self._pull @ q)
+        force = self._force(x, q)
         jacobian = self._held(x, q)[1]
         # Equalities and stops bear the springs' forces, but a stop can only push.
         borne = np.linalg.pinv(jacobian.T, rcond=_SINGULAR) @ force

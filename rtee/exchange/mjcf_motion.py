@@ -167,6 +167,7 @@ class Constraints:
         springs: Linear couplings by springs.
         curves: Polynomial couplings.
         loops: Constraints that are solved numerically.
+        cords: Spatial tendons with springs, whose levers change with the posture.
         notes: Sentences about choices.
     """
 
@@ -176,6 +177,7 @@ class Constraints:
     springs: list[Line] = field(default_factory=list)
     curves: list[Curve] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
+    cords: list[int] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
@@ -234,6 +236,8 @@ def constraints_of(model: mujoco.MjModel) -> Constraints:
             # Such a spring may have a dead band, which its middle represents.
             value = 0.5 * (float(lower) + float(upper)) - resting_length(model, factors)
             constraints.springs.append(Line(factors, value, stiffness))
+        elif stiffness > 0.0:
+            constraints.cords.append(tendon)
         _add_limited_tendon(model, tendon, constraints)
     for motor in constraints.motors:
         if motor_factors(model, motor) is None:

@@ -495,6 +495,83 @@ def test_springs_and_stops_decide_what_an_adaptive_linkage_leaves_open(tmp_path:
             assert found[joint] == pytest.approx(data.joint(joint).qpos[0], abs=0.02), joint
 
 
+STRETCHED = """<mujoco model="stretched"><compiler angle="radian"/>
+<worldbody><body name="base"><geom type="box" size="0.05 0.02 0.005"/>
+  <site name="post" pos="-0.02 0 0.075"/>
+  <body name="driver" pos="-0.03 0 0.01">
+    <joint name="driver" axis="0 1 0" range="-0.3 0.4"/>
+    <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+    <body name="coupler" pos="0 0 0.03">
+      <joint name="coupler" axis="0 1 0"/>
+      <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+      <site name="on_coupler" pos="0 0 0.03"/>
+    </body></body>
+  <body name="link" pos="0.01 0 0.01">
+    <joint name="link" axis="0 1 0"/>
+    <geom type="capsule" size="0.004" fromto="0 0 0 0 0 0.03"/>
+    <body name="follower" pos="0 0 0.03">
+      <joint name="follower" axis="0 1 0"/>
+      <geom type="box" size="0.004 0.01 0.02" pos="0 0 0.02"/>
+      <site name="on_follower" pos="0.01 0 0.03"/>
+    </body></body>
+  <site name="anchor" pos="0.04 0 0.05"/>
+</body></worldbody>
+<equality><connect body1="follower" body2="coupler" anchor="-0.04 0 0.03"/></equality>
+<tendon>{cords}</tendon>
+<actuator><position joint="driver" kp="50" kv="0.5"/></actuator>
+</mujoco>"""
+
+CORDS = """
+<spatial name="right" stiffness="40" springlength="0.005"><site site="anchor"/>
+  <site site="on_follower"/></spatial>
+<spatial name="left" stiffness="60" springlength="{}"><site site="post"/>
+  <site site="on_coupler"/></spatial>"""
+
+
+@pytest.mark.parametrize("rest", ["0", "0.004", "0 0.003"])
+def test_the_springs_of_spatial_tendons_decide_what_a_linkage_leaves_open(
+    tmp_path: Path, rest: str
+) -> None:
+    hand = made(tmp_path, STRETCHED.format(cords=CORDS.format(rest)))
+    assert hand.actuator_names == ("driver",)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "hand.xml"))
+    # Beside rtee: MuJoCo's own dynamics with stiff equalities, until all is at rest.
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.timestep, model.dof_damping[:], model.dof_armature[:] = 5e-4, 5e-3, 1e-3
+    model.eq_solref[:], model.eq_solimp[:, :2] = [0.002, 1.0], 0.999
+    data = mujoco.MjData(model)
+    for target in (-0.25, 0.0, 0.35):
+        data.ctrl[0] = target
+        mujoco.mj_step(model, data, 8000)
+        # The springs hold the driver back a little.
+        u = np.array([data.joint("driver").qpos[0]])
+        found = dict(zip(hand.joint_names, hand.transmission.joints(u), strict=True))
+        for joint in hand.joint_names:
+            assert found[joint] == pytest.approx(data.joint(joint).qpos[0], abs=1e-3), joint
+
+
+def test_the_spring_of_a_spatial_tendon_outside_of_linkages_is_noted(tmp_path: Path) -> None:
+    cords = CORDS.format("0").replace('site="anchor"', 'site="outside"')
+    text = STRETCHED.format(cords=cords).replace(
+        '<site name="anchor"',
+        '''<body name="lone" pos="0.04 0 0.05">
+  <joint name="lone" axis="0 1 0" range="-1 1"/><geom size="0.003"/>
+  <site name="outside" pos="0 0 0.001"/></body><site name="anchor"''',
+    )
+    made(tmp_path, text)
+    assert "the spring of the spatial tendon 'right' is not read" in notes_of(tmp_path / "hand.xml")
+
+
+def test_a_slack_tendon_decides_nothing(tmp_path: Path) -> None:
+    slack = STRETCHED.format(
+        cords='<spatial name="slack" stiffness="40" springlength="0 1"><site site="anchor"/>'
+        '<site site="on_follower"/></spatial>'
+    )
+    with pytest.raises(ModelError, match="2 degrees of freedom that no spring decides"):
+        made(tmp_path, slack)
+
+
 SPATIAL = """<tendon><spatial name="cord">
 <site site="on_palm"/><site site="on_tip"/></spatial></tendon>
 <actuator><position name="pull" tendon="cord"/>
