@@ -12,7 +12,7 @@ from rtee.hand.chains import Chain
 from rtee.hand.linkages import Mover
 from rtee.hand.model import Hand, JointRole
 from rtee.hand.names import shared_length
-from rtee.hand.urdf import Urdf, UrdfJoint
+from rtee.hand.urdf import Urdf, UrdfJoint, UrdfLink
 
 _ARM_JOINTS: Final = 3
 """Fewest joints in a row, before anything branches off, that are an arm and not a wrist or a fold
@@ -92,15 +92,24 @@ def arm_joints(
 
 
 def without_geometry(urdf: Urdf, movers: Collection[str]) -> list[str]:
-    """Return the links that move and have no collision geometry, nor has anything below them."""
+    """Return the links that move and have no collision geometry, nor has anything below them.
+
+    The shaft of a motor and a tendon are not among them: links without any shape, whose joint
+    others follow that move collision geometry.
+    """
+
+    def moved(joint: UrdfJoint) -> list[UrdfLink]:
+        below = (joint.child, *(j.child for j in _all_below(joint.child, urdf)))
+        return [urdf.links[link] for link in below]
+
+    touching = {j.name for j in urdf.joints.values() if any(link.collisions for link in moved(j))}
+    drives = {urdf.master(name) for name in touching}
     return [
         joint.child
         for joint in urdf.joints.values()
         if joint.name in movers
-        and not any(
-            urdf.links[link].collisions
-            for link in (joint.child, *(j.child for j in _all_below(joint.child, urdf)))
-        )
+        and joint.name not in touching
+        and (joint.name not in drives or any(link.visuals for link in moved(joint)))
     ]
 
 

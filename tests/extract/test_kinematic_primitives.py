@@ -88,9 +88,12 @@ def test_continuous_actuators_take_no_part(tmp_path: Path) -> None:
 
 
 def test_a_single_joint_keeps_its_near_bound_as_second_posture(tmp_path: Path) -> None:
-    model = Model().link("palm", TIP).joint("spread", "base", "palm", limits=(-0.2, 0.7))
-    for name in ("a", "b"):
-        model.link(name, TIP).joint(name, "palm", name, kind="fixed").finger(name, name)
+    # Beside each other along their axis: one behind the other would be a linkage, and one finger.
+    model = Model().link("a", TIP).joint("spread", "base", "a", limits=(-0.2, 0.7)).finger("a", "a")
+    model.link("b", TIP).joint(
+        "b", "base", "b", xyz=(0, 0.05, 0), limits=(-0.2, 0.7), mimic='<mimic joint="spread"/>'
+    )
+    model.finger("b", "b")
     (found,) = kinematic_primitives(model.load(tmp_path))
     assert found.name == "SingleJointMultipleTips_2"
     assert found.elements == ("spread",)

@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from hand.models import GRIPPER
+from hand.models import GRIPPER, SRDF
 from rtee.hand.allowed_collisions import ADJACENT, ALWAYS, AT_REST, allowed_collisions
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
@@ -40,9 +40,12 @@ def test_reasons(load: Callable[..., Hand]) -> None:
     button = frozenset(("palm", "button"))
     assert pairs_of(load(text.format(radius=0.012)))[button] == ALWAYS
     jaw = frozenset(("left_jaw", "button"))
-    found = pairs_of(load(text.format(radius=0.005)))
-    assert button not in found
-    assert found[jaw] == AT_REST
+    # Outside the SRDF's groups of the hand it stands still; in them it moves away from the jaw.
+    inside = SRDF.replace('<group name="fingers">', '<group name="fingers"><joint name="push"/>')
+    for srdf, reason in ((SRDF, ALWAYS), (inside, AT_REST)):
+        found = pairs_of(load(text.format(radius=0.005), srdf))
+        assert button not in found
+        assert found[jaw] == reason
 
 
 def test_known_contacts_at_rest(shared: Path) -> None:

@@ -92,6 +92,19 @@ def test_a_jaw_without_geometry_is_named(tmp_path: Path) -> None:
     assert any("link 'jaw' moves, but it has no collision geometry" in n for n in hand.notes)
 
 
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_shaft_that_jaws_follow_is_not_named_but_a_jaw_is(seen: bool, tmp_path: Path) -> None:
+    robot = Robot("shaft").link("base", PALM)
+    robot.link("shaft", inside=f"<visual>{JAW}</visual>" if seen else "")
+    robot.joint("motor", "base", "shaft", axis=(0, 0, 1))
+    for jaw, x in (("left", -0.03), ("right", 0.03)):
+        turned = "motor" if x < 0 else "motor -1"
+        robot.link(jaw, JAW).joint(f"{jaw}_jaw", "base", jaw, (x, 0, 0.05), mimic=turned)
+    notes = load_model(robot.write(tmp_path)).notes
+    # What is seen to move, and cannot touch, is a mistake of the file.
+    assert any("link 'shaft' moves" in note for note in notes) == seen
+
+
 def test_the_fixed_jaw_is_proposed_and_added_when_asked(tmp_path: Path) -> None:
     path = single_jaw().write(tmp_path)
     made = make_hand("told", path, into=tmp_path / "config")

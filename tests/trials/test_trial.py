@@ -68,19 +68,34 @@ def test_a_gripper_holds_a_ball(held: TrialResult) -> None:
     assert held.peak >= max(force for _, force in held.forces) * 0.9
 
 
+class Results(Observer):
+    def __init__(self) -> None:
+        self.seen: list[Result] = []
+
+    def on_result(self, result: Result) -> None:
+        self.seen.append(result)
+
+
 def test_only_fingers_whose_tips_touch_have_grasped() -> None:
-    ready = bench("qb_softhand")
-    results: list[Result] = []
-
-    class Results(Observer):
-        def on_result(self, result: Result) -> None:
-            results.append(result)
-
-    trial = Trial("Grasp", object="sphere:0.03", places=1)
-    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[Results()])
+    ready, results = bench("schunk_svh"), Results()
+    trial = Trial("Grasp", object="cylinder:0.03x0.15", places=1)
+    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[results])
     touching = tuple(name for name, force in ended.forces if force > 1.0)
     assert 0 < len(touching) < len(ready.hand.fingers)
-    assert [result.grasped_fingers for result in results] == [touching]
+    assert [result.grasped_fingers for result in results.seen] == [touching]
+
+
+def test_no_finger_has_surely_grasped_where_the_empty_hands_tips_would_press_on_one_another() -> (
+    None
+):
+    # Bent around a ball, the qb SoftHand's one motor is beyond where its empty tips meet.
+    ready, results = bench("qb_softhand"), Results()
+    trial = Trial("Grasp", object="sphere:0.03", places=1)
+    ended = run_trial(ready.hand, ready.library, ready.settings, trial, observers=[results])
+    assert ended.held
+    assert any(force > 1.0 for _, force in ended.forces)
+    said = [(r.stalled, r.unknown, r.grasped, r.grasped_fingers) for r in results.seen]
+    assert said == [(True, True, False, ())]
 
 
 def test_the_same_trial_gives_the_same_result(held: TrialResult) -> None:

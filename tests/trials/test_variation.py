@@ -183,14 +183,14 @@ def test_the_rate_is_reported_with_its_confidence() -> None:
 @pytest.mark.timeout(300)
 def test_a_place_is_chosen_by_more_tries() -> None:
     shape = "box:0.04x0.04x0.1"
-    words = [GRIPPER, "Grasp", "--object", shape, "--variations", "3", "--choose-by", "10"]
+    words = [GRIPPER, "Grasp", "--object", shape, "--variations", "3", "--choose-by", "12"]
     outcome = CliRunner().invoke(app_of(try_), [*words, "--json"])
     assert outcome.exit_code == 0, outcome.output
     document = json.loads(outcome.stdout)
-    assert document["variations"]["choosing"] == 10
+    assert document["variations"]["choosing"] == 12
     assert document["variations"]["held"] == 3
     result = from_document(document)
-    assert result.trial == Trial("Grasp", object=shape, variations=3, choosing=10)
+    assert result.trial == Trial("Grasp", object=shape, variations=3, choosing=12)
 
 
 @pytest.mark.heavy
