@@ -17,8 +17,16 @@ from rtee.drivers.diagnosis.can_probe import can as can_probe
 from rtee.drivers.diagnosis.scan import Address, Plan, network_probes, scan, serial_probes
 from rtee.drivers.emulators import make_emulator
 from rtee.drivers.orca_touch import codec
+from rtee.testing import simulated_time
+from tests.buses.devices import in_real_time
 
 pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture(scope="module")
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    """Have no answer come too late, after which a scan goes on to another rate of the line."""
+    return simulated_time()
 
 
 async def scanned(line: SimulatedLine, *, units: Sequence[int] | None = None) -> Address:
@@ -141,6 +149,7 @@ async def test_two_softhands_that_answer_at_once_are_both_found() -> None:
     assert [one.options["device"] for one in found.found] == [1, 2]
 
 
+@in_real_time
 async def test_a_compute_box_on_the_network_is_found() -> None:
     gripper = make_emulator("onrobot_3fg", {"host": "x"})
     with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
@@ -149,6 +158,7 @@ async def test_a_compute_box_on_the_network_is_found() -> None:
 
 
 @pytest.mark.parametrize("model", ["rg2", "rg6"])
+@in_real_time
 async def test_another_tool_behind_a_compute_box_is_found_with_its_model(model: str) -> None:
     gripper = make_emulator("onrobot_rg", {"host": "x", "model": model})
     with SimulatedLine([gripper], tcp=True, scheme="tcp") as line:
@@ -160,6 +170,7 @@ async def test_another_tool_behind_a_compute_box_is_found_with_its_model(model: 
     assert [(one.driver, one.what) for one in found.found] == [("", "OnRobot 2FG7, unit 65")]
 
 
+@in_real_time
 async def test_a_wsg_is_found_at_its_socket_and_nowhere_else() -> None:
     with SimulatedLine([make_emulator("wsg50", {})], tcp=True, scheme="socket") as line:
         async with BusPool() as pool:
@@ -171,6 +182,7 @@ async def test_a_wsg_is_found_at_its_socket_and_nowhere_else() -> None:
             assert await probes.wsg50().ask(pool, address) == []
 
 
+@in_real_time
 async def test_a_hand_on_modbus_is_told_from_grippers() -> None:
     """On a line and on the network, also where it tells zeros instead of refusing."""
     line = {"protocol": "modbus", "unit": 2, "emulator": {"unknown": "refused"}}
@@ -242,6 +254,7 @@ async def test_a_servo_of_a_model_that_is_not_known_is_told() -> None:
         ("robotiq_2f", "Robotiq 2-finger gripper, any unit"),
     ],
 )
+@in_real_time
 async def test_a_device_that_answers_to_every_unit_is_listed_once(name: str, what: str) -> None:
     emulator = make_emulator(name, {"port": "tcp://", "emulator": {"activated": True}})
     with SimulatedLine([emulator], tcp=True, scheme="tcp") as line:
@@ -278,6 +291,7 @@ async def test_a_missing_or_busy_port_says_so() -> None:
     assert "another program" in found.problem
 
 
+@in_real_time
 async def test_what_is_no_port_and_no_name_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     plans = [
@@ -309,6 +323,7 @@ async def test_what_a_can_interface_hands_back_is_no_device() -> None:
         ("linkerhand", {"model": "l10", "unit": 40}),
     ],
 )
+@in_real_time
 async def test_nodes_on_a_can_bus_are_found(driver: str, options: dict[str, Any]) -> None:
     async with BusPool() as pool:
         await pool.can("can0", owner="x", emulator=lambda: make_emulator(driver, options))
