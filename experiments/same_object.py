@@ -29,6 +29,9 @@ from rtee.types import Goal
 RADIUS = 0.025
 OBJECT = f"cylinder:{RADIUS:g}x0.14"
 WIDTH = f"{2e3 * RADIUS:g}mm:500"
+CLOSED = "0.37"
+"""Closure of the SoftHand at which its fingertips are as far apart as the object is wide."""
+
 HOLD = 2.0
 
 STILL = 0.02
@@ -85,7 +88,7 @@ class Gripper:
 GRIPPERS = (
     Gripper("robotiq_2f_85", "SingleJointMultipleTips_2", "finger_joint", "level", WIDTH),
     Gripper(
-        "qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint", "level", "0.6", (PALM,)
+        "qb_softhand", "SingleJointMultipleTips_5", "qbhand_synergy_joint", "level", CLOSED, (PALM,)
     ),
     Gripper(
         "onrobot_3fg15",
