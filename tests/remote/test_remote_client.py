@@ -339,14 +339,17 @@ async def test_a_single_state(hand: Hand, library: ActionLibrary) -> None:
 async def test_a_call_that_is_given_up_before_its_answer_moves_nothing(
     hand: Hand, library: ActionLibrary, delay: float
 ) -> None:
-    async with serving(hand, library), rtee.connect("small") as remote:
+    async with serving(hand, library) as served, rtee.connect("small") as remote:
+        before = (await remote.state()).position
         with anyio.move_on_after(delay) as given_up:
             await remote.do("fist", **LASTING)
         assert given_up.cancelled_caught
         while (await remote.status()).goal_id:  # noqa: ASYNC110 - it brakes first
             await anyio.sleep(0.01)
         # The result of a goal that had begun may come after the status.
-        await until(lambda: not remote._goals._running)
+        await until(lambda: not remote._goals._running._running)
+        assert all(result.cancelled for result in served.watcher.results)
+        assert (await remote.state()).position == pytest.approx(before, abs=0.01)
 
 
 async def test_a_hand_whose_run_is_cancelled_leaves_the_network(
