@@ -198,7 +198,8 @@ async def test_a_recorded_stream_is_played_again(hand: Hand, tmp_path: Path) -> 
         recorder = Recorder(hand, RecorderSettings(folder), rate=200.0, loop=served.loop.settings)
         async with recorder:
             served.loop.add_observer(recorder)
-            async with rtee.connect("small") as remote, remote.stream(rate=50) as stream:
+            # As fast as the hand ticks, since each sample follows as soon as the last is taken.
+            async with rtee.connect("small") as remote, remote.stream(rate=200) as stream:
                 for k in range(40):
                     await stream.send({"Trig index": k / 40}, {"Trig index": 1.25}, stamp=k / 50)
                     await until(lambda k=k: served.loop.streams.status().samples > k)
