@@ -135,7 +135,7 @@ def extract(
                 model = load_hand(folder)
             else:
                 folders = package_dir or []
-                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders))
+                readable = stack.enter_context(as_urdf(urdf, mjcf, words, folders, root))
                 groups = stack.enter_context(as_srdf(srdf, (), folders))
                 model = _hand_in(readable, groups, subtree)
             with progress_bar() as progress:

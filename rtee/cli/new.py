@@ -80,7 +80,7 @@ def new(
     # A model that is no xacro file has no arguments; those given are the SRDF's then.
     own = words if srdf is None or srdf.suffix != XACRO or _is_xacro(urdf) else []
     with (
-        as_urdf(urdf, mjcf, own, folders) as model,
+        as_urdf(urdf, mjcf, own, folders, root) as model,
         as_srdf(srdf, words, folders) as groups,
     ):
         new_hand = make_hand(

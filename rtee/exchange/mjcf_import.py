@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtee.drivers.mujoco.model import CARRIER
-from rtee.errors import ModelError
+from rtee.errors import ModelError, UnknownLink
 from rtee.exchange.mjcf_coupling import motion_of
 from rtee.exchange.mjcf_files import Source, listening, mujoco_says, read_mjcf
 from rtee.exchange.mjcf_motion import Follow, Motion, joint_name, joint_range
@@ -71,16 +71,25 @@ class _Link:
     origin: FloatArray
 
 
-def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = ()) -> Imported:
+def import_mjcf(
+    path: Path | str, folder: Path, folders: Sequence[Path | str] = (), *, root: str | None = None
+) -> Imported:
     """Write the URDF of an MJCF model into a folder, with its meshes beside it.
 
-    Its includes and meshes may be in further ``folders``.
+    Args:
+        path: The model's file.
+        folder: Where to write.
+        folders: Further folders of its includes and meshes.
+        root: The body below which the hand is, out of a whole robot or scene, whose floating base
+            then stands still, and whose free objects are left out.
 
     Raises:
+        UnknownLink: The model has no body ``root``.
         ModelError: The file cannot be read, or has elements that a URDF cannot represent; the
             message names file and line if they are known.
     """
     source = read_mjcf(path, folders)
+    loose = [] if root is None else _still(source, root)
     for joint in source.spec.joints:
         _check_joint(joint, source)
     with mujoco_says(source.path, lines=source.alone) as notes:
@@ -96,11 +105,35 @@ def import_mjcf(path: Path | str, folder: Path, folders: Sequence[Path | str] = 
         raise ModelError(
             "the numbers of its couplings are too far apart to solve them", path=source.path
         ) from None
-    motion.notes += [*notes, *_degrees(model, source)]
+    motion.notes += [*loose, *notes, *_degrees(model, source)]
     writer = _Writer(model, source, motion, folder)
     urdf = folder / f"{safe_name(source.spec.modelname or source.path.stem, 'hand')}.urdf"
     write_atomically(urdf, writer.text())
     return Imported(urdf, writer.passive(), writer.excluded(), tuple(writer.notes))
+
+
+def _still(source: Source, root: str) -> list[str]:
+    """Take away the joints outside the hand that no URDF has, or their bodies; return notes."""
+    kinds, spec = mujoco.mjtJoint, source.spec
+    odd = [each for each in spec.joints if each.type in (kinds.mjJNT_FREE, kinds.mjJNT_BALL)]
+    if not odd:
+        return []
+    hand = spec.body(root)
+    if hand is None:
+        raise UnknownLink(root, tuple(body.name for body in spec.bodies), path=source.path)
+    inside = {body.name for body in hand.find_all("body")}
+    notes = []
+    for joint in odd:
+        body = joint.parent
+        named = f"body '{body.name}'" if body.name else "a body without a name"
+        above = body.name == root or root in {each.name for each in body.find_all("body")}
+        if joint.type == kinds.mjJNT_FREE and not above:
+            notes.append(f"{named} is free and not part of the hand, so it is left out")
+            spec.delete(body)
+        elif above or body.name not in inside:
+            notes.append(f"{named}, outside the hand, stands still as drawn")
+            spec.delete(joint)
+    return notes
 
 
 def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
@@ -108,8 +141,9 @@ def _check_joint(joint: mujoco.MjsJoint, source: Source) -> None:
     named = f"'{joint.name}' " if joint.name else ""
     if kind == mujoco.mjtJoint.mjJNT_FREE:
         raise ModelError(
-            f"joint {named}of body '{body}' is free; a hand's base is fixed, so take the joint "
-            "away (and bodies that are not parts of the hand)",
+            f"joint {named}of body '{body}' is free; a hand's base is fixed, so give the "
+            "hand's base by --root, or take the joint away (and bodies that are not parts of the "
+            "hand)",
             path=source.path,
         )
     if kind == mujoco.mjtJoint.mjJNT_BALL:

@@ -36,7 +36,11 @@ class ReadableModel:
 
 
 def as_urdf(
-    urdf: Path | None, mjcf: Path | None, arguments: Sequence[str], package_dirs: Sequence[Path]
+    urdf: Path | None,
+    mjcf: Path | None,
+    arguments: Sequence[str],
+    package_dirs: Sequence[Path],
+    root: str | None = None,
 ) -> AbstractContextManager[ReadableModel]:
     """Return a context in which a model exists as a URDF.
 
@@ -45,6 +49,7 @@ def as_urdf(
         mjcf: Its MJCF, instead of a URDF.
         arguments: Arguments of the xacro file, as ``NAME:=VALUE``.
         package_dirs: Folders to look packages up in.
+        root: The link below which the hand is, out of a whole robot.
 
     Raises:
         ConfigError: There are arguments without a xacro file.
@@ -56,7 +61,7 @@ def as_urdf(
             f"'{arguments[0]}' should be an argument of a xacro file, whose name ends with {XACRO}"
         )
     if mjcf is not None:
-        return mjcf_as_urdf(mjcf, package_dirs)
+        return mjcf_as_urdf(mjcf, package_dirs, root)
     assert urdf is not None  # noqa: S101 - one of both is given
     return nullcontext(ReadableModel(urdf, package_dirs=tuple(package_dirs)))
 
@@ -104,10 +109,13 @@ def as_srdf(
 
 
 @contextmanager
-def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableModel]:
+def mjcf_as_urdf(
+    path: Path, folders: Sequence[Path] = (), root: str | None = None
+) -> Iterator[ReadableModel]:
     """Convert an MJCF file to a URDF, which exists inside the context.
 
-    Its includes and meshes may be in further ``folders``.
+    Its includes and meshes may be in further ``folders``. With a ``root``, free joints outside the
+    hand below it are no obstacle.
 
     Raises:
         MissingExtra: The extra ``sim`` is not installed.
@@ -116,7 +124,7 @@ def mjcf_as_urdf(path: Path, folders: Sequence[Path] = ()) -> Iterator[ReadableM
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf
     with _temporary_folder(path) as folder:
-        imported = import_mjcf(path, folder, folders)
+        imported = import_mjcf(path, folder, folders, root=root)
         yield ReadableModel(imported.urdf, imported.passive, imported.excluded, imported.notes)
 
 

@@ -885,6 +885,70 @@ def test_the_commands_take_mjcf(tmp_path: Path) -> None:
     assert "give it by --mjcf" in ran.stderr
 
 
+SCENE = """<mujoco model="scene">
+<worldbody>
+  <body name="cube" pos="0.5 0 0.1"><freejoint/><geom name="cube" type="box" size="0.02 0.02 0.02"/>
+    <site name="on_cube"/></body>
+  <body name="torso" pos="0 0 1"><freejoint name="floating"/><geom size="0.1"/>
+    <body name="head" pos="0 0 0.2"><joint name="neck" type="ball"/><geom size="0.05"/></body>
+    <body name="arm" pos="0 0.2 0"><joint name="elbow" axis="0 0 1" range="-90 90"/>
+      <geom type="capsule" size="0.02" fromto="0 0 0 0 0.1 0"/>
+      {palm}
+    </body>
+  </body>
+</worldbody>
+<contact><exclude body1="cube" body2="palm"/><pair geom1="cube" geom2="on_palm"/></contact>
+<equality><weld body1="cube" body2="head" active="false"/></equality>
+<sensor><framepos objtype="site" objname="on_cube"/></sensor>
+{motors}
+<keyframe><key name="home" qpos="{qpos}"/></keyframe>
+</mujoco>"""
+
+
+def scene() -> str:
+    """Return a floating robot with a hand on its arm, and a free object."""
+    bare = hand_of("")
+    palm = bare[bare.index('<body name="palm"') : bare.index("</worldbody>")]
+    palm = palm.replace('type="box" size="0.05', 'name="on_palm" type="box" size="0.05', 1)
+    motors = MOTORS.replace("</actuator>", '<position joint="elbow"/></actuator>')
+    free = "0 0 0 1 0 0 0 "
+    return SCENE.format(palm=palm, motors=motors, qpos=free + free + "1 0 0 0 " + "0 " * 5)
+
+
+def test_a_hand_is_taken_out_of_a_floating_robot_among_free_objects(tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    file.write_text(scene())
+    into = ("--into", tmp_path / "config")
+    ran = run("new", "mine", "--mjcf", file, "--root", "palm", *into)
+    assert ran.returncode == 0, ran.stderr
+    said = ran.stdout + ran.stderr
+    assert "body 'cube' is free and not part of the hand, so it is left out" in said
+    for body in ("torso", "head"):
+        assert f"body '{body}', outside the hand, stands still as drawn" in said
+    (tmp_path / "alone").mkdir()
+    alone = made(tmp_path / "alone", hand_of(MOTORS))
+    hand = load_hand(tmp_path / "config" / "mine")
+    assert hand.actuator_names == alone.actuator_names
+    assert (hand.lower, hand.upper) == (pytest.approx(alone.lower), pytest.approx(alone.upper))
+    u = 0.5 * np.array(alone.upper)
+    for link in ("a_tip", "b_tip"):
+        assert Kinematics(hand).link_pose(u, link) == pytest.approx(
+            Kinematics(alone).link_pose(u, link), abs=1e-9
+        )
+
+
+def test_without_a_root_or_with_an_unknown_one_a_floating_robot_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "scene.xml"
+    file.write_text(scene())
+    with pytest.raises(ModelError, match=r"is free; .* by --root"):
+        import_mjcf(file, tmp_path)
+    with pytest.raises(ModelError, match=r"'plam'.*palm"):
+        import_mjcf(file, tmp_path, root="plam")
+    # A joint of the hand itself stays what it is.
+    with pytest.raises(ModelError, match="is a ball joint"):
+        import_mjcf(file, tmp_path, root="torso")
+
+
 def test_passive_joints_and_excluded_pairs_stay_with_a_given_srdf(tmp_path: Path) -> None:
     text = hand_of(
         '<actuator><position joint="a_1"/><position joint="b_1"/></actuator>'
