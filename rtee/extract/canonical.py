@@ -238,7 +238,8 @@ class _Points:
         for i, finger in enumerate(self._fingers):
             key = (-len(finger.actuators), -len(finger.own), finger.tip is None)
             groups.setdefault(key, []).append(i)
-        within = [permutations(groups[key]) for key in sorted(groups)]
+        # Cut off each by itself, too, since `product` begins with all that it is given.
+        within = [islice(permutations(groups[key]), _MOST_ORDERS) for key in sorted(groups)]
         orders = (tuple(i for part in parts for i in part) for parts in product(*within))
         return islice(orders, _MOST_ORDERS)
 
