@@ -203,7 +203,16 @@ async def typed_line(text: str) -> str:
     stdin = sys.stdin.fileno()
     while b"\n" not in _typed:
         await _readable(stdin)
-        chunk = os.read(stdin, 4096)  # a terminal's line has at most 4095 bytes
+        # Ctrl-C takes back what a terminal has not handed on yet: a read that waits would then keep
+        # the command from ending.
+        blocking = os.get_blocking(stdin)
+        os.set_blocking(stdin, False)
+        try:
+            chunk = os.read(stdin, 4096)  # a terminal's line has at most 4095 bytes
+        except BlockingIOError:
+            continue
+        finally:
+            os.set_blocking(stdin, blocking)
         if not chunk:
             break
         _typed.extend(chunk)
