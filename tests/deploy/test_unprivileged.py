@@ -84,8 +84,14 @@ def test_a_hand_without_rights_or_set_up(nobody: Somebody) -> None:
         assert run.stdout is not None
         assert re.match(r"robotiq_2f_85: 1 actuator", run.stdout.readline())
         # It homes before it is ready.
-        pinch = ("do", "PinchTight", "--intensity", "0.3", "--wait", "600")
+        pinch = ("do", "PinchTight", "--intensity", "0.3", "--wait", "30")
         status, output, errors = nobody.rtee(*pinch)
+        for _ in range(5):
+            if status == 0:
+                break
+            # On a busy computer the link was lost, which leaves the gripper inactive.
+            nobody.rtee("recover")
+            status, output, errors = nobody.rtee(*pinch)
         assert (status, "reached" in output) == (0, True), output + errors
         status, output, _ = nobody.rtee("status")
         assert (status, "robotiq_2f_85" in output) == (0, True)
