@@ -233,8 +233,11 @@ def read_xml(path: Path | str, what: str) -> tuple[Element, str]:
     return builder.root, _text(data)
 
 
-_LEAD: Final = re.compile(rb"\A((?:\s|<!--.*?-->)+)(<\?xml[^>]*\?>)", re.DOTALL)
-"""What some files have before their XML declaration: blank lines and comments."""
+_LEAD: Final = re.compile(rb"\A((?>\s|<!--.*?-->)++)(<\?xml[^>]*\?>)", re.DOTALL)
+"""What some files have before their XML declaration: blank lines and comments.
+
+Atomic: a comment ends at its first end, or many comments would be tried in all combinations.
+"""
 
 _DECLARED: Final = re.compile(
     rb"""\A<\?xml[^>]*?\sencoding\s*=\s*["'](?!utf-?8["'])""", re.IGNORECASE

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patient import HAND, patient_gripper
 from rtee_process import RTEE
 
 from rtee.actions.library import ActionLibrary
 from rtee.hand.load import load_hand
 
-HAND = "robotiq_2f_85"
 REAL = (sys.executable, "-m", "rtee")
 
 
@@ -43,14 +43,7 @@ def calibrate(place: Path, *words: str, typed: str, status: int = 0) -> str:
 def place(repository: Path, tmp_path: Path) -> Iterator[Path]:
     """A folder with a gripper that runs on its emulator, which holds an object half way."""
     tmp_path.chmod(0o700)
-    shutil.copytree(repository / "config" / HAND, tmp_path / "config" / HAND)
-    # The 31 ms that follow from its wire may pass on a busy computer before a thread runs.
-    file = tmp_path / "config" / HAND / "hand.yaml"
-    text = file.read_text()
-    assert text.count("    driver: robotiq_2f\n") == 1
-    file.write_text(
-        text.replace("    driver: robotiq_2f\n", "    driver: robotiq_2f\n    deadline: 60.0\n")
-    )
+    patient_gripper(tmp_path / "config", repository)
     run = subprocess.Popen(
         [*RTEE, "run", HAND, "--emulated", "--ideal", "--object", "0.5", "--no-log"],
         env=environment(tmp_path),

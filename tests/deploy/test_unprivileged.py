@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patient import HAND, patient_gripper
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root may become somebody else")
 
@@ -60,6 +61,7 @@ def nobody(repository: Path) -> Iterator[Somebody]:
             "HOME": str(folder),
             "PATH": os.environ["PATH"],
             "TMPDIR": str(folder),
+            "RTEE_CONFIG_PATH": str(folder / "config"),
             "PYTHONPATH": os.pathsep.join([str(repository), *packages]),
         }
         version = f"python{sys.version_info.major}.{sys.version_info.minor}"
@@ -76,33 +78,27 @@ def nobody(repository: Path) -> Iterator[Somebody]:
         yield somebody
 
 
-def test_a_hand_without_rights_or_set_up(nobody: Somebody) -> None:
-    run = nobody.start(
-        "run", "robotiq_2f_85", "--driver", "devices", "--emulated", "--home", "--realtime"
-    )
-    try:
-        assert run.stdout is not None
-        assert re.match(r"robotiq_2f_85: 1 actuator", run.stdout.readline())
-        # It homes before it is ready.
-        pinch = ("do", "PinchTight", "--intensity", "0.3", "--wait", "30")
-        status, output, errors = nobody.rtee(*pinch)
-        for _ in range(5):
-            if status == 0:
-                break
-            # On a busy computer the link was lost, which leaves the gripper inactive.
-            nobody.rtee("recover")
+def test_a_hand_without_rights_or_set_up(nobody: Somebody, repository: Path) -> None:
+    patient_gripper(nobody.folder / "config", repository)
+    with nobody.start(
+        "run", HAND, "--driver", "devices", "--emulated", "--home", "--realtime"
+    ) as run:
+        try:
+            assert run.stdout is not None
+            assert re.match(rf"{HAND}: 1 actuator", run.stdout.readline())
+            # It homes before it is ready.
+            pinch = ("do", "PinchTight", "--intensity", "0.3", "--wait", "30")
             status, output, errors = nobody.rtee(*pinch)
-        assert (status, "reached" in output) == (0, True), output + errors
-        status, output, _ = nobody.rtee("status")
-        assert (status, "robotiq_2f_85" in output) == (0, True)
-        assert nobody.rtee("state", "--once")[0] == 0
-        assert nobody.rtee("open")[0] == 0
-        assert nobody.rtee("stop")[0] == 0
-        run.send_signal(signal.SIGINT)
-        _, errors = run.communicate()
-    finally:
-        run.kill()
-        run.wait()
+            assert (status, "reached" in output) == (0, True), output + errors
+            status, output, _ = nobody.rtee("status")
+            assert (status, HAND in output) == (0, True)
+            for command in (("state", "--once"), ("open",), ("stop",)):
+                status, output, errors = nobody.rtee(*command)
+                assert status == 0, output + errors
+            run.send_signal(signal.SIGINT)
+            _, errors = run.communicate()
+        finally:
+            run.kill()
     assert run.returncode == 0, errors
     # Each line of a log; what is not permitted says what to type.
     refused = [line for line in errors.splitlines() if "not permitted" in line]

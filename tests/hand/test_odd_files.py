@@ -46,6 +46,13 @@ def test_what_stands_before_the_declaration_does_not_matter(tmp_path: Path, head
     assert set(read_urdf(path).links) == {"base", "left_distal", "right_distal"}
 
 
+def test_comments_without_a_declaration_are_read_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    # Each further comment once doubled the time: a hundred would never end.
+    path.write_text("<!-- a licence -->\n" * 100 + jaws().text)
+    assert read_xml(path, "URDF")[0].line == 101
+
+
 def test_names_in_latin_1_without_a_declaration_are_read(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_bytes(jaws().text.replace("left_distal", "linker_größer").encode("latin-1"))
