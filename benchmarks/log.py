@@ -290,7 +290,7 @@ def kills(hand: str, count: int, rate: float) -> None:
             reader.join()
             numbers = seen.rpartition(b"\n")[0].split()
             (path,) = Path(folder).glob("*.mcap")
-            recover(path)
+            recover(path, in_place=True)
             recording = read(path)
             if not recording.finished:
                 failed += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -101,7 +102,9 @@ class PreparedHand:
         """Return the settings of the hand's recorder."""
         given = self.config.log
         settings = {each.name: getattr(given, each.name) for each in fields(given)}
-        settings["directory"] = folder = options.log or given.directory
+        # The shell leaves the `~` of `--log=~/logs` as it is.
+        log_folder = None if options.log is None else Path(os.path.expanduser(options.log))
+        settings["directory"] = folder = log_folder or given.directory
         settings["enabled"] = recorded = options.record and (
             given.enabled or options.log is not None
         )

@@ -1,4 +1,4 @@
-"""Quantities as people write them: ``30mm``, ``3cm``, ``0.03``, ``10N``, ``50mm/s``."""
+"""Quantities as people write them: ``30mm``, ``3cm``, ``0.03``, ``10N``, ``50mm/s``, ``60%``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Final, SupportsFloat
 
 from rtee.errors import GoalRejected, suggestion
 from rtee.types import Result
@@ -24,8 +24,23 @@ SPEED: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Units of speed, in m/s."""
 
+TIME: Final[Mapping[str, float]] = MappingProxyType({"s": 1.0, "ms": 1e-3, "min": 60.0})
+"""Units of time, in seconds."""
+
+SHARE: Final[Mapping[str, float]] = MappingProxyType({"%": 0.01})
+"""Parts of a whole, which counts 1."""
+
 # By identity, since mappings have no hash.
-_KINDS: Final = {id(LENGTH): "a length", id(FORCE): "a force", id(SPEED): "a speed"}
+_KINDS: Final = {
+    id(LENGTH): "a length, such as 30mm",
+    id(FORCE): "a force, such as 10N",
+    id(SPEED): "a speed, such as 50mm/s",
+    id(TIME): "a number of seconds, such as 5s",
+    id(SHARE): "a share, such as 60% or 0.6",
+}
+
+_LONGEST: Final = 1.0
+"""Longest plausible length without a unit [m]: who writes 30 means millimetres."""
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\S*)\s*")
 
@@ -35,28 +50,33 @@ def quantity(value: str | float, units: Mapping[str, float], name: str) -> float
 
     Args:
         value: A number in the SI unit, or a text with or without a unit.
-        units: Its units: `LENGTH`, `FORCE` or `SPEED`.
+        units: Its units: `LENGTH`, `FORCE`, `SPEED`, `TIME` or `SHARE`.
         name: Name of the quantity, for the message.
 
     Raises:
-        GoalRejected: if the value is not such a quantity, not finite, or negative.
+        GoalRejected: if the value is not such a quantity, not finite, or negative; or a length
+            of some metres without a unit, which is meant in millimetres.
     """
     kind = _KINDS[id(units)]
     if isinstance(value, str):
-        match = _QUANTITY.fullmatch(value)
+        match = None if "," in value else _QUANTITY.fullmatch(value)
         if match is None:
-            example = next(unit for unit in units if unit not in ("m", "m/s"))
-            raise GoalRejected(f"the {name} must be {kind}, such as 30{example}, not '{value}'")
+            point = "; write a point, not a comma" if "," in value else ""
+            raise GoalRejected(f"the {name} must be {kind}, not '{value}'{point}")
         number, unit = float(match[1]), match[2]
         if unit and unit not in units:
             raise GoalRejected(
                 f"the {name} must be {kind}, and '{unit}' is not a unit of one; "
                 f"{suggestion(unit, units)}"
             )
+        if units is LENGTH and not unit and _LONGEST < number < math.inf:
+            raise GoalRejected(f"the {name} would be {number:g} m; write {number:g}mm")
         # A number without a unit counts as SI.
         size = number * units.get(unit, 1.0)
-    else:
+    elif isinstance(value, SupportsFloat):
         size = float(value)
+    else:
+        raise GoalRejected(f"the {name} must be {kind}, not {value!r:.100}")
     if not math.isfinite(size):
         raise GoalRejected(f"the {name} must be {kind}, not {size:g}")
     if size < 0.0:

@@ -56,10 +56,15 @@ def do(
         ),
     ] = None,
     intensity: Annotated[
-        float, typer.Option(help="0 (rest posture) to 1 (the action's posture).")
-    ] = 1.0,
+        str,
+        typer.Option(
+            metavar="SHARE", help="0 (rest posture) to 1 (the action's posture), or 0% to 100%."
+        ),
+    ] = "1.0",
     effort: EffortOption = None,
-    speed: Annotated[float, typer.Option(help="Scale of the velocity limits, up to 1.")] = 1.0,
+    speed: Annotated[
+        str, typer.Option(metavar="SHARE", help="Scale of the velocity limits, up to 1 or 100%.")
+    ] = "1.0",
     tolerance: Annotated[float, typer.Option(help="Error norm that counts as reached.")] = 0.01,
     timeout: TimeoutOption = None,
     stage: Annotated[Stage, typer.Option(help="How far a pinch goes.")] = Stage.BOTH,
@@ -89,7 +94,7 @@ def do(
     """
     from rtee.actions.cli_syntax import read_efforts, read_on_contact
     from rtee.actions.naming import label
-    from rtee.units import FORCE, LENGTH, quantity
+    from rtee.remote.goal_values import sizes
 
     efforts = read_efforts(effort or [])
     chosen = tuple(elements or ())
@@ -105,9 +110,10 @@ def do(
     if words:
         options["on_contact"] = words
     if opening is not None:
-        options["opening"] = quantity(opening, LENGTH, "opening")
+        options["opening"] = opening
     if force is not None:
-        options["force"] = quantity(force, FORCE, "force")
+        options["force"] = force
+    sizes(options)  # before a hand is looked for
 
     async def execute(remote: RemoteHand) -> Result:
         options["effort"] = await effort_limits(remote, efforts)

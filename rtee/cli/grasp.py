@@ -98,6 +98,8 @@ def grasp(
         if result.grasped and not result.within:
             least, most = (1e3 * (wanted + each) for each in (-within[0], within[1]))
             print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
+        elif not (result.grasped or result.unknown):
+            print("nothing is held")
     raise typer.Exit(0 if result.within else 1)
 
 
@@ -128,5 +130,10 @@ def touch(
         return await follow(start, "touch")
 
     result = with_hand(hand, connect, "touch", execute, wait=wait)
-    print(result_json(result) if as_json else sentence(result, result.elements))
+    if as_json:
+        print(result_json(result))
+    else:
+        print(sentence(result, result.elements))
+        if not result.touched:
+            print("nothing was touched")
     raise typer.Exit(0 if result.touched else 1)

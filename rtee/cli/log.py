@@ -360,17 +360,22 @@ def recover(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--out", metavar="PATH", help="Write the whole file here instead."),
+        typer.Option(
+            "--out", metavar="PATH", help="The whole file; unless given, NAME_recovered.mcap."
+        ),
     ] = None,
+    in_place: Annotated[bool, typer.Option("--in-place", help="Replace the damaged file.")] = False,
 ) -> None:
-    """Repair recordings whose program was killed, or that are damaged."""
+    """Repair recordings whose program was killed, or that are damaged, into new files."""
     from rtee.log.recover import recover as repair
 
     paths = [path for file in files for path in _paths(file, False)]
     if output is not None and len(paths) > 1:
         raise LogError("--out goes with one file only")
+    if output is not None and in_place:
+        raise LogError("--out and --in-place exclude each other")
     for file in paths:
-        recovery = repair(file, output)
+        recovery = repair(file, output, in_place=in_place)
         verb = (
             "recovered" if not recovery.untouched else "holds" if recovery.damage else "is whole,"
         )

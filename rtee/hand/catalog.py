@@ -41,7 +41,9 @@ def own_dirs() -> list[Path]:
     They are those in ``RTEE_CONFIG_PATH``, ``./config``, and ``rtee/hands`` in the user's
     configuration directory (``XDG_CONFIG_HOME``, else ``~/.config``).
     """
-    found = [Path(p) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    found = [
+        Path(os.path.expanduser(p)) for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p
+    ]
     found.append(Path("config"))
     # Without a home directory, `~` is not expanded, and the XDG specification requires that a
     # relative path is ignored; either would be a folder in the working directory.

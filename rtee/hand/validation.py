@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import operator
+import os
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -215,7 +216,7 @@ def _none(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
 
 def _path(value: Any, at: Location, mistakes: list[Mistake]) -> Any:
     if isinstance(value, str | Path):
-        return Path(value)
+        return Path(os.path.expanduser(value))
     _mistake(mistakes, "path_type", at, "Input is not a valid path", value)
     return None
 

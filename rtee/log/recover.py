@@ -51,25 +51,37 @@ class Recovery:
     left_out: tuple[str, ...] = ()
 
 
-def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
+def recover(
+    path: Path | str, output: Path | str | None = None, *, in_place: bool = False
+) -> Recovery:
     """Repair a recording that was never closed or is damaged.
 
-    Keeps every intact chunk with a new index. Writes the repaired file to ``output``, or else
-    beside the old one, and replaces that only when the new file is complete. Raises `LogError` if
-    the file is being written, cannot be read, is not an MCAP file or has messages outside chunks,
-    or if the repaired file cannot be written.
+    Keeps every intact chunk with a new index, in a file that appears only when it is complete.
+
+    Args:
+        path: The recording.
+        output: Path of the whole file. Unless given, it is ``NAME_recovered.mcap`` beside the
+            recording, and not written if the recording is whole already.
+        in_place: Replace the recording instead.
+
+    Raises:
+        LogError: if the file is being written, cannot be read, is not an MCAP file or has messages
+            outside chunks, or if the repaired file cannot be written.
     """
     path = Path(path)
     if being_written(path):
         raise LogError("is being written; stop the recording first", path=path)
     content = survey(path)
-    target = path if output is None else Path(output)
+    beside = path if in_place else path.with_name(f"{path.stem}_recovered{path.suffix}")
+    target = beside if output is None else Path(output)
     temporary: Path | None = None
     try:
         with path.open("rb") as stream:
             damaged = sum(1 for chunk in content.chunks if not _sound(chunk, stream))
             if content.finished and not damaged and not content.repairable:
-                if target != path:
+                if output is None:
+                    target = path
+                elif target != path:
                     shutil.copyfile(path, target)
                 return _report(content, target, 0, untouched=True)
             if content.loose:

@@ -77,7 +77,7 @@ def runtime_folder() -> Path:
     temporary folder.
     """
     if given := os.environ.get(VARIABLE):
-        return Path(given)
+        return Path(os.path.expanduser(given))
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         return Path(runtime) / "rtee"
     return Path(tempfile.gettempdir()) / f"rtee-{os.getuid()}"

@@ -14,7 +14,7 @@ import anyio
 
 from rtee.errors import GoalRejected, NoHand, RemoteError, suggestion
 from rtee.messages import encode_goal
-from rtee.remote.goal_values import QUANTITIES, check_types, reactions
+from rtee.remote.goal_values import check_types, reactions, sizes
 from rtee.remote.link import ANSWER_WITHIN, Link
 from rtee.remote.planner import HandInfo
 from rtee.remote.running_goal import RunningGoal, RunningGoals
@@ -49,11 +49,11 @@ class GoalOptions(TypedDict, total=False):
         max_force: Force up to which slips raise ``force`` [N].
     """
 
-    intensity: float
+    intensity: float | str
     effort: Mapping[str, float] | float
     tolerance: float
-    speed: float
-    timeout: float | None
+    speed: float | str
+    timeout: float | str | None
     stage: Stage | str
     kind: str | None
     opening: float | str
@@ -371,9 +371,7 @@ class GoalClient:
 
 def _goal(action: str, elements: Sequence[str], client: str, options: GoalOptions) -> Goal:
     values: dict[str, Any] = dict(options)
-    for option, (units, name) in QUANTITIES.items():
-        if values.get(option) is not None:
-            values[option] = quantity(values[option], units, name)
+    values |= sizes(options)
     if "on_contact" in values:
         values["on_contact"] = reactions(values["on_contact"])
     if "stage" in values:

@@ -7,18 +7,21 @@ from typing import Any, Final, SupportsFloat
 
 from rtee.errors import GoalRejected, suggestion
 from rtee.types import OnContact
-from rtee.units import FORCE, LENGTH, SPEED
+from rtee.units import FORCE, LENGTH, SHARE, SPEED, TIME, quantity
 
 QUANTITIES: Final[Mapping[str, tuple[Mapping[str, float], str]]] = {
+    "intensity": (SHARE, "intensity"),
+    "speed": (SHARE, "speed"),
     "opening": (LENGTH, "opening"),
     "force": (FORCE, "force"),
     "tip_speed": (SPEED, "speed"),
     "max_force": (FORCE, "largest force"),
+    "timeout": (TIME, "timeout"),
 }
 """Units and names, for people, of the options that may have units."""
 
-_NUMBERS: Final = ("intensity", "tolerance", "speed", "timeout")
-"""Options that are plain numbers."""
+_ALWAYS: Final = ("intensity", "speed")
+"""Those of them that every goal has: ``None`` is no value of theirs."""
 
 
 def check_types(
@@ -38,11 +41,9 @@ def check_types(
         raise GoalRejected(
             f"unknown option '{unknown[0]}' of a goal; {suggestion(unknown[0], known)}"
         )
-    for name in _NUMBERS:
-        value = options.get(name, 0.0)
-        if not (isinstance(value, SupportsFloat) or (value is None and name == "timeout")):
-            unit = " of seconds" if name == "timeout" else ""
-            raise GoalRejected(f"the {name} must be a number{unit}, not {value!r:.100}")
+    tolerance = options.get("tolerance", 0.0)
+    if not isinstance(tolerance, SupportsFloat):
+        raise GoalRejected(f"the tolerance must be a number, not {tolerance!r:.100}")
     effort = options.get("effort", {})
     efforts = effort.values() if isinstance(effort, Mapping) else [effort]
     if not all(isinstance(value, SupportsFloat) for value in efforts):
@@ -50,6 +51,24 @@ def check_types(
             "the effort must be a share of all limits, such as 0.4, or a number for each "
             f"actuator, not {effort!r:.100}"
         )
+
+
+def sizes(options: Mapping[str, Any]) -> dict[str, float]:
+    """Return the quantities among the options in SI units; raises `GoalRejected`.
+
+    Whether a number is possible is for the hand to say, which knows what is.
+    """
+    given = {
+        option: options[option]
+        for option in QUANTITIES
+        if option in options and (options[option] is not None or option in _ALWAYS)
+    }
+    return {
+        option: float(value)
+        if isinstance(value, SupportsFloat)
+        else quantity(value, *QUANTITIES[option])
+        for option, value in given.items()
+    }
 
 
 def reactions(given: Mapping[str, OnContact | str] | OnContact | str) -> dict[str, OnContact]:

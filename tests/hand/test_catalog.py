@@ -11,8 +11,10 @@ from rtee_process import RTEE
 
 from rtee.cli._common import hand_folder
 from rtee.errors import ConfigError
-from rtee.hand.catalog import config_dirs, find_hand, hand_names
+from rtee.hand.catalog import config_dirs, find_hand, hand_names, own_dirs
 from rtee.hand.load import load_hand
+from rtee.prepare import RunOptions, prepare
+from rtee.remote.directory import runtime_folder
 
 
 def test_folders_in_order(
@@ -31,6 +33,16 @@ def test_folders_in_order(
     assert find_hand("gripper", [second]) == second / "gripper"
     assert find_hand("claw") == second / "claw"
     assert {"claw", "gripper"} <= set(hand_names())
+
+
+def test_a_home_is_expanded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("RTEE_CONFIG_PATH", "~/hands:/opt/hands")
+    assert own_dirs()[:2] == [tmp_path / "hands", Path("/opt/hands")]
+    monkeypatch.setenv("RTEE_RUNTIME_DIR", "~/run")
+    assert runtime_folder() == tmp_path / "run"
+    ready = prepare("robotiq_2f_85", RunOptions(log=Path("~/logs")))
+    assert ready.recorder_settings(RunOptions(log=Path("~/logs"))).directory == tmp_path / "logs"
 
 
 def test_a_hand_where_one_works_comes_last(

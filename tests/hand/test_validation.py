@@ -77,7 +77,13 @@ def test_what_yaml_cannot_express_is_converted() -> None:
     assert found.colour is Colour.BLUE
     assert (found.word, found.pair, found.some) == (("a", "b"), (1.0, 2), (1.5,))
     assert found.file == Path("a/b")
+
     assert found.named == Named(None, {"x": Part(1.0)})
+
+
+def test_a_home_is_expanded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/ada")
+    assert validated(Whole, {"part": {"size": 3}, "file": "~/x"}).file == Path("/home/ada/x")
 
 
 @pytest.mark.parametrize(

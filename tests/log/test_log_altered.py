@@ -163,7 +163,7 @@ def test_what_cannot_be_repaired_is_told(
     with pytest.raises(SystemExit):
         main()
     said = capsys.readouterr().out
-    assert f"altered.mcap: {verb} " in said
+    assert f".mcap: {verb} " in said
     assert said.endswith("not to be repaired: attachment 'hand.yaml' fails its checksum\n")
     assert "whole" not in said
 

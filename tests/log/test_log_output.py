@@ -405,12 +405,17 @@ def test_log_recover(story: Path, tmp_path: Path) -> None:
     path.write_bytes(story.read_bytes()[:-400])
     status, out = run("recover", path, story)
     assert status == 0
-    assert "recovered" in out
-    assert "is whole" in out
+    whole = tmp_path / "cut_recovered.mcap"
+    assert out.startswith(f"{whole}: recovered")
+    assert f"{story}: is whole" in out
+    assert path.stat().st_size == story.stat().st_size - 400  # it is left as it was
+    assert read(whole).finished
     newest = tmp_path / "claw_20260101T000000000Z_000.mcap"
     newest.write_bytes(story.read_bytes()[:-400])
-    _, out = run("recover", tmp_path)
+    _, out = run("recover", tmp_path, "--in-place")
     assert out.startswith(f"{newest}: recovered")
+    with pytest.raises(LogError, match="exclude each other"):
+        run("recover", newest, "--in-place", "--out", tmp_path / "x")
 
 
 def test_what_cannot_be_read_of_a_file_is_said(story: Path, tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ def test_a_cut_off_file_becomes_whole(story: Path, tmp_path: Path) -> None:
         path = tmp_path / f"{share}.mcap"
         path.write_bytes(whole[: int(share * len(whole))])
         before = read(path)
-        done = recover(path)
+        done = recover(path, in_place=True)
         after = read(path)
         assert not done.untouched
         assert not before.finished
@@ -55,7 +55,7 @@ def test_a_cut_off_file_becomes_whole(story: Path, tmp_path: Path) -> None:
 def test_a_whole_file_is_left_as_it_is(story: Path, tmp_path: Path) -> None:
     path = tmp_path / "whole.mcap"
     path.write_bytes(story.read_bytes())
-    done = recover(path)
+    done = recover(path, in_place=True)
     assert done.untouched
     assert path.read_bytes() == story.read_bytes()
     copy = tmp_path / "copy.mcap"
@@ -84,7 +84,7 @@ def test_a_file_that_is_being_written_is_left_alone(claw: Hand, tmp_path: Path) 
     log.run(0, 100)
     (path,) = recorded(tmp_path)
     with pytest.raises(LogError, match="is being written"):
-        recover(path)
+        recover(path, in_place=True)
     log.run(100, 200)
     log.writer.close()
     assert len(read(path).reference) == 200
@@ -96,7 +96,7 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes | None) 
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(LogError):
-        recover(path)
+        recover(path, in_place=True)
     assert [p.name for p in tmp_path.iterdir()] == ([] if content is None else ["file.mcap"])
 
 
@@ -140,7 +140,7 @@ def test_a_killed_process_loses_at_most_a_second(tmp_path: Path, after: int) -> 
         os.kill(child.pid, signal.SIGKILL)
         last = int(([str(after), *child.stdout.read().split()])[-1])
     (path,) = recorded(tmp_path)
-    recover(path)
+    recover(path, in_place=True)
     recording = read(path)
     assert recording.finished
     ticks = recording.actuator_states.tick
@@ -163,5 +163,5 @@ def test_messages_outside_of_chunks_are_not_thrown_away(tmp_path: Path) -> None:
             writer.add_message(channel, number + 1, b"abcdefgh", number + 1)
     before = path.read_bytes()
     with pytest.raises(LogError, match="outside of chunks"):
-        recover(path)
+        recover(path, in_place=True)
     assert path.read_bytes() == before

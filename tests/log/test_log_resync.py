@@ -84,7 +84,7 @@ def test_a_damaged_head_loses_nothing(
         "nothing of it is lost",
     )
     _same_rows(recording, whole)
-    done = recover(path)
+    done = recover(path, in_place=True)
     assert not done.untouched
     assert not done.damage
     again = read(path)
@@ -131,7 +131,7 @@ def test_what_a_damaged_place_held_is_said_and_the_rest_read(
     assert before <= times.min() < times.max() <= after
     assert recording.actuator_states.tick[-1] == 199
     _same_rows(recording, whole)
-    result = CliRunner().invoke(app, ["recover", str(path)])
+    result = CliRunner().invoke(app, ["recover", str(path), "--in-place"])
     assert result.exit_code == 0
     assert recording.damage[0].partition(": ")[2] in result.stdout
     assert read(path).notes == ()

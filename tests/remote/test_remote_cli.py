@@ -53,7 +53,7 @@ def test_do(served: Served) -> None:
 
 
 def test_do_with_everything_said(served: Served) -> None:
-    words = "fist --intensity 0.2 --effort near=1.5 --effort push=30 --speed 0.5 --timeout 5"
+    words = "fist --intensity 20% --effort near=1.5 --effort push=30 --speed 50% --timeout 5"
     more = "--tolerance 0.02 --kind composed --hand small --json"
     found = json.loads(run(do, *words.split(), *more.split()))
     assert found["succeeded"]
@@ -71,7 +71,9 @@ def test_do_says_what_fingers_do_on_contact(served: Served) -> None:
 
 
 def test_touching_nothing_has_exit_status_1(served: Served) -> None:
-    assert "Trig thumb: timed out" in run(touch, "thumb", "--timeout", "0.2", status=1)
+    said = run(touch, "thumb", "--timeout", "0.2", status=1)
+    assert "Trig thumb: timed out" in said
+    assert said.endswith("\nnothing was touched\n")
     [goal] = served.watcher.goals
     assert goal.touch
     with pytest.raises(RequestRejected, match="unknown finger 'ring'"):
