@@ -79,11 +79,11 @@ def main() -> None:
         with (
             program(folder, rf"{given.hand}: .* active", *run) as (loop, _),
             mover(given.hand),
-            gui_of(folder, given.hand) as (gui, address),
+            gui_of(folder, given.hand) as (gui, visit),
         ):
             time.sleep(2.0)
-            plot_everything(address)
-            with remote_window(address, folder):
+            plot_everything(visit)
+            with remote_window(visit, folder):
                 times: list[float] = []
                 notes: list[dict[str, float]] = []
                 seen: set[str] = set()

@@ -100,14 +100,14 @@ def one_round(parts: dict[str, Part], folder: Path, given: argparse.Namespace, p
     """Measure all parts once, one after the other."""
     alone, closed, remote, opened = (parts[name] for name in PARTS)
     alone.measure(given.seconds, None)
-    with gui_of(folder, given.hand) as (gui, address):
+    with gui_of(folder, given.hand) as (gui, visit):
         # Starting the GUI loads the computer for a moment, which no part is about.
         time.sleep(2.0)
         closed.measure(given.seconds, gui)
-        with remote_window(address, folder):
+        with remote_window(visit, folder):
             time.sleep(1.0)
             remote.measure(given.seconds, gui)
-        with shown(page, address):
+        with shown(page, visit):
             opened.measure(given.seconds, gui)
 
 
@@ -115,13 +115,13 @@ def counted(folder: Path, hand: str, page: Page) -> list[list[str]]:
     """Return the rows of the table of messages sent to each kind of window."""
     rows = []
     windows = {
-        PARTS[2]: lambda address: remote_window(address, folder),
-        PARTS[3]: lambda address: shown(page, address),
+        PARTS[2]: lambda visit: remote_window(visit, folder),
+        PARTS[3]: lambda visit: shown(page, visit),
     }
-    with gui_of(folder, hand) as (_, address):
+    with gui_of(folder, hand) as (_, visit):
         time.sleep(2.0)
         for name, window in windows.items():
-            with Relay(address) as relay, window(relay.address):
+            with Relay(visit) as relay, window(relay.visit):
                 # What a window is sent at its beginning, such as meshes, is not counted.
                 time.sleep(2.0 * WARM)
                 relay.take()

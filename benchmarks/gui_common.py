@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gui_onlooker import Visit, admitted
+
 import rtee
 from rtee.testing.browser import browser, find_browser
 
@@ -43,9 +45,13 @@ def program(folder: Path, pattern: str, *command: str) -> Iterator[tuple[int, st
             process.wait(30)
 
 
-def gui_of(folder: Path, hand: str) -> contextlib.AbstractContextManager[tuple[int, str]]:
-    """Run the GUI of a hand while the context lasts; yield its process and address."""
-    return program(folder, r"GUI at (\S+)", *COMMAND, "gui", hand, "--port", "0")
+@contextlib.contextmanager
+def gui_of(
+    folder: Path, hand: str, command: tuple[str, ...] = COMMAND
+) -> Iterator[tuple[int, Visit]]:
+    """Run the GUI of a hand while the context lasts; yield its process and a browser in it."""
+    with program(folder, r"GUI at (\S+)", *command, "gui", hand, "--port", "0") as (gui, address):
+        yield gui, admitted(address)
 
 
 def resident(pid: int) -> float:
@@ -93,10 +99,11 @@ def mover(hand: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def remote_window(address: str, folder: Path) -> Iterator[Path]:
+def remote_window(visit: Visit, folder: Path) -> Iterator[Path]:
     """Open a window that receives everything and draws nothing; gives what it says every second."""
     output_file = folder / "onlooker.txt"
-    command = (sys.executable, Path(__file__).with_name("gui_onlooker.py"), address, "--tell")
+    onlooker = Path(__file__).with_name("gui_onlooker.py")
+    command = (sys.executable, onlooker, visit.origin, "--cookie", visit.cookie, "--tell")
     with output_file.open("w") as output, subprocess.Popen(command, stdout=output) as process:
         try:
             yield output_file
@@ -118,9 +125,10 @@ def chromium(folder: Path, nice: int) -> Iterator[Page]:
 
 
 @contextlib.contextmanager
-def shown(page: Page, address: str) -> Iterator[None]:
+def shown(page: Page, visit: Visit) -> Iterator[None]:
     """Show the GUI in a browser's window while the context lasts, once it is there."""
-    page.goto(address)
+    page.context.add_cookies(visit.cookies())  # type: ignore[arg-type]
+    page.goto(visit.origin)
     page.get_by_role("button", name="Do", exact=True).first.wait_for()
     try:
         yield

@@ -32,7 +32,7 @@ from gui_common import (
     resident,
     shown,
 )
-from gui_onlooker import controls, use, window
+from gui_onlooker import Visit, controls, use, window
 
 HOUR = 3600.0  # seconds
 PIECE = 10  # sizes in a mean: memory goes up and down with each collection
@@ -59,9 +59,9 @@ def line(name: str, times: Sequence[float], sizes: Sequence[float]) -> str:
     )
 
 
-def plot_everything(address: str) -> None:
+def plot_everything(visit: Visit) -> None:
     """Tick all quantities and actuators in the plots."""
-    with window(address) as connection:
+    with window(visit) as connection:
         for control in controls(connection):
             if str(control["props"].get("hint", "")).startswith(("Plot the", "Show all actuators")):
                 use(connection, control, "All" if "options" in control["props"] else True)
@@ -92,18 +92,18 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
     with (
         program(folder, rf"{hand}: .* active", *run),
         mover(hand),
-        gui_of(folder, hand) as (gui, address),
+        gui_of(folder, hand) as (gui, visit),
         contextlib.ExitStack() as stack,
     ):
         time.sleep(2.0)
         others: list[int] = []
         if given.chromium:
             page = stack.enter_context(chromium(folder, 19))
-            stack.enter_context(shown(page, address))
+            stack.enter_context(shown(page, visit))
             others = [pid for pid in family(os.getpid()) if _is_browser(pid)]
-        plot_everything(address)
+        plot_everything(visit)
         if not given.chromium:
-            stack.enter_context(remote_window(address, folder))
+            stack.enter_context(remote_window(visit, folder))
         watched(gui, others, given)
 
 

@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from common import Table, command_line
-from gui_common import COMMAND, chromium, program, shown
-from gui_onlooker import controls, use, window
+from gui_common import COMMAND, chromium, gui_of, program, shown
+from gui_onlooker import Visit, controls, use, window
 
 import rtee
 from rtee.messages.state import State
@@ -151,9 +151,9 @@ def clicked(page: Page) -> float:
 
 
 @contextmanager
-def elsewhere(address: str) -> Iterator[Callable[[], float]]:
+def elsewhere(visit: Visit) -> Iterator[Callable[[], float]]:
     """Open a window on another computer; yield a function that clicks on Do of Grasp there."""
-    with window(address) as connection:
+    with window(visit) as connection:
         found = controls(connection)
         card = next(c for c in found if c["props"]["label"] == "Grasp")
         do = next(
@@ -183,18 +183,17 @@ def measured(folder: Path, given: argparse.Namespace) -> None:
     """Run everything in a folder, and print."""
     name = given.hand
     run = (*COMMAND, "run", name, "--driver", "kinematic", "--log", str(folder))
-    gui = (sys.executable, "-c", PROBE, "gui", name, "--port", "0")
     ways: dict[str, list[list[float]]] = {}
     with (
         program(folder, rf"{name}: .* active", *run),
         rtee.connect_blocking(name, wait=10.0) as hand,
     ):
         ways["a client"] = tried(given, hand, lambda: asked(hand), None)
-        with program(folder, r"GUI at (\S+)", *gui) as (_, address):
+        with gui_of(folder, name, (sys.executable, "-c", PROBE)) as (_, visit):
             time.sleep(2.0)
-            with elsewhere(address) as click:
+            with elsewhere(visit) as click:
                 ways["a click elsewhere"] = tried(given, hand, click, folder)
-            with chromium(folder, given.nice) as page, shown(page, address):
+            with chromium(folder, given.nice) as page, shown(page, visit):
                 row = "xpath=ancestor::div[contains(@class, 'mantine-Flex-root')][1]"
                 search = page.locator("label:visible", has_text="Search").locator(row)
                 search.locator("input").fill("Grasp")

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import http.client
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 import msgspec.msgpack
 import zstandard
@@ -40,20 +41,43 @@ _CAMERA = {
 }
 
 
-@contextlib.contextmanager
-def window(address: str) -> Iterator[Connection]:
-    """Connect as a browser's window does, for as long as the context lasts.
+class Visit(NamedTuple):
+    """A browser that a GUI has admitted; it may open any number of windows.
 
-    Args:
-        address: Where the GUI is and its token, as `rtee gui` prints them.
+    Attributes:
+        origin: The GUI's address without a token.
+        cookie: Name and value of the cookie that the browser got.
     """
-    protocol = Subprotocol(f"viser-v{version}")
+
+    origin: str
+    cookie: str
+
+    def cookies(self) -> list[dict[str, str]]:
+        """Return the cookie as Playwright takes it."""
+        name, _, value = self.cookie.partition("=")
+        return [{"name": name, "value": value, "url": self.origin}]
+
+
+def admitted(address: str) -> Visit:
+    """Exchange an address that `rtee gui` has printed for a cookie, as a browser does."""
     found = urlsplit(address)
-    token = parse_qs(found.query).get("token", [""])[0]
+    with contextlib.closing(http.client.HTTPConnection(found.netloc, timeout=30)) as connection:
+        connection.request("GET", f"{found.path}?{found.query}")
+        answer = connection.getresponse()
+    cookie = answer.getheader("Set-Cookie")
+    if cookie is None:
+        raise SystemExit(f"the GUI answers {answer.status}; each address opens one browser")
+    return Visit(f"{found.scheme}://{found.netloc}", cookie.partition(";")[0])
+
+
+@contextlib.contextmanager
+def window(visit: Visit) -> Iterator[Connection]:
+    """Connect as a browser's window does, for as long as the context lasts."""
+    protocol = Subprotocol(f"viser-v{version}")
     with connect(
-        f"ws://{found.netloc}/",
-        origin=Origin(f"http://{found.netloc}"),
-        additional_headers={"Cookie": f"rtee_token={token}"},
+        f"ws://{urlsplit(visit.origin).netloc}/",
+        origin=Origin(visit.origin),
+        additional_headers={"Cookie": visit.cookie},
         subprotocols=[protocol],
         compression=None,
         max_size=_LARGEST,
@@ -104,12 +128,14 @@ def kinds(frames: Iterable[bytes]) -> Counter[str]:
 def main() -> None:
     """Receive until ended; print the amount received in every second if asked to."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("address")
+    parser.add_argument("address", help="as `rtee gui` has printed it, or without its token")
+    parser.add_argument("--cookie", help="of a browser that was admitted already")
     parser.add_argument("--tell", action="store_true", help="print frames and bytes per second")
     given = parser.parse_args()
     frames = size = 0
     due = time.monotonic() + 1.0
-    with window(given.address) as connection:
+    visit = Visit(given.address, given.cookie) if given.cookie else admitted(given.address)
+    with window(visit) as connection:
         for frame in connection:
             frames, size = frames + 1, size + len(frame)
             if given.tell and time.monotonic() >= due:

@@ -8,6 +8,8 @@ import threading
 from types import TracebackType
 from urllib.parse import urlsplit
 
+from gui_onlooker import Visit
+
 
 def split(data: bytes) -> tuple[list[bytes], bytes]:
     """Return the payloads of the whole websocket frames in data from a server, and the rest."""
@@ -32,15 +34,16 @@ class Relay:
     """Passes all data on in both directions while the context lasts.
 
     Attributes:
-        address: Where windows connect.
+        visit: A browser whose windows connect through it.
     """
 
-    def __init__(self, address: str) -> None:
-        """Prepare a relay to a GUI at an address."""
-        place = urlsplit(address)
+    def __init__(self, visit: Visit) -> None:
+        """Prepare a relay for a browser in a GUI."""
+        place = urlsplit(visit.origin)
         self._target = (str(place.hostname), int(place.port or 80))
         self._server = socket.create_server(("127.0.0.1", 0))
-        self.address = f"http://127.0.0.1:{self._server.getsockname()[1]}/?{place.query}"
+        own = f"http://127.0.0.1:{self._server.getsockname()[1]}"
+        self.visit = visit._replace(origin=own)
         self._sockets: list[socket.socket] = [self._server]
         self._frames: list[bytes] = []
 

@@ -66,12 +66,12 @@ def main() -> None:
         with (
             program(folder, rf"{given.hand}: .* active", *run) as (loop, _),
             mover(given.hand),
-            gui_of(folder, given.hand) as (gui, address),
+            gui_of(folder, given.hand) as (gui, visit),
         ):
             time.sleep(2.0)
-            plot_everything(address)
+            plot_everything(visit)
             processes = {"loop": loop, "GUI": gui}
-            with remote_window(address, folder):
+            with remote_window(visit, folder):
                 sizes = settled(processes, given.warm)
                 table.row("before", *(f"{size:.1f}" for size in sizes.values()))
                 for number in range(1, given.rounds + 1):

@@ -221,14 +221,14 @@ async def client_attack(kind: str) -> None:
 
 async def page() -> None:
     """Serve a GUI, to whose page an observer sends junk."""
-    from gui_onlooker import window
+    from gui_onlooker import admitted, window
 
     access = Access(observers=True)
     visitors = Visitors(access)
     server = visitors.open_server(0)
 
     def send() -> None:
-        with window(access.links(server.get_port())[Visitor.OBSERVER]) as connection:
+        with window(admitted(access.links(server.get_port())[Visitor.OBSERVER])) as connection:
             while True:
                 for uuid in list(server.gui._gui_input_handle_from_uuid):
                     for updates in ({"removed": True}, {"update_cb": []}, {"disabled": True}):

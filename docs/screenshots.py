@@ -95,11 +95,14 @@ def picture_of(hand: str, action: str, folder: Path) -> None:
         program(
             Path(name), hand, "run", hand, "--driver", "kinematic", "--rate", "200", "--no-log"
         ),
-        program(Path(name), r"GUI at (\S+)", "gui", hand, "--port", "0") as gui,
     ):
         for suffix, (width, height) in SIZES.items():
             opened(hand, Path(name))
-            with browser(width, height) as context:
+            # Each address opens one browser.
+            with (
+                program(Path(name), r"GUI at (\S+)", "gui", hand, "--port", "0") as gui,
+                browser(width, height) as context,
+            ):
                 page = context.pages[0]
                 page.set_default_timeout(PATIENCE)
                 page.goto(gui[1])

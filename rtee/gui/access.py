@@ -6,17 +6,21 @@ WebSocket to this computer. Every request must therefore pass three checks:
 - ``Host`` is a name of this GUI, which refuses a foreign name that was made to point here (DNS
   rebinding);
 - ``Origin``, for a WebSocket, is that of this GUI's pages;
-- the token that `rtee gui` printed is in the address, later in a cookie.
+- the token that `rtee gui` printed is in the address, or a cookie that was given for one.
+
+A token opens one browser: it is exchanged for a cookie at once and never valid again, so that an
+address in a history, a log or a chat opens nothing. `rtee gui` prints the next one then.
 """
 
 from __future__ import annotations
 
+import hashlib
 import http
 import ipaddress
 import secrets
 import socket
 import ssl
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -29,7 +33,10 @@ from rtee.errors import ConfigError
 from rtee.hand.files import reason
 
 _TOKEN_BYTES: Final = 24
-"""Random bytes of a token [bytes]: 192 bits cannot be guessed."""
+"""Random bytes of a token or a cookie [bytes]: 192 bits cannot be guessed."""
+
+_BROWSERS: Final = 256
+"""Browsers whose cookies are valid: more than look at a hand at once. The oldest one goes first."""
 
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 
@@ -67,7 +74,7 @@ HEADERS: Final = {
 _COOKIE: Final = "rtee_"
 """Prefix of the cookie's name; the port follows, since all ports of a host share cookies."""
 
-_ASK: Final = "Open the address that `rtee gui` printed, with its token."
+_ASK: Final = "Open the address that `rtee gui` printed last; each opens one browser."
 """Remedy in the refusal of a request without a valid token."""
 
 
@@ -148,7 +155,11 @@ def public_origin(text: str) -> str:
 
 
 class Access:
-    """Tokens, IP address and encryption of the GUI; `tls` is set if it encrypts by itself."""
+    """Tokens, IP address and encryption of the GUI; `tls` is set if it encrypts by itself.
+
+    Attributes:
+        announce: Called with a role and the next address for it once its last one was used.
+    """
 
     def __init__(
         self,
@@ -177,9 +188,11 @@ class Access:
         self._host = host
         self._public = None if behind is None else public_origin(behind)
         self._any = any(number.is_unspecified for number in numbers)
-        self._tokens = {secrets.token_urlsafe(_TOKEN_BYTES): Role.OPERATOR}
-        if observers:
-            self._tokens[secrets.token_urlsafe(_TOKEN_BYTES)] = Role.OBSERVER
+        self.announce: Callable[[Role, str], object] = lambda _role, _link: None
+        roles = tuple(Role) if observers else (Role.OPERATOR,)
+        self._tokens = {role: secrets.token_urlsafe(_TOKEN_BYTES) for role in roles}
+        # By their hashes, so that the time of a lookup says nothing about a cookie.
+        self._browsers: dict[bytes, Role] = {}
 
     @property
     def behind_proxy(self) -> bool:
@@ -189,14 +202,14 @@ class Access:
     # --- addresses
 
     def links(self, port: int) -> dict[Role, str]:
-        """Return the addresses to open, with their tokens, by role."""
+        """Return the addresses to open, with their tokens, by role; each opens one browser."""
         if self._public is not None:
             base = self._public
         else:
             host = socket.gethostname() if self._any else self._host
             name = f"[{host}]" if ":" in host else host
             base = f"{self._scheme}://{name}:{port}"
-        return {role: f"{base}/?{urlencode({'token': t})}" for t, role in self._tokens.items()}
+        return {role: f"{base}/?{urlencode({'token': t})}" for role, t in self._tokens.items()}
 
     @property
     def _scheme(self) -> str:
@@ -216,14 +229,16 @@ class Access:
             return _refusal(http.HTTPStatus.FORBIDDEN, "Only pages of this GUI may connect.")
         # `urlsplit` would take the path "//[" for a malformed host.
         query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
-        if not is_socket and (given := dict(query).get("token")) is not None:
-            if self._role(given) is None:
-                return _refusal(http.HTTPStatus.FORBIDDEN, f"The token is not valid. {_ASK}")
-            return self._welcome(request, given, _kept(query), port)
-        role = self._role(*_cookies(request.headers.get_all("Cookie")))
+        token = None if is_socket else dict(query).get("token")
+        if token is not None and (role := self._role_of(token)) is not None:
+            return self._welcome(request, role, _kept(query), port)
+        given = _cookies(request.headers.get_all("Cookie"), f"{_COOKIE}{port}")
+        known = (self._browsers.get(_digest(each)) for each in given)
+        role = next((each for each in known if each is not None), None)
         if role is None:
-            return _refusal(http.HTTPStatus.FORBIDDEN, _ASK)
-        if not is_socket and any(name in _DIVERTING for name, _ in query):
+            wrong = "" if token is None else "The token is not valid, or was used already. "
+            return _refusal(http.HTTPStatus.FORBIDDEN, f"{wrong}{_ASK}")
+        if not is_socket and any(name in ("token", *_DIVERTING) for name, _ in query):
             return _refusal(http.HTTPStatus.SEE_OTHER, "", Location=_kept(query))
         return role
 
@@ -246,35 +261,45 @@ class Access:
         """Return the origin of this GUI's pages when browsers reach it by this host name."""
         return self._public or f"{self._scheme}://{host.lower()}"
 
-    def _role(self, *given: str) -> Role | None:
-        for token, role in self._tokens.items():
+    def _role_of(self, given: str) -> Role | None:
+        """Return the role that an unused token gives."""
+        for role, token in self._tokens.items():
             # Compare in constant time, so that the time of a response does not reveal how much of
-            # a token is right; as bytes, since compare_digest refuses text beyond ASCII, which a
-            # cookie may hold as lone surrogates.
-            sent = (each.encode(errors="surrogateescape") for each in given)
-            if any(secrets.compare_digest(token.encode(), each) for each in sent):
+            # a token is right.
+            if secrets.compare_digest(_digest(token), _digest(given)):
                 return role
         return None
 
-    def _welcome(self, request: Request, token: str, path: str, port: int) -> Response:
-        """Return a response that stores the token and reopens the page without it in the address.
+    def _welcome(self, request: Request, role: Role, path: str, port: int) -> Response:
+        """Return a response that sets a cookie and reopens the page without the token.
 
         A cookie that is set after a link on another site is sent only by pages of this GUI, so
         that an HTML page takes the place of a redirection.
         """
+        self._tokens[role] = secrets.token_urlsafe(_TOKEN_BYTES)
+        value = secrets.token_urlsafe(_TOKEN_BYTES)
+        while len(self._browsers) >= _BROWSERS:
+            del self._browsers[next(iter(self._browsers))]
+        self._browsers[_digest(value)] = role
+        self.announce(role, self.links(port)[role])
         secure = "; Secure" if self._public is not None or self.tls is not None else ""
-        cookie = f"{_COOKIE}{port}={token}; Path=/; HttpOnly; SameSite=Strict{secure}"
+        cookie = f"{_COOKIE}{port}={value}; Path=/; HttpOnly; SameSite=Strict{secure}"
         if request.headers.get_all("Sec-Fetch-Site") == ["cross-site"]:
             page = f'<!doctype html><meta http-equiv="refresh" content="0;url={path}">'
             return _answer(http.HTTPStatus.OK, page, "text/html", {"Set-Cookie": cookie})
         return _refusal(http.HTTPStatus.SEE_OTHER, "", Location=path, **{"Set-Cookie": cookie})
 
 
-def _cookies(headers: Iterable[str]) -> Iterator[str]:
+def _cookies(headers: Iterable[str], wanted: str) -> Iterator[str]:
     for part in ";".join(headers).split(";"):
         name, _, value = part.strip().partition("=")
-        if name.startswith(_COOKIE):
+        if name == wanted:
             yield value
+
+
+def _digest(secret: str) -> bytes:
+    # A cookie may hold bytes beyond ASCII, as lone surrogates.
+    return hashlib.sha256(secret.encode(errors="surrogateescape")).digest()
 
 
 def _kept(query: Iterable[tuple[str, str]]) -> str:

@@ -177,6 +177,15 @@ class App:
                 session.remove()
 
 
+_LINKS: Final = {Role.OPERATOR: "GUI at", Role.OBSERVER: "to watch and stop only:"}
+"""What is printed before an address, by role."""
+
+
+def _announce(role: Role, link: str) -> None:
+    """Print the address for the next browser."""
+    print(f"rtee: for another browser: {_LINKS[role]} {link}", flush=True)  # noqa: T201
+
+
 async def serve(
     hand: str | None,
     *,
@@ -206,10 +215,9 @@ async def serve(
     gc.collect()
     gc.freeze()
     give_memory_back()
-    links = access.links(server.get_port())
-    print(f"rtee: GUI at {links[Role.OPERATOR]}", flush=True)  # noqa: T201
-    if Role.OBSERVER in links:
-        print(f"rtee: to watch and stop only: {links[Role.OBSERVER]}", flush=True)  # noqa: T201
+    for role, link in access.links(server.get_port()).items():
+        print(f"rtee: {_LINKS[role]} {link}", flush=True)  # noqa: T201
+    access.announce = _announce
     try:
         await App(server, hand, endpoint, visitors).run()
     finally:

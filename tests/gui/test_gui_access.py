@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import shutil
 import socket as stdlib_socket
 import ssl
@@ -43,8 +45,21 @@ def token(access: Access, role: Role = Role.OPERATOR) -> str:
     return access.links(PORT)[role].partition("token=")[2]
 
 
+def visited(access: Access, role: Role = Role.OPERATOR, path: str = "", **more: str) -> Response:
+    """Open the address of a role by one of its names."""
+    headers = Headers({"Host": "localhost:8080", **more})
+    found = access.judge(Request(f"/?token={token(access, role)}{path}", headers), PORT)
+    assert isinstance(found, Response)
+    return found
+
+
+def cookie_of(answer: Response) -> str:
+    """Return name and value of the cookie that an answer sets."""
+    return answer.headers["Set-Cookie"].partition(";")[0]
+
+
 def socket(access: Access, host: str, origin: str, role: Role = Role.OPERATOR) -> Role | int:
-    cookie = f"other=1; rtee_{PORT}={token(access, role)}"
+    cookie = f"other=1; {cookie_of(visited(access, role))}"
     return asked(access, host, Upgrade="websocket", Origin=origin, Cookie=cookie)
 
 
@@ -68,7 +83,7 @@ def test_it_has_no_other_names(host: str) -> None:
 
 def test_a_socket_needs_an_origin_and_one_host() -> None:
     access = Access()
-    cookie = f"rtee_1={token(access)}"
+    cookie = cookie_of(visited(access))
     assert asked(access, "localhost:8080", Upgrade="websocket", Cookie=cookie) == 403
     fields = Headers({"Cookie": cookie})
     for host in ("localhost:8080", "localhost:8080"):
@@ -83,21 +98,46 @@ def test_the_token_becomes_a_cookie() -> None:
     assert asked(access, "localhost:8080") == 403
     assert asked(access, "localhost:8080", "/?token=wrong") == 403
     for role in Role:
-        headers = Headers({"Host": "localhost:8080"})
-        found = access.judge(Request(f"/?token={token(access, role)}&darkMode=1", headers), PORT)
-        assert isinstance(found, Response)
+        found = visited(access, role, "&darkMode=1")
         assert (found.status_code, found.headers["Location"]) == (303, "/?darkMode=1")
         cookie, *attributes = found.headers["Set-Cookie"].split("; ")
         assert attributes == ["Path=/", "HttpOnly", "SameSite=Strict"]
         assert asked(access, "localhost:8080", Cookie=cookie) is role
+        # Browsers send it to every port of a host, so that each GUI takes its own alone.
+        assert asked(access, "localhost:8080", Cookie=cookie.replace("8080", "8081")) == 403
     assert token(access) != token(Access()), "tokens are made at each start"
+
+
+def test_a_token_opens_one_browser() -> None:
+    access = Access(observers=True)
+    announced: list[tuple[Role, str]] = []
+    access.announce = lambda role, link: announced.append((role, link))
+    used = dict(access.links(PORT))
+    cookies = {role: cookie_of(visited(access, role)) for role in Role}
+    assert announced == list(access.links(PORT).items())
+    for role, link in used.items():
+        path = f"/?{urlsplit(link).query}"
+        assert asked(access, "localhost:8080", path) == 403
+        # Neither is the cookie the token, nor does the token do as a cookie.
+        query = urlsplit(link).query
+        assert asked(access, "localhost:8080", Cookie=query.replace("token", f"rtee_{PORT}")) == 403
+        assert asked(access, "localhost:8080", path, Cookie=cookies[role]) == 303
+        assert asked(access, "localhost:8080", Cookie=cookies[role]) is role
+    assert announced == list(access.links(PORT).items()), "what is refused uses up nothing"
+
+
+def test_the_oldest_of_too_many_browsers_has_to_open_a_new_address() -> None:
+    access = Access()
+    first, *_, last = (cookie_of(visited(access)) for _ in range(257))
+    assert asked(access, "localhost:8080", Cookie=first) == 403
+    assert asked(access, "localhost:8080", Cookie=last) is Role.OPERATOR
 
 
 @pytest.mark.parametrize(
     "head",
     [
         b"GET /?token=\xe9 HTTP/1.1\r\nHost: localhost\r\n\r\n",
-        b"GET / HTTP/1.1\r\nHost: localhost\r\nCookie: rtee_1=\xc3\xa9\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nCookie: rtee_%d=\xc3\xa9\r\n\r\n",
         b"GET //[ HTTP/1.1\r\nHost: localhost\r\n\r\n",
     ],
 )
@@ -106,7 +146,7 @@ def test_any_bytes_are_refused_as_what_they_are(head: bytes) -> None:
     server = visitors.open_server(0)
     try:
         with stdlib_socket.create_connection(("127.0.0.1", server.get_port())) as client:
-            client.sendall(head)
+            client.sendall(head.replace(b"%d", b"%d" % server.get_port()))
             answer = client.makefile("rb").read()
     finally:
         server.stop()
@@ -126,9 +166,7 @@ def test_behind_a_proxy_pages_come_from_there() -> None:
         assert socket(access, host, own) is Role.OPERATOR
         assert socket(access, host, f"http://{host}") == 403
     assert socket(access, "evil.test", own) == 421
-    headers = Headers({"Host": "hand.example.org"})
-    found = access.judge(Request(f"/?token={token(access)}", headers), PORT)
-    assert isinstance(found, Response)
+    found = visited(access, Host="hand.example.org")
     assert found.headers["Set-Cookie"].endswith("; Secure")
 
 
@@ -255,6 +293,9 @@ async def test_with_a_certificate_it_may_be_on_a_network(
     assert link.scheme == "https"
     trusting = ssl.create_default_context(cafile=str(pem[0]))
     place = f"localhost:{port}"
+    with contextlib.closing(http.client.HTTPSConnection(place, context=trusting)) as browser:
+        browser.request("GET", f"/?{link.query}")
+        cookie = str(browser.getresponse().getheader("Set-Cookie")).partition(";")[0]
 
     # With threads, this library reads and writes an encrypted socket at the same time, which
     # OpenSSL does not allow: one handshake in some hundred never ends.
@@ -263,7 +304,7 @@ async def test_with_a_certificate_it_may_be_on_a_network(
             f"wss://{place}/",
             ssl=trusting,
             origin=Origin(origin),
-            additional_headers={"Cookie": f"rtee_{port}={token(access)}"},
+            additional_headers={"Cookie": cookie},
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
             proxy=None,
             max_size=None,

@@ -447,8 +447,8 @@ async def test_a_folder_that_cannot_be_looked_into_ends_nothing(
 
 WINDOW = """
 import sys
-from benchmarks.gui_onlooker import window
-with window(sys.argv[1]) as connection:
+from benchmarks.gui_onlooker import admitted, window
+with window(admitted(sys.argv[1])) as connection:
     print("there", flush=True)
     for _ in connection:
         pass

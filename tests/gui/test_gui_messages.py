@@ -19,7 +19,7 @@ import viser._messages as viser_messages
 from remote.serving import Served, make_hand, make_library, serving, until
 from websockets.sync.connection import Connection
 
-from benchmarks.gui_onlooker import controls, use, window
+from benchmarks.gui_onlooker import admitted, controls, use, window
 from rtee.gui.access import Access, Role
 from rtee.gui.app import App
 from rtee.gui.visitors import Visitors
@@ -123,17 +123,17 @@ async def test_no_message_takes_stop_away(tmp_path: Path, role: Role) -> None:
             app = App(server, None, None, visitors)
             group.start_soon(app.run)
             await shows(app, "small: connected")
-            address = access.links(server.get_port())[role]
             handles = dict(server.gui._gui_input_handle_from_uuid)
             assert len(handles) > 20
             in_thread = anyio.to_thread.run_sync
+            visit = await in_thread(admitted, access.links(server.get_port())[role])
             with await in_thread(contextlib.ExitStack().__enter__) as stack:
-                old = await in_thread(stack.enter_context, window(address))
+                old = await in_thread(stack.enter_context, window(visit))
                 found = await in_thread(controls, old)
                 assert await in_thread(send, old, junk(handles, role)) > 1000
                 await in_thread(press_stop, old, found)
                 await stops(served, 1)
-                new = await in_thread(stack.enter_context, window(address))
+                new = await in_thread(stack.enter_context, window(visit))
                 await in_thread(press_stop, new, await in_thread(controls, new))
                 await stops(served, 2)
                 assert not served.watcher.goals

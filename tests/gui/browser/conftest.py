@@ -160,16 +160,36 @@ def context(proxy_port: int) -> Iterator[BrowserContext]:
         yield opened
 
 
-@pytest.fixture(scope="package")
-def addresses(gui: Program) -> tuple[str, str]:
-    """What operators and observers open, with their tokens."""
-    operator = gui.line(r"rtee: GUI at (http://\S+)")[1]
-    return operator, gui.line(r"rtee: to watch and stop only: (http://\S+)")[1]
+class Links:
+    """The addresses that a GUI prints; each opens one browser, and then the next one is printed."""
+
+    def __init__(self, gui: Program) -> None:
+        self._gui = gui
+        self._unused: dict[str, str] = {}
+
+    def operator(self) -> str:
+        """Return an address that was not used yet, and will be."""
+        return self._next("GUI at")
+
+    def observer(self) -> str:
+        """Return such an address for people who watch."""
+        return self._next("to watch and stop only:")
+
+    def _next(self, kind: str) -> str:
+        while kind not in self._unused:
+            found = self._gui.line(r"(GUI at|to watch and stop only:) (http://\S+)")
+            self._unused[found[1]] = found[2]
+        return self._unused.pop(kind)
 
 
 @pytest.fixture(scope="package")
-def only_window(context: BrowserContext, addresses: tuple[str, str]) -> Window:
-    window = Window(context.pages[0], addresses[0])
+def links(gui: Program) -> Links:
+    return Links(gui)
+
+
+@pytest.fixture(scope="package")
+def only_window(context: BrowserContext, links: Links) -> Window:
+    window = Window(context.pages[0], links.operator())
     window.open(GRIPPER)
     return window
 

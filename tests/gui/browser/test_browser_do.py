@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.gui_onlooker import controls, use
+from benchmarks.gui_onlooker import admitted, controls, use
 from benchmarks.gui_onlooker import window as window_of
 from rtee.errors import RequestRejected
 from rtee.remote.blocking import BlockingHand
@@ -186,11 +186,11 @@ def test_a_gui_that_dies_lets_go_of_the_hand(
     place: Path, hands: Hands, other: BlockingHand
 ) -> None:
     program = Program(place, "gui", GRIPPER, "--port", "0")
-    address = program.line(r"rtee: GUI at (http://\S+)")[1]
+    visit = admitted(program.line(r"rtee: GUI at (http://\S+)")[1])
     try:
         jog = None
         while jog is None:  # its page is filled once it has found the hand
-            with window_of(address) as connection:
+            with window_of(visit) as connection:
                 named = {found["props"]["label"]: found for found in controls(connection)}
                 jog = named.get("Jog (holds the hand)")
                 if jog is not None:

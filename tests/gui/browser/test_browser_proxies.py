@@ -38,38 +38,42 @@ class Proxied(NamedTuple):
     """A GUI behind a proxy.
 
     Attributes:
-        link: The address that the GUI has printed.
+        gui: The GUI's process.
+        link: The address that it has printed.
         port: Where the proxy listens.
         trusting: TLS settings of a client that believes the proxy's certificate only.
     """
 
+    gui: Program
     link: str
     port: int
     trusting: ssl.SSLContext
 
-    @property
-    def token(self) -> str:
-        return self.link.partition("token=")[2]
-
     def status(self, path: str = "/", **headers: str) -> tuple[int, bytes]:
-        """Return what the proxy answers to a request, as to a browser that looks it up by name."""
+        """Return what the proxy answers to a request."""
+        status, _, body = self.answer(path, **headers)
+        return status, body
+
+    def answer(self, path: str, **headers: str) -> tuple[int, str, bytes]:
+        """Return status, cookie and body, as for a browser that looks the proxy up by name."""
         connection = http.client.HTTPSConnection(PROXIED, context=self.trusting)
         plain = socket.create_connection(("127.0.0.1", self.port), timeout=30)
         connection.sock = self.trusting.wrap_socket(plain, server_hostname=PROXIED)
         fields = {"Host": PROXIED, **{k.replace("_", "-"): v for k, v in headers.items()}}
         connection.request("GET", path, headers=fields)
         answer = connection.getresponse()
-        found = answer.status, answer.read()
+        cookie = (answer.getheader("Set-Cookie") or "").partition(";")[0]
+        found = answer.status, cookie, answer.read()
         connection.close()
         return found
 
-    def opened(self, origin: str, token: str, host: str = PROXIED) -> int:
+    def opened(self, origin: str, cookie: str, host: str = PROXIED) -> int:
         """Return the status with which a WebSocket is opened or refused."""
         key = base64.b64encode(os.urandom(16)).decode()
         return self.status(
             Host=host,
             Origin=origin,
-            Cookie=f"rtee_1={token}",
+            Cookie=cookie,
             Connection="Upgrade",
             Upgrade="websocket",
             Sec_WebSocket_Key=key,
@@ -166,7 +170,9 @@ def proxied(
     try:
         link = gui.line(r"rtee: GUI at (https://\S+)")[1]
         wait_for(proxy_port, proxy)
-        yield Proxied(link, proxy_port, ssl.create_default_context(cafile=tmp_path / "hand.pem"))
+        yield Proxied(
+            gui, link, proxy_port, ssl.create_default_context(cafile=tmp_path / "hand.pem")
+        )
     finally:
         proxy.end()
         gui.end()
@@ -208,14 +214,18 @@ def test_the_page_works_behind_it_as_the_docs_say(
 
 
 def test_it_asks_for_token_origin_and_host_behind_it(proxied: Proxied) -> None:
-    assert proxied.opened(OWN, proxied.token) == 101
+    # Another name leads to no page, whether the proxy says so or the GUI, and uses up no token.
+    path = proxied.link.removeprefix(OWN)
+    status, body = proxied.status(path, Host="evil.test")
+    assert status == 421 or not body
+    status, cookie, _ = proxied.answer(path)
+    assert status == 303
+    assert proxied.opened(OWN, cookie) == 101
     assert proxied.opened(OWN, "wrong") == 403
     for origin in ("https://evil.test", f"http://{PROXIED}", f"{OWN}:8443", "null"):
-        assert proxied.opened(origin, proxied.token) == 403
-    assert proxied.status()[0] == 403
-    assert proxied.status("/?token=wrong")[0] == 403
-    assert proxied.status(f"/?token={proxied.token}")[0] == 303
-    # Another name leads to no page, whether the proxy says so or the GUI.
-    status, body = proxied.status(f"/?token={proxied.token}", Host="evil.test")
-    assert status == 421 or not body
-    assert proxied.opened("https://evil.test", proxied.token, host="evil.test") != 101
+        assert proxied.opened(origin, cookie) == 403
+    assert proxied.opened("https://evil.test", cookie, host="evil.test") != 101
+    for refused in ("/", "/?token=wrong", path):
+        assert proxied.status(refused)[0] == 403
+    following = proxied.gui.line(rf"rtee: for another browser: GUI at {OWN}(\S+)")[1]
+    assert proxied.status(following)[0] == 303

@@ -12,14 +12,12 @@ import msgspec.msgpack
 import pytest
 import viser
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
-from websockets.typing import Origin, Subprotocol
 
-from benchmarks.gui_onlooker import _CAMERA, controls, messages, use
+from benchmarks.gui_onlooker import _CAMERA, Visit, admitted, controls, messages, use
 from benchmarks.gui_onlooker import window as window_of
 from rtee.remote.blocking import BlockingHand
 
-from .conftest import REBOUND
+from .conftest import REBOUND, Links
 from .marks import in_a_browser
 from .running import GRIPPER, Program
 from .window import Window, told
@@ -90,9 +88,9 @@ class Stranger:
 
 
 @pytest.fixture
-def stranger(addresses: tuple[str, str]) -> Iterator[Stranger]:
+def stranger(only_window: Window) -> Iterator[Stranger]:
     found = Stranger("Open")
-    gui = urlsplit(addresses[0]).netloc
+    gui = urlsplit(only_window.address).netloc
     found.target, found.frame = f"ws://{gui}", f"http://{gui}/"
     yield found
     found.close()
@@ -138,9 +136,9 @@ def test_a_page_of_another_origin_cannot_connect(
 
 
 def test_a_page_of_a_rebound_name_cannot_connect(
-    page: Page, stranger: Stranger, addresses: tuple[str, str]
+    page: Page, stranger: Stranger, only_window: Window
 ) -> None:
-    port = urlsplit(addresses[0]).port
+    port = urlsplit(only_window.address).port
     answer = page.goto(f"http://{REBOUND}:{port}/")
     assert answer is not None
     assert answer.status == 421
@@ -165,29 +163,43 @@ def test_the_page_cannot_be_framed(page: Page, stranger: Stranger) -> None:
     assert page.frames[1].url.startswith("chrome-error:")
 
 
-def test_another_server_cannot_be_shown_in_its_place(
-    page: Page, addresses: tuple[str, str]
-) -> None:
-    place = addresses[0].split("?")[0]
+def test_another_server_cannot_be_shown_in_its_place(page: Page, only_window: Window) -> None:
+    place = only_window.address.split("?")[0]
     page.goto(f"{place}?websocket=ws://{REBOUND}:1&playbackPath=x&darkMode")
     assert page.url == f"{place}?darkMode="
 
 
-def test_nobody_opens_it_without_the_token(addresses: tuple[str, str]) -> None:
-    found = urlsplit(addresses[0])
-    own = {"origin": Origin(f"http://{found.netloc}"), "proxy": None}
-    protocol = [Subprotocol(f"viser-v{viser.__version__}")]
-    for cookies in ({}, {"Cookie": "rtee_1=wrong"}, {"Cookie": "other=1; rtee_1="}):
-        with pytest.raises(InvalidStatus, match="403"):
-            connect(  # type: ignore[call-overload]
-                f"ws://{found.netloc}/", additional_headers=cookies, subprotocols=protocol, **own
-            )
+def test_nobody_opens_it_without_a_cookie(only_window: Window) -> None:
+    found = urlsplit(only_window.address)
+    cookie = f"rtee_{found.port}"
+    for given in ("", f"{cookie}=wrong", f"other=1; {cookie}=", f"{cookie}={found.query[6:]}"):
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            window_of(Visit(f"http://{found.netloc}", given)),
+        ):
+            pass
 
 
-def test_it_opens_again_in_another_tab_and_after_a_reload(
-    page: Page, addresses: tuple[str, str]
+def test_an_address_of_the_history_opens_nothing_elsewhere(
+    page: Page, only_window: Window, links: Links
 ) -> None:
-    page.goto(addresses[0].split("?")[0])
+    """The token stayed in the browser's history, and opened the GUI to whoever read it there."""
+    link = links.operator()
+    answer = page.goto(link)
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    assert answer is not None
+    assert answer.headers["referrer-policy"] == "no-referrer"
+    assert "token" not in page.url
+    assert "token" not in page.evaluate("document.referrer")
+    with pytest.raises(SystemExit, match="403"):
+        admitted(link)  # as another browser that got it
+    page.goto(link)  # in the same one it is a bookmark like any other
+    page.get_by_text(f"{GRIPPER}: connected").wait_for()
+    assert "token" not in page.url
+
+
+def test_it_opens_again_in_another_tab_and_after_a_reload(page: Page, only_window: Window) -> None:
+    page.goto(only_window.address.split("?")[0])
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
     page.reload()
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
@@ -198,16 +210,15 @@ def test_it_opens_again_in_another_tab_and_after_a_reload(
     assert [(each.get("httpOnly"), each.get("sameSite")) for each in kept] == [(True, "Strict")]
 
 
-def test_a_link_elsewhere_opens_it(
-    page: Page, stranger: Stranger, addresses: tuple[str, str]
-) -> None:
+def test_a_link_elsewhere_opens_it(page: Page, stranger: Stranger, links: Links) -> None:
     page.goto(f"http://localhost:{stranger.port}/")
-    page.evaluate("link => { window.location.href = link }", addresses[0])
+    page.evaluate("link => { window.location.href = link }", links.operator())
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
 
 
-def test_nobody_makes_a_tunnel(gui: Program, addresses: tuple[str, str]) -> None:
-    with window_of(addresses[0]) as asking, window_of(addresses[0]) as watching:
+def test_nobody_makes_a_tunnel(gui: Program, links: Links) -> None:
+    visit = admitted(links.operator())
+    with window_of(visit) as asking, window_of(visit) as watching:
         there = {found["props"]["label"]: found for found in controls(asking)}
         controls(watching)
         asking.send(msgspec.msgpack.encode({"type": "ShareUrlRequest"}))
@@ -243,11 +254,8 @@ def test_html_in_a_panel_runs_nothing(page: Page) -> None:
 # --- observers
 
 
-def test_an_observer_sees_and_stops_only(
-    page: Page, addresses: tuple[str, str], other: BlockingHand
-) -> None:
-    operator, observer = addresses
-    page.goto(observer)
+def test_an_observer_sees_and_stops_only(page: Page, links: Links, other: BlockingHand) -> None:
+    page.goto(links.observer())
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
     page.get_by_text("You watch: only STOP works here.").wait_for()
     of = "each => getComputedStyle(each).pointerEvents"
@@ -258,7 +266,7 @@ def test_an_observer_sees_and_stops_only(
     # A script of their own reaches the server, which takes only the stop.
     assert other.do("PinchTight", intensity=0.5).reached
     before = other.state().position
-    with window_of(observer) as connection:
+    with window_of(admitted(links.observer())) as connection:
         there = {found["props"]["label"]: found for found in controls(connection)}
         use(connection, there["Open"])
         use(connection, there["Jog (holds the hand)"])
@@ -271,9 +279,9 @@ def test_an_observer_sees_and_stops_only(
     told(page, "confirmed by")
     assert other.status().holder == ""
     assert other.state().position == pytest.approx(before, abs=0.05)
-    page.goto(operator)  # the browser keeps one token
+    page.goto(links.operator())  # the browser keeps one cookie
     page.get_by_text(f"{GRIPPER}: connected").wait_for()
-    with window_of(operator) as connection:
+    with window_of(admitted(links.operator())) as connection:
         there = {found["props"]["label"]: found for found in controls(connection)}
         use(connection, there["Open"])
         while abs(other.state().position - before).max() < 1e-2:
