@@ -124,7 +124,7 @@ class GoalClient:
             with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
                 with contextlib.suppress(NoHand):
                     await answer
-                await running.cancel()
+                await self._running.give_up(goal.goal_id)
             self._running.discard(goal.goal_id)
             raise
         # A refused goal must not stay registered.
@@ -156,9 +156,10 @@ class GoalClient:
         try:
             return await running.result(on_feedback)
         except BaseException:
-            # Shielded, or the cancelled scope would cancel this request, too.
-            with anyio.CancelScope(shield=True), contextlib.suppress(RemoteError):
-                await running.cancel()
+            if not running.done:
+                # Shielded, or the cancelled scope would cancel this request, too.
+                with anyio.CancelScope(shield=True):
+                    await self._running.give_up(running.goal.goal_id)
             raise
 
     async def open(self, on_feedback: Callable[[Feedback], object] | None = None) -> Result:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Literal
@@ -24,6 +23,14 @@ some tenths."""
 
 _ASKED_FOR = ANSWER_WITHIN
 """Time without an answer to such questions after which the hand counts as lost [s]."""
+
+_CANCEL_AGAIN = 0.1
+"""Time until a cancellation that got no answer is repeated [s]: one that Zenoh cannot send fails at
+once."""
+
+_CANCEL_FOR = 60.0
+"""Time for which cancellations are repeated [s]: a hand that is silent for longer has lost this
+client, and does what is configured for that."""
 
 
 class RunningGoal:
@@ -177,7 +184,7 @@ class RunningGoals:
         except NoHand as error:
             if self._loop.time() - running.heard > _ASKED_FOR:
                 self._end(goal_id, error)
-                self._give_up(goal_id)
+                self._cancel(goal_id)
             return
         # A hand of an earlier version does not know the request, but publishes the result.
         except RteeError:
@@ -204,20 +211,38 @@ class RunningGoals:
             if await self._status(goal_id) is not None:
                 return
         except RteeError:
-            self._give_up(goal_id)
+            self._cancel(goal_id)
             raise
+        self._cancel(goal_id)  # it may be on its way
         raise TooManyRequests(
             f"the hand '{self._link.hand}' has not taken the goal; too many requests may have come"
         )
 
-    def _give_up(self, goal_id: str) -> None:
-        """Cancel a goal for which nobody waits any more, if the hand still hears it."""
+    async def give_up(self, goal_id: str) -> None:
+        """Cancel a goal for which nobody waits any more.
+
+        Returns once the hand has confirmed that, or after `ANSWER_WITHIN`; then goes on in the
+        background.
+        """
+        await asyncio.wait({self._cancel(goal_id)}, timeout=ANSWER_WITHIN)
+
+    def _cancel(self, goal_id: str) -> asyncio.Task[None]:
+        """Cancel a goal until the hand has confirmed or refused that, or the link is lost."""
+        fields = {"goal_id": goal_id, "client": self._link.client}
+        until = self._loop.time() + _CANCEL_FOR
 
         async def cancel() -> None:
-            with contextlib.suppress(RemoteError):
-                fields = {"goal_id": goal_id, "client": self._link.client}
-                await self._link.ask("cancel", fields)
+            while not self._link.gone and self._loop.time() < until:
+                try:
+                    await self._link.ask("cancel", fields, within=_ASK_WITHIN)
+                except (NoHand, TooManyRequests):
+                    await asyncio.sleep(_CANCEL_AGAIN)
+                except RemoteError:  # such as another client's lease, which has ended the goal
+                    return
+                else:
+                    return
 
         task = self._loop.create_task(cancel())
         self._cancelling.add(task)  # the event loop itself keeps only a weak reference
         task.add_done_callback(self._cancelling.discard)
+        return task

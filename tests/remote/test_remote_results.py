@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 import rtee
 from rtee.actions.library import ActionLibrary
-from rtee.errors import RequestRejected
+from rtee.errors import NoHand, RemoteError, RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
 from rtee.messages import topics
 from rtee.messages.convert import RESULT
@@ -18,9 +19,9 @@ from rtee.remote.goal import GoalClient
 from rtee.remote.goal_records import KEPT_FOR, GoalRecords
 from rtee.remote.lease import Lease
 from rtee.remote.link import Link
-from rtee.types import Goal, Result
+from rtee.types import Feedback, Goal, Result
 
-from .serving import serving, until
+from .serving import LASTING, serving, until
 
 BURST = 40
 """Goals of one client at once: more than a hand has batches to send, fewer than are refused."""
@@ -116,6 +117,83 @@ async def test_a_goal_whose_answer_is_lost_runs_all_the_same(
             await remote.start("wave")
         await until(lambda: len(served.watcher.results) == 2)
         assert served.watcher.results[-1].cancelled
+
+
+class Lossy(Deaf):
+    """A link on which the first cancellations get no answer."""
+
+    def __init__(self, link: Link, losses: int, how: type[RemoteError]) -> None:
+        super().__init__(link)
+        self.losses, self._how = losses, how
+
+    async def ask(self, name: str, *given: Any, **options: Any) -> dict[str, Any]:
+        if name == "cancel" and self.losses:
+            self.losses -= 1
+            raise self._how("lost on the way")
+        return await self._link.ask(name, *given, **options)
+
+
+class Enough(BaseException):
+    """Ends a call as a handler of a signal does."""
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("how", [NoHand, TooManyRequests])
+@pytest.mark.parametrize("way", ["left", "raised", "started"])
+async def test_however_a_call_ends_its_goal_ends(
+    hand: Hand,
+    library: ActionLibrary,
+    monkeypatch: pytest.MonkeyPatch,
+    how: type[RemoteError],
+    way: str,
+) -> None:
+    """A cancellation that got no answer was not repeated, and the goal went on without a caller."""
+    monkeypatch.setattr("rtee.remote.running_goal._CANCEL_AGAIN", 0.01)
+    async with serving(hand, library) as served, rtee.connect() as remote:
+        link = Lossy(remote._link, 3, how)
+        goals = GoalClient(link, remote.info)  # type: ignore[arg-type]
+        scope = anyio.CancelScope()
+
+        def give_up(_: Feedback) -> None:
+            if way == "raised":
+                raise Enough
+            scope.cancel()
+
+        with scope, contextlib.suppress(Enough):
+            if way == "started":
+                scope.cancel()
+            await goals.do("Trig", "index", on_feedback=give_up, **LASTING)
+        await until(lambda: bool(served.watcher.results))
+        assert served.watcher.results[0].cancelled
+        assert link.losses == 0
+
+
+@pytest.mark.anyio
+async def test_a_call_does_not_wait_for_ever_for_its_cancellation(
+    hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtee.remote.running_goal.ANSWER_WITHIN", 0.05)
+    monkeypatch.setattr("rtee.remote.running_goal._CANCEL_AGAIN", 0.01)
+    async with serving(hand, library) as served, rtee.connect() as remote:
+        link = Lossy(remote._link, 10**9, NoHand)
+        goals = GoalClient(link, remote.info)  # type: ignore[arg-type]
+        running = await goals.start("Trig", "index", **LASTING)
+        await goals._running.give_up(running.goal.goal_id)
+        assert link.losses, "it returned before any cancellation had arrived"
+        assert not served.watcher.results
+        link.losses = 0  # the network is back: the goal ends without a caller
+        assert (await running.result()).cancelled
+        await until(lambda: not goals._running._cancelling)
+        # Nobody repeats it once the link is lost, or for ever.
+        link.losses = 10**9
+        monkeypatch.setattr("rtee.remote.running_goal._CANCEL_FOR", 0.05)
+        await goals._running.give_up("another")
+        await until(lambda: not goals._running._cancelling)
+        monkeypatch.undo()
+        task = goals._running._cancel("another")
+        remote._link.gone = True
+        await until(task.done)
+        remote._link.gone = False
 
 
 def test_results_are_kept_for_a_while() -> None:
