@@ -21,6 +21,7 @@ from rtee.log.recording import (
     ActuatorSeries,
     Channel,
     Entry,
+    GripEstimate,
     JointSeries,
     Recording,
     TouchSeries,
@@ -254,6 +255,7 @@ class _Collector:
             plans=entries(topics.PLANS, plan) if names else (),
             commands=entries(topics.COMMANDS, convert.COMMAND.of),
             stream_samples=entries(topics.STREAM_SAMPLES, convert.STREAM_SAMPLE.of),
+            grip=entries(topics.GRIP, _grip),
             feedback=entries(topics.FEEDBACK, convert.FEEDBACK.of),
             results=entries(topics.RESULTS, convert.RESULT.of),
             events=entries(topics.EVENTS, convert.EVENT.of),
@@ -386,6 +388,10 @@ def _chunks_ahead(
             for _, future in waiting:
                 # If the caller stops early, chunks that have not begun need no decompression.
                 future.cancel()
+
+
+def _grip(fields: Fields) -> GripEstimate:
+    return GripEstimate(**{name: fields[name] for name in GripEstimate.__slots__})
 
 
 def _channels_of(messages: Sequence[Message], start: int) -> dict[str, Channel]:

@@ -211,6 +211,27 @@ def outcome_of(result: Result) -> str:
     return "ended"
 
 
+@dataclass(frozen=True, slots=True)
+class GripEstimate:
+    """Opening and force of the fingertips at a time.
+
+    Attributes:
+        time: CLOCK_MONOTONIC [s].
+        action: Action of the goal.
+        opening: Opening [m]; ``NaN``: not known.
+        force: Force between the fingertips [N]; ``NaN``: not known.
+        force_error: Its error [N].
+        force_source: Its source, as in `rtee.types.Result`.
+    """
+
+    time: float
+    action: str
+    opening: float
+    force: float
+    force_error: float
+    force_source: str
+
+
 @dataclass(frozen=True)
 class Recording:
     """A recording in memory.
@@ -230,6 +251,7 @@ class Recording:
         plans: Plans of the goals.
         commands: Other commands to the hand.
         stream_samples: Samples of streams, as commands.
+        grip: Opening and force of the fingertips during goals that have one.
         feedback: Progress of the goals.
         results: Results of the goals.
         events: Events, including marks.
@@ -258,6 +280,7 @@ class Recording:
     plans: Sequence[Entry[Plan]] = ()
     commands: Sequence[Entry[CommandRecord]] = ()
     stream_samples: Sequence[Entry[CommandRecord]] = ()
+    grip: Sequence[Entry[GripEstimate]] = ()
     feedback: Sequence[Entry[Feedback]] = ()
     results: Sequence[Entry[Result]] = ()
     events: Sequence[Entry[Event]] = ()

@@ -90,6 +90,35 @@ def _commands(recording: Recording) -> Table:
     return _times(recording.commands) | columns
 
 
+def _stream_samples(recording: Recording) -> Table:
+    """Return a table with a column for each name that any sample has; ``NaN``: it is not in it."""
+    samples = [entry.value.command for entry in recording.stream_samples]
+    table = _times(recording.stream_samples)
+    for name in ("stream", "stamp", "arrival"):
+        table[name] = _column([getattr(sample, name) for sample in samples])
+    for kind in ("targets", "velocity", "positions", "velocities"):
+        values = [getattr(sample, kind) for sample in samples]
+        for name in dict.fromkeys(name for each in values for name in each):
+            table[f"{kind}.{name}"] = np.array([each.get(name, np.nan) for each in values])
+    return table
+
+
+def _plans(recording: Recording) -> Table:
+    """Return a table with a row for each motion of a plan, and a column for each actuator."""
+    actuators = recording.actuator_states.names or recording.metadata["actuators"].split()
+    rows = [(each, leg) for each in recording.plans for leg in each.value.legs]
+    table = _times([entry for entry, _ in rows])
+    table["goal_id"] = _column([entry.value.goal.goal_id for entry, _ in rows])
+    for name in ("action", "elements", "timeout"):
+        table[name] = _column([getattr(entry.value, name) for entry, _ in rows])
+    for name in ("name", "before", "after"):
+        table[name] = _column([getattr(leg, name) for _, leg in rows])
+    for index in sorted({index for _, leg in rows for index in leg.targets}):
+        column = [leg.targets.get(index, np.nan) for _, leg in rows]
+        table[f"target.{actuators[index]}"] = np.array(column)
+    return table
+
+
 def _channels(recording: Recording) -> Table:
     rows = [
         (t, name, index, float(value))
@@ -134,7 +163,10 @@ _MAKERS: Mapping[str, Callable[[Recording], Table]] = {
     topics.CHANNELS: _channels,
     topics.TOUCH: _touch,
     topics.GOALS: lambda recording: _entries(recording.goals),
+    topics.PLANS: _plans,
     topics.COMMANDS: _commands,
+    topics.STREAM_SAMPLES: _stream_samples,
+    topics.GRIP: lambda recording: _entries(recording.grip),
     topics.FEEDBACK: lambda recording: _entries(recording.feedback),
     topics.RESULTS: lambda recording: _results(recording.results),
     topics.EVENTS: lambda recording: _entries(recording.events),

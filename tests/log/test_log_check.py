@@ -13,6 +13,7 @@ import pytest
 from loop.hands import Rig, Watcher, device, make_hand, make_library
 
 from log.samples import RATE, recorded, settings
+from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
 from rtee.commands import (
     BeginStream,
@@ -26,6 +27,7 @@ from rtee.commands import (
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.errors import LogError, UnknownActuator
 from rtee.hand.config_schema import GraspSettings, ProfileKind, ProfileSettings
+from rtee.hand.load import load_hand
 from rtee.hand.model import Hand
 from rtee.log import Entry, Recorder, Recording, read
 from rtee.log.check import check
@@ -55,6 +57,7 @@ async def recording(
     loop_settings: LoopSettings,
     recorder: Recorder | None = None,
     kind: type[KinematicDriver] = KinematicDriver,
+    library: ActionLibrary | None = None,
     **options: object,
 ) -> AsyncIterator[Rig]:
     """Run and record a hand on the kinematic driver."""
@@ -62,7 +65,8 @@ async def recording(
     one = device(hand, rate=loop_settings.rate, **options)  # type: ignore[arg-type]
     driver = kind(one.spec, BusPool())
     driver.now = clock.now
-    loop = HandLoop(hand, make_library(hand), loop_settings, [(one, driver)], now=clock.now)
+    library = library or make_library(hand)
+    loop = HandLoop(hand, library, loop_settings, [(one, driver)], now=clock.now)
     recorder = recorder or Recorder(
         hand, settings(folder), rate=loop_settings.rate, loop=loop_settings
     )
@@ -167,6 +171,30 @@ async def test_streams_come_out_again(small: Hand, tmp_path: Path, profile: Prof
     assert report.same
     # What steers it makes a difference: without the samples other references come out.
     assert not check(replace(found, stream_samples=())).same
+
+
+async def test_what_goals_and_streams_do_are_tables(repository: Path, tmp_path: Path) -> None:
+    folder = repository / "config" / "robotiq_2f_85"
+    gripper = load_hand(folder)
+    library = ActionLibrary.load(gripper, folder / "actions")
+    async with recording(gripper, tmp_path, LoopSettings(), library=library) as rig:
+        await rig.do("Grasp", opening=0.04)
+        streams = rig.loop.streams
+        streams.begin("glove", 50.0)
+        for k, values in enumerate(({"Grasp": 0.5}, {"finger_joint": 0.4}, {"Grasp": 0.6})):
+            streams.sample(StreamTargets("glove", 70.0 + k / 50.0, values, {}, "someone"))
+            await rig.run(0.02)
+    found = tables(read(recorded(tmp_path)[0]))
+    assert found["plans"]["action"].tolist() == ["Grasp"]
+    assert found["plans"]["target.finger_joint"][0] == pytest.approx(
+        found["actuator_states"]["position.finger_joint"].max(), abs=0.01
+    )
+    assert found["grip"]["opening"][-1] == pytest.approx(0.04, abs=1e-3)
+    samples = found["stream_samples"]
+    assert samples["stream"].tolist() == ["glove"] * 3
+    np.testing.assert_array_equal(samples["targets.Grasp"], [0.5, np.nan, 0.6])
+    np.testing.assert_array_equal(samples["targets.finger_joint"], [np.nan, 0.4, np.nan])
+    assert np.isfinite(samples["positions.finger_joint"]).all()
 
 
 class FeelingTips(KinematicDriver):
