@@ -108,8 +108,8 @@ def play(
     import anyio
 
     from rtee.actions.cli_syntax import read_efforts
+    from rtee.teleop.drive import check_units, rate_of, recorded
     from rtee.teleop.drive import play as play_samples
-    from rtee.teleop.drive import rate_of, recorded
 
     # Read before the hand is connected, so that a wrong file moves nothing.
     samples, efforts = recorded(file), read_efforts(effort or [])
@@ -117,6 +117,9 @@ def play(
         raise ConfigError(f"the speed must be above 0, not {speed:g}")
 
     async def run(remote: RemoteHand) -> None:
+        info = await remote.info()
+        limits_of = dict.fromkeys(info.joints, (-math.inf, math.inf))
+        check_units(samples, limits_of | {a.name: (a.lower, a.upper) for a in info.actuators})
         rate = rate_of(samples) * speed
         limits = await effort_limits(remote, efforts)
         # Three periods, so that one or two late samples do not make the hand brake.

@@ -25,6 +25,9 @@ RATE: Final = 50.0
 _LONGEST: Final = 10_000_000
 """Longest table read [bytes]: an hour of a glove's twenty joints takes less."""
 
+_SLOWEST: Final = 0.5
+"""Slowest rate of a table [Hz]: times in milliseconds seem slower."""
+
 _LONGEST_GAP: Final = 0.08
 """Gap between samples of a recording from which the sample before is repeated [s], since the person
 stayed there."""
@@ -134,31 +137,66 @@ def _of_table(path: Path) -> list[Played]:
     try:
         if path.stat().st_size > _LONGEST:
             raise LogError(f"is longer than {_LONGEST // 1_000_000} MB", path=path)
-        with path.open(newline="") as file:
-            rows = list(csv.reader(file))
+        # Spreadsheets write a byte-order mark, and semicolons where numbers have a comma.
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            delimiter = ";" if ";" in file.readline() else ","
+            file.seek(0)
+            rows = list(csv.reader(file, delimiter=delimiter))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         why = getattr(error, "strerror", None) or error
         raise LogError(f"cannot be read: {why}", path=path) from None
-    if not rows or rows[0][:1] != ["t"] or len(rows[0]) < 2:
+    names = [name.strip() for name in rows[0]] if rows else []
+    if names[:1] != ["t"] or len(names) < 2:
         raise LogError("should begin with a line of names, the first of them 't'", path=path)
-    names = rows[0][1:]
     played: list[Played] = []
     for number, row in enumerate(rows[1:], start=2):
         try:
-            if len(row) != len(rows[0]):
-                raise ValueError(f"{len(row)} cells for {len(rows[0])} names")
-            when, *values = (float(cell) if cell.strip() else math.nan for cell in row)
-            # NaN stands for an empty cell, but the text "nan" in a cell is a mistake.
-            for cell, value in zip(row, (when, *values), strict=True):
-                if cell.strip() and not math.isfinite(value):
-                    raise ValueError(f"'{cell.strip()}' is not a finite number")
-            if not math.isfinite(when) or (played and when <= played[-1].time):
+            if len(row) != len(names):
+                raise ValueError(f"{len(row)} cells for {len(names)} names")
+            cells = zip(names, row, strict=True)
+            values = {n: _number(n, cell, delimiter) for n, cell in cells if cell.strip()}
+            when = values.pop("t", math.nan)
+            if not when > (played[-1].time if played else -math.inf):
                 raise ValueError("the times must rise")
+            if not values:
+                raise ValueError(f"no value in the columns {', '.join(names[1:])}")
         except ValueError as error:
             raise LogError(f"makes no sense: {error}", path=path, line=number) from None
-        pairs = zip(names, values, strict=True)
-        played.append(Played(when, {n: v for n, v in pairs if not math.isnan(v)}, {}))
+        played.append(Played(when, values, {}))
+    if rate_of(played) < _SLOWEST:
+        apart = 1.0 / rate_of(played)
+        raise LogError(f"has rows {apart:g} s apart: times are in seconds", path=path, line=3)
     return played
+
+
+def _number(column: str, cell: str, delimiter: str) -> float:
+    try:
+        value = float(cell.replace(",", ".") if delimiter == ";" else cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ValueError(f"'{cell.strip()}' in the column '{column}' is not a finite number")
+    return value
+
+
+def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, float]]) -> None:
+    """Raise `ConfigError` for targets that are meant in another unit, such as degrees.
+
+    A little beyond the limits is usual; a whole range beyond them is not.
+
+    Args:
+        samples: The samples.
+        limits: Lower and upper limit of the actuators [rad | m]; all else is an intensity.
+    """
+    for sample in samples:
+        for name, value in sample.targets.items():
+            lower, upper = limits.get(name, (0.0, 1.0))
+            if not 2.0 * lower - upper <= value <= 2.0 * upper - lower:
+                unit = "radians or metres" if name in limits else "intensities from 0 to 1"
+                raise ConfigError(
+                    f"'{name}' goes to {value:g} after {sample.time:g} s, far beyond {lower:.3g} "
+                    f"to {upper:.3g}; targets are {unit}"
+                )
 
 
 def rate_of(samples: Sequence[Played]) -> float:

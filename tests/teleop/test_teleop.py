@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pty
 import sys
@@ -19,7 +20,15 @@ import rtee
 from rtee.errors import ConfigError, LogError
 from rtee.hand.model import Hand
 from rtee.log import Recorder, RecorderSettings
-from rtee.teleop.drive import Played, assigned, play, rate_of, recorded, samples_of
+from rtee.teleop.drive import (
+    Played,
+    assigned,
+    check_units,
+    play,
+    rate_of,
+    recorded,
+    samples_of,
+)
 from rtee.teleop.inputs import (
     BUTTONS,
     EV_ABS,
@@ -228,6 +237,30 @@ def test_a_table_of_samples(tmp_path: Path) -> None:
     ]
 
 
+def test_a_table_of_a_spreadsheet(tmp_path: Path) -> None:
+    """With a byte-order mark; and where numbers have a comma, with semicolons."""
+    table = tmp_path / "wave.csv"
+    table.write_bytes(b"\xef\xbb\xbft,near\r\n0.00,0.1\r\n0.02,0.3\r\n")
+    assert [each.targets for each in recorded(table)] == [{"near": 0.1}, {"near": 0.3}]
+    table.write_bytes("\ufefft;near;push\r\n0,00;0,1;\r\n0,02;0,3;1,5\r\n".encode())
+    assert [each.targets for each in recorded(table)] == [
+        {"near": 0.1},
+        {"near": 0.3, "push": 1.5},
+    ]
+
+
+def test_targets_in_another_unit_are_refused() -> None:
+    limits = {"near": (-0.5, 1.2), "free": (-math.inf, math.inf)}
+    fine = {"near": 1.3, "free": 99.0, "fist": -0.01}
+    check_units([Played(0.0, fine, {})], limits)
+    for targets, said in (
+        ({"near": 45.0}, "'near' goes to 45 after 2 s, far beyond -0.5 to 1.2; .* radians"),
+        ({"fist": 60.0}, "'fist' goes to 60 after 2 s, far beyond 0 to 1; .* from 0 to 1"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            check_units([Played(0.0, fine, {}), Played(2.0, targets, {})], limits)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -236,8 +269,10 @@ def test_a_table_of_samples(tmp_path: Path) -> None:
         ("t,near\n", "holds no samples"),
         ("t,near\n0,0.1\n0,0.2\n", "wave.csv:3: makes no sense: the times must rise"),
         ("t,near\n0,0.1,5\n", "3 cells for 2 names"),
-        ("t,near\n0,much\n", "makes no sense"),
-        ("t,near\n0,nan\n", "'nan' is not a finite number"),
+        ("t,near\n0,much\n", "wave.csv:2: makes no sense: 'much' in the column 'near' is not"),
+        ("t,near\n0,nan\n", "'nan' in the column 'near' is not a finite number"),
+        ("t,near\n0,0\n0.02,\n", "wave.csv:3: makes no sense: no value in the columns near"),
+        ("t,near\n0,0\n20,0\n40,0\n", "wave.csv:3: has rows 20 s apart: times are in seconds"),
     ],
 )
 def test_tables_that_make_no_sense(tmp_path: Path, text: str, said: str) -> None:
