@@ -39,7 +39,7 @@ def _package_xml(needed: list[str]) -> str:
   <name>{NAME}</name>
   <version>0.1.0</version>
   <description>Messages, services and actions of rtee, for robotic hands.</description>
-  <maintainer email="rtee@localhost">rtee</maintainer>
+  <maintainer email="rtee@example.org">rtee</maintainer>
   <license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend>
   <buildtool_depend>rosidl_default_generators</buildtool_depend>

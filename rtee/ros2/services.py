@@ -8,7 +8,8 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,6 +98,22 @@ class Service:
         # Last, so that a client that sees the service in the graph can call it.
         self._token = participant.session.liveliness().declare_token(entity.token)
 
+    @property
+    def _nothing(self) -> Message:
+        """The response without a value in any field."""
+        made: Message = self.type.response.from_dict({})
+        return made
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Log an error that is raised inside."""
+        try:
+            yield
+        except RteeError as error:
+            self._participant.complaints.tell(f"a request of {self.name} fails", str(error))
+        except Exception:
+            log.exception("the service %s failed", self.name)
+
     def _drop(self, why: str) -> None:
         self._participant.complaints.tell(f"a request of {self.name} is dropped", why)
 
@@ -141,21 +158,21 @@ class Service:
             request = self.type.request.decode(received.payload)
         except MessageError as error:
             self._drop(str(error))
+            self._reply(received, self._nothing)
             return
         self._under_way.add(number)
         self._participant.start(self._answer(received, number, request))
 
     async def _answer(self, received: _Received, number: tuple[bytes, int], request: Any) -> None:
+        # ROS 2 has no error responses, and its clients wait without end: they get an empty one.
+        response = self._nothing
         try:
-            response = await self._handler(request)
-            # The handler may take any time, and the queryable may be gone meanwhile.
-            if not self._closed:
-                self._reply(received, response)
-        except RteeError as error:
-            # ROS 2 has no error responses, so that the client times out.
-            self._participant.complaints.tell(f"a request of {self.name} fails", str(error))
-        except Exception:
-            log.exception("the service %s failed", self.name)
+            with self._told():
+                response = await self._handler(request)
+            with self._told():
+                # The handler may take any time, and the queryable may be gone meanwhile.
+                if not self._closed:
+                    self._reply(received, response)
         finally:
             self._under_way.discard(number)
             # A loop, since a request that `_begin` refuses makes room for the next one.

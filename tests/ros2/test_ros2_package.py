@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from catkin_pkg.package import parse_package
 
 from rtee.errors import ConfigError
 from rtee.ros2.package import NAME, write_package
@@ -40,6 +41,10 @@ def test_the_package_names_its_files_and_what_they_need(tmp_path: Path) -> None:
     depends = {one.text for one in root.findall("depend")}
     assert depends == {"action_msgs", "std_msgs"}
     assert "DEPENDENCIES std_msgs" in cmake
+    # The parser of ROS' build tools, which checks more than XML.
+    warnings: list[str] = []
+    package = parse_package(folder / "package.xml", warnings=warnings)
+    assert (package.name, warnings) == (NAME, [])
 
 
 def test_what_exists_is_not_overwritten(tmp_path: Path) -> None:
