@@ -102,7 +102,7 @@ async def test_requests_that_make_no_sense_are_dropped(
             (good, bytes(1_000_000)),
             (None, numbered(1)),
             (b"", numbered(1)),
-            (b"\xff" * 9, numbered(1)),
+            (b"\xff" * 9, numbered(1)),  # only this one tells whom to answer: that it is not done
             (bytes(LONGEST + 1), numbered(1)),
         ):
             ask(payload, attachment)
@@ -111,7 +111,7 @@ async def test_requests_that_make_no_sense_are_dropped(
         ask(good, numbered(8))
         await until(lambda: len(calls) == 2)
         held.set()
-        await until(lambda: replies.count(True) == 2)
+        await until(lambda: replies.count(True) == 3)
         assert len(calls) == 2
         assert context.complaints.count["a request of /stop is dropped"] == 7
     assert len([text for text in warnings(caplog) if "/stop is dropped" in text]) == 1
