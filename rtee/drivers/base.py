@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.connection import Connection
+from rtee.drivers.standstill import Standstill
 from rtee.object_description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -30,6 +31,8 @@ class Driver(ABC):
             It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
         connection: The device's bus from `configure` to `close`, for drivers that have one bus.
+        standstill: Judges what `stop` measures, before it is commanded; the caller tells it what
+            `sense` has returned and `move` was given.
     """
 
     Options: ClassVar[type[Any] | None] = None
@@ -41,6 +44,7 @@ class Driver(ABC):
         self.spec = spec
         self.buses = buses
         self.capabilities = Capabilities()
+        self.standstill = Standstill(spec.actuators)
 
     async def configure(self) -> None:
         """Open the bus and identify the device; never moves anything.
@@ -83,7 +87,12 @@ class Driver(ABC):
         """
 
     async def stop(self) -> None:
-        """Stop motion now and stay powered; must not raise."""
+        """Stop motion now and stay powered; must not raise.
+
+        A device with a brake of its own uses that. Another one holds the measured posture, but for
+        the actuators for which ``standstill.instead`` gives another position: a measurement that
+        cannot be true would make the device jump.
+        """
 
     async def disable(self) -> None:
         """Switch off the drive power, so that the actuators are limp; must not raise.

@@ -26,6 +26,7 @@ from rtee.commands import (
     SetGripEffort,
     StreamSample,
 )
+from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
 from rtee.loop.evidence import Evidence
 from rtee.loop.executor import Executor
@@ -33,7 +34,6 @@ from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
 from rtee.loop.motion import Limits
 from rtee.loop.plan import Plan
-from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import make_profile
 from rtee.loop.reference_start import ReferenceStart
 from rtee.loop.reflexes import Reflexes

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypedDict
 
+from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
 from rtee.loop import contact_rules as rules
 from rtee.loop.evidence import Evidence
 from rtee.loop.measured import Measured
 from rtee.loop.opening_plan import closing_speed
 from rtee.loop.plan import Leg, Plan
-from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
 from rtee.loop.reflexes import Reflexes
 from rtee.loop.settings import LoopSettings

@@ -94,24 +94,33 @@ class GuardedDriver:
         except BaseException:  # a bug in the driver, and no reason to end the run
             return default
 
+    def _moved(self) -> None:
+        """Forget where the device was: it may be limp, or move by itself."""
+        self._read(lambda: self._driver.standstill.forget(), None)
+
     # --- calls -----------------------------------------------------------------------------------
 
     async def configure(self) -> None:
         """See `Driver.configure`."""
+        self._moved()
         await self._call(self._driver.configure)
 
     async def activate(self) -> None:
         """See `Driver.activate`."""
+        self._moved()
         await self._call(self._driver.activate)
 
     async def sense(self) -> ActuatorState:
         """Return a state that is one of the device's actuators; raises `DriverError` otherwise."""
         state = await self._call(self._driver.sense)
         self._check(state)
+        self._read(lambda: self._driver.standstill.measured(state), None)
         return state
 
     async def move(self, reference: Reference) -> None:
         """See `Driver.move`."""
+        # Before the call, since a reference may have arrived though the call fails.
+        self._read(lambda: self._driver.standstill.asked(reference), None)
         await self._call(lambda: self._driver.move(reference))
 
     async def stop(self) -> None:
@@ -128,6 +137,7 @@ class GuardedDriver:
 
     async def recover(self) -> None:
         """See `Driver.recover`."""
+        self._moved()
         await self._call(self._driver.recover)
 
     async def set_gains(self, gains: Mapping[str, float]) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
+from rtee.drivers.plausibility import Plausibility
 from rtee.loop.evidence import Evidence
 from rtee.loop.limiter import Limiter
 from rtee.loop.measured import Measured
-from rtee.loop.plausibility import Plausibility
 from rtee.loop.profiles import Profile
 
 

@@ -36,6 +36,9 @@ NEEDS_CHECKSUMS = frozenset({"corrupt", "noise"})
 _DEAF = 0.06
 """Time for which all answers are lost [s]: longer than most drivers wait for an answer."""
 
+_APPROACH = 0.1
+"""Share of the way between two postures on which a device is when it is stopped."""
+
 _SHARE = 0.05
 """Fraction of the messages that a faulty wire damages: more than even a real wire in need of
 repair."""
@@ -219,6 +222,32 @@ class DriverContract:
             await asyncio.sleep(0.2)
             later = await session.sense()
             assert session.near(later, there.position.tolist())
+
+    @pytest.mark.parametrize("seen", [False, True])
+    async def test_stop_commands_no_position_that_cannot_be(self, seen: bool) -> None:
+        """If encoders jump right before `stop`, or in it, the device does not."""
+        self.moving()
+        self.wired()
+        near, far = self.case.between()
+        async with self._session_at(far) as (session, _):
+            motors = session.emulator.motors()
+            if not motors:
+                pytest.skip("the emulator has no motors with encoders")
+            ends = [motor.position for motor in motors]
+            await session.reach(near)
+            # Four fifths of the way between the postures, as no actuator goes in one cycle.
+            jumps = [0.8 * (end - m.position) for end, m in zip(ends, motors, strict=True)]
+            wanted = await session.approach(far, _APPROACH)
+            for motor, jump in zip(motors, jumps, strict=True):
+                motor.sensor.offset += jump
+            if seen:
+                session.driver.standstill.measured(await session.sense())
+            await session.driver.stop()
+            for motor, jump in zip(motors, jumps, strict=True):
+                motor.sensor.offset -= jump
+            there = (await session.at_rest()).position
+            for q, n, w in zip(there, near, wanted, strict=True):
+                assert min(n, w) - self.case.tolerance <= q <= max(n, w) + self.case.tolerance
 
     async def test_stop_stops_though_answers_get_lost(self) -> None:
         """A lost answer must not prevent `stop` from sending its other commands."""

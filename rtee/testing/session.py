@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any, Self
@@ -125,6 +126,27 @@ class Session:
                 return state or await self.sense()
             # Emulators in this process need the processor, too, even on a slow machine.
             await asyncio.sleep(0.002)
+
+    async def approach(self, goal: Sequence[float], share: float) -> list[float]:
+        """Go a share of the way to a posture as the loop does; return the last reference.
+
+        At a tenth of the velocity limits, and what is measured and asked is told to the driver.
+        """
+        standstill = self.driver.standstill
+        here = list(map(float, (await self.sense()).position))
+        ways = [share * (g - q) for g, q in zip(goal, here, strict=True)]
+        pairs = zip(ways, self.case.actuators, strict=True)
+        ticks = math.ceil(max(abs(w) / (0.1 * a.velocity) for w, a in pairs) * self.case.rate)
+        wanted = here
+        for tick in range(1, ticks + 1):
+            wanted = [q + way * tick / ticks for q, way in zip(here, ways, strict=True)]
+            reference = Reference.at(wanted)
+            standstill.asked(reference)
+            state = await self.cycle(reference)
+            if state is not None:
+                standstill.measured(state)
+            await asyncio.sleep(1.0 / self.case.rate)
+        return wanted
 
     async def at_rest(self) -> ActuatorState:
         """Return the state once the device rests: one may run on while it is being stopped."""

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
+from rtee.drivers.plausibility import MARGIN, Plausibility
 from rtee.hand.model import Hand
-from rtee.loop.plausibility import MARGIN, Plausibility
 from rtee.loop.settings import LoopSettings
 from rtee.sample import ActuatorState
 from rtee.types import ActuatorSpec, Event, Goal, JointKind

@@ -303,7 +303,13 @@ class AbilityHandDriver(Driver):
                 await patiently(self._hold)
 
     async def _hold(self) -> None:
-        self._control.hold(await self._read())
+        reply = await self._read()
+        self._control.hold(reply)
+        both = tuple(zip(self._motors, self._signs, strict=True))
+        here = [sign * codec.angle(reply.positions[m]) for m, sign in both]
+        for i, position in self.standstill.instead(here).items():
+            motor, sign = both[i]
+            self._control.targets[motor] = sign * position
         # By positions in every mode: a velocity or current would go on until the next command.
         words = tuple(map(codec.angle_counts, self._control.targets))
         await self._exchange(Header.POSITION, words)

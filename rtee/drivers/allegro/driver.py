@@ -285,6 +285,9 @@ class AllegroDriver(Driver):
     async def stop(self) -> None:
         """Hold the measured posture."""
         self._hold()
+        here = [self.control.position[joint] for joint in self._joints]
+        for i, position in self.standstill.instead(here).items():
+            self.control.refer(self._joints[i], position)
 
     async def disable(self) -> None:
         """Send zero torques and switch the motors off."""

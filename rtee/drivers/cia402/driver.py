@@ -282,6 +282,9 @@ class Cia402Driver(Driver):
             self._attached.begin()
             for drive in cycle.drives:
                 drive.target = drive.position
+            here = [drive.scale.to_position(drive.position) for drive in cycle.drives]
+            for i, position in self.standstill.instead(here).items():
+                cycle.drives[i].target = cycle.drives[i].scale.to_counts(position)
             # In profile mode, a previous set-point has to be acknowledged first.
             for _ in range(_HANDSHAKES):
                 await patiently(cycle.exchange)

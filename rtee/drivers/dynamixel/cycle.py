@@ -18,6 +18,7 @@ from rtee.drivers.dynamixel.setup import Found
 from rtee.drivers.dynamixel.table import model_of
 from rtee.drivers.dynamixel.units import Scale, Scales
 from rtee.drivers.hold_on_attach import Attached
+from rtee.drivers.standstill import Standstill
 from rtee.errors import CalibrationError, ConfigError, DeviceFault
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
@@ -242,11 +243,17 @@ class ServoCycle:
         """Disable the torque, and check that it is off; raises `BusError`."""
         self.link.write_confirmed(table.TORQUE, dict.fromkeys(self.link.ids, 0))
 
-    def hold(self) -> None:
+    def hold(self, standstill: Standstill) -> None:
         """Make the present positions the goals; raises `BusError`."""
         # The new goals end every grip, so no actuator is left alone any more.
         self._attached.begin()
-        self.link.write_confirmed(table.GOAL_POSITION, self._as_goals(self.positions()))
+        goals = self.positions()
+        joints = tuple(zip(self.link.ids, self.scales, strict=True))
+        here = [scale.to_rad(goals[number]) for number, scale in joints]
+        for i, position in standstill.instead(here).items():
+            number, scale = joints[i]
+            goals[number] = scale.to_pulses(position)
+        self.link.write_confirmed(table.GOAL_POSITION, self._as_goals(goals))
 
     def _as_goals(self, positions: Mapping[int, int]) -> dict[int, int]:
         """Return positions [pulse] limited to the goals that the servos accept."""

@@ -189,7 +189,7 @@ class DynamixelDriver(CalibratesServos):
         # It must not raise, not even before the line is open.
         with contextlib.suppress(RteeError, OSError):
             cycle = self.connection.link
-            await patiently(partial(cycle.link.run, cycle.hold))
+            await patiently(partial(cycle.link.run, partial(cycle.hold, self.standstill)))
 
     async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -332,16 +332,31 @@ class ServoCycle:
                 return
         raise FrameError(self._options.port, "servos do not take where they are as their goals")
 
-    async def hold(self, numbers: Sequence[int]) -> dict[int, int]:
-        """Make the present positions of servos their goals and return them; raises `BusError`."""
+    async def hold(
+        self,
+        numbers: Sequence[int],
+        instead: Callable[[Sequence[float]], Mapping[int, float]] = lambda _: {},
+    ) -> dict[int, int]:
+        """Make the present positions of servos their goals and return them; raises `BusError`.
+
+        ``instead`` returns the actuators that hold another position, see `Standstill.instead`.
+        """
         states = await self.states()
         angles = self._take(states).angle
         speeds = self._speeds(np.abs(self.joints.jacobian(angles)), self._fastest)
         most = self._most()
         chosen = [i for i, number in enumerate(self.ids) if number in numbers]
         # In the servos' counts: by the actuators' positions, a pair beyond its limit would move.
-        sent = await self._write({i: (states[i].position, speeds[i], most[i]) for i in chosen})
-        self._goal = self.joints.positions(angles)
+        counts = [state.position for state in states]
+        goal = self.joints.positions(angles)
+        if others := instead(goal.tolist()):
+            goal[list(others)] = list(others.values())
+            wanted = self._units.counts(self.joints.servos(goal))
+            paired = {i for pair in self.joints.pairs if set(pair) & set(others) for i in pair}
+            for i in {*others, *paired}:
+                counts[i] = wanted[i]
+        sent = await self._write({i: (counts[i], speeds[i], most[i]) for i in chosen})
+        self._goal = goal
         return sent
 
     def _speeds(self, jacobian: FloatArray, velocities: FloatArray) -> list[int]:

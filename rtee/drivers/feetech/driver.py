@@ -183,7 +183,7 @@ class FeetechDriver(CalibratesServos):
                     # A goal would enable the torque of some servos.
                     torque = {n: await cycle.link.value(n, table.TORQUE) for n in cycle.ids}
                     powered = [n for n, value in torque.items() if value == POWERED]
-                await patiently(partial(cycle.hold, powered))
+                await patiently(partial(cycle.hold, powered, self.standstill.instead))
 
     async def disable(self) -> None:
         """Disable the torque; the fingers go limp."""

@@ -348,6 +348,9 @@ class HeriEthercatDriver(Driver):
         with contextlib.suppress(RteeError, OSError):
             await patiently(self._exchange)
             self._seed()
+            here = [self._references[motor] for motor in self._motors]
+            for i, position in self.standstill.instead(here).items():
+                self._references[self._motors[i]] = position
             await patiently(self._exchange)
 
     async def disable(self) -> None:

@@ -347,12 +347,18 @@ class InspireRh56Driver(Driver):
             link = self.connection.link
             with link.unhurried():
                 report = await patiently(self._measured)
-                await patiently(lambda: self._hold(report, self._motors))
+                both = tuple(zip(self._motors, self._scales, strict=True))
+                here = [scale.angle(report.angles[motor]) for motor, scale in both]
+                angles = list(report.angles)
+                for i, position in self.standstill.instead(here).items():
+                    motor, scale = both[i]
+                    angles[motor] = scale.position.to_count(position)
+                await patiently(lambda: self._hold(angles, self._motors))
 
-    async def _hold(self, report: Report, motors: Sequence[int]) -> None:
-        """Make the measured angles of some motors their set-points."""
+    async def _hold(self, angles: Sequence[int], motors: Sequence[int]) -> None:
+        """Make the angles of some motors, as measured, their set-points."""
         # The hand may refuse a count beyond the ends, and -1 would keep the old set-point.
-        here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(report.angles)]
+        here = [min(max(a, 0), 1000) if m in motors else KEEP for m, a in enumerate(angles)]
         self._angles = [KEEP] * COUNT
         await self.connection.link.write(Register.ANGLE_SET, table(here))
 
@@ -365,12 +371,12 @@ class InspireRh56Driver(Driver):
             if faulty:
                 # No source says whether a cleared motor continues to its old set-point.
                 with contextlib.suppress(WriteRefused):
-                    await self._hold(report, faulty)
+                    await self._hold(report.angles, faulty)
                 await link.write(Register.CLEAR_ERROR, b"\x01")
                 report = await self._cleared()
                 self._check(report)
                 # Again, since a motor with an error may have refused it.
-                await self._hold(report, faulty)
+                await self._hold(report.angles, faulty)
         self._attached.begin(range(len(self._motors)))
 
     async def _cleared(self) -> Report:

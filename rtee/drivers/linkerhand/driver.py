@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -263,15 +264,27 @@ class LinkerHandDriver(Driver):
             self._attached.begin()
             link = self.connection.link
             with link.unhurried():
-                await patiently(lambda: self._hold(self._motors))
+                await patiently(lambda: self._hold(self._motors, self.standstill.instead))
 
-    async def _hold(self, motors: tuple[int, ...]) -> None:
-        """Make the measured positions of some motors their set-points."""
+    async def _hold(
+        self,
+        motors: tuple[int, ...],
+        instead: Callable[[Sequence[float]], Mapping[int, float]] = lambda _: {},
+    ) -> None:
+        """Make the measured positions of some motors their set-points.
+
+        ``instead`` returns the actuators that hold another position, see `Standstill.instead`.
+        """
         link = self.connection.link
         self._keep(await link.read(Table.POSITION))
         targets = list(self._targets or self._counts)
         for motor in motors:
             targets[motor] = self._counts[motor]
+        both = tuple(zip(self._motors, self._scales, strict=True))
+        here = [scale.to_si(self._counts[motor]) for motor, scale in both]
+        for i, position in instead(here).items():
+            motor, scale = both[i]
+            targets[motor] = scale.to_count(position)
         self._targets = None
         await link.write({Table.POSITION: targets})
         self._targets = targets

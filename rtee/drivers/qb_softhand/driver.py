@@ -284,7 +284,9 @@ class QbSoftHandDriver(Driver):
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
             # Stored, too, as a later reference for one motor repeats it for the other.
-            self._closure = await patiently(self._measured)
+            here = await patiently(self._measured)
+            instead = self.standstill.instead(here)
+            self._closure = tuple(instead.get(i, q) for i, q in enumerate(here))
             await self._send(self._closure)
 
     async def disable(self) -> None:

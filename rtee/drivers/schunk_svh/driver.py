@@ -210,12 +210,13 @@ class SchunkSvhDriver(Driver):
         self._health.begin(state, self._index)
         self._check(state)
 
-    async def _seed(self) -> None:
-        """Make the measured positions the targets, so that enabling moves nothing."""
+    async def _seed(self) -> codec.FeedbackAll:
+        """Make the measured positions the targets, so that enabling moves nothing; return them."""
         self._answer = self._last = None
         self._attached.begin()
         feedback = await self.connection.link.feedback_all()
         self._targets = list(feedback.positions)
+        return feedback
 
     async def sense(self) -> ActuatorState:
         """Return the reply to the last `move`, if there was one, or read the hand."""
@@ -273,7 +274,15 @@ class SchunkSvhDriver(Driver):
     async def stop(self) -> None:
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
-            await patiently(self._seed)
+            feedback = await patiently(self._seed)
+            units = self._units
+            here = units.measured(feedback)[0]
+            instead = self.standstill.instead(here.tolist())
+            held = np.array([instead.get(i, 0.0) for i in range(len(here))])
+            targets = units.targets(held)
+            for i in instead:
+                if units.homed[i]:
+                    self._targets[self._index[i]] = targets[i]
             await patiently(lambda: self.connection.link.set_targets(self._targets))
 
     async def disable(self) -> None:

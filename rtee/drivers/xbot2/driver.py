@@ -273,10 +273,11 @@ class XBot2Driver(Driver):
     async def stop(self) -> None:
         """Hold the measured posture."""
         with contextlib.suppress(RteeError, OSError):
-            state = await patiently(self.sense)
-            n = len(self._names)
+            here = (await patiently(self.sense)).position.tolist()
+            instead = self.standstill.instead(here)
+            held = [instead.get(i, q) for i, q in enumerate(here)]
             self._attached.begin()
-            self._send_positions(list(range(n)), [float(q) for q in state.position])
+            self._send_positions(list(range(len(held))), held)
 
     async def recover(self) -> None:
         """Check that XBot2 still publishes states; a client cannot reset XBot2's faults."""

@@ -1,0 +1,111 @@
+"""Where a driver may stop its actuators: at no position that cannot be theirs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rtee import monotonic
+from rtee.drivers.plausibility import Plausibility
+from rtee.sample import ActuatorState
+from rtee.types import ActuatorSpec, Event, Reference
+
+_BESIDE = 0.05
+"""A device is this far at most beside the way from where it was to its reference, as a share of the
+range: overshoot, play, a push."""
+
+_EVERY = 0.005
+"""Measurements that follow each other faster are not judged [s]: on the way are all of them, and a
+tick of 1 ms is short."""
+
+_MOVED_BY_OTHERS = 0.5
+"""Positions beside the way count again after this time [s]: somebody has moved the device."""
+
+
+class Standstill:
+    """Judges the measurements that a stop would command.
+
+    A driver that stops its device by commanding the measured posture would make it jump if that
+    posture was invalid, implausible or frozen. Who calls the driver tells what was measured and
+    what was asked; the driver asks `instead` before it commands a measurement. The alternative, the
+    reference sent last, moves nothing that was not about to move; so this is stricter than what
+    `Plausibility` takes for possible.
+
+    Args:
+        actuators: The actuators of the device.
+    """
+
+    def __init__(self, actuators: Sequence[ActuatorSpec]) -> None:
+        self._actuators = actuators
+        spans = [a.upper - a.lower for a in actuators]
+        self._beside = [_BESIDE * span if math.isfinite(span) else _BESIDE for span in spans]
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget everything, since people or the device itself may have moved it meanwhile."""
+        n = len(self._actuators)
+        # The loop judges for itself, and reports what it finds.
+        self._plausibility = Plausibility(self._actuators, _silently)
+        self._asked = np.full(n, math.nan)
+        self._believed = [math.nan] * n
+        self._judged = -math.inf
+        self._strayed = [math.inf] * n
+
+    def measured(self, state: ActuatorState) -> None:
+        """Note what was measured."""
+        if not abs(state.stamp - self._judged) < _EVERY:
+            self._judged = state.stamp
+            self._judge(state.position.tolist(), state.stamp, state.fresh)
+
+    def asked(self, reference: Reference) -> None:
+        """Note what is asked of the device."""
+        np.copyto(self._asked, reference.position, where=reference.mask)
+
+    def instead(self, position: Sequence[float]) -> dict[int, float]:
+        """Return where to hold the actuators that must not hold the measured position.
+
+        By their indices, in radians or metres: at the reference sent last, or, if there was none,
+        where they rested. The measured position then serves all others.
+
+        Args:
+            position: The posture measured just now ``(n,)`` [rad | m].
+        """
+        now = monotonic.now()
+        self._judge(list(position), now, True)
+        found: dict[int, float] = {}
+        for i, here in enumerate(position):
+            asked, believed = float(self._asked[i]), self._believed[i]
+            if here == believed and self._plausibility.start(i, now, asked) is not None:
+                self._asked[i] = here
+                continue
+            held = believed if math.isnan(asked) else asked
+            if not math.isnan(held):
+                found[i] = held
+        return found
+
+    def _judge(self, position: list[float], stamp: float, fresh: bool) -> None:
+        n, wanted = len(position), self._asked.tolist()
+        # Until something is asked of an actuator, it is to be where it is.
+        reference = [here if w != w else w for here, w in zip(position, wanted, strict=True)]
+        self._plausibility.step(stamp, position, [fresh] * n, [True] * n, reference)
+        if position == self._believed:  # this test alone for a hand at rest
+            self._strayed = [math.inf] * n
+            return
+        for i, here in enumerate(position):
+            before, asked, beside = self._believed[i], wanted[i], self._beside[i]
+            # Written so that a comparison with NaN, for what is not known yet, decides nothing.
+            low = asked if asked < before else before
+            high = asked if asked > before else before
+            if here < low - beside or here > high + beside or here != here:
+                if stamp < self._strayed[i]:
+                    self._strayed[i] = stamp
+                elif stamp - self._strayed[i] >= _MOVED_BY_OTHERS and here == here:
+                    self._believed[i] = here
+            else:
+                self._believed[i], self._strayed[i] = here, math.inf
+
+
+def _silently(event: Event) -> None:
+    """Report nothing."""
