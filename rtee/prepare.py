@@ -15,7 +15,6 @@ from rtee.actions.types import Primitive
 from rtee.drivers.objects import between_fingers
 from rtee.drivers.plain_options import default_options
 from rtee.drivers.registry import find_driver
-from rtee.errors import ConfigError
 from rtee.hand.config import HandConfig, read_document
 from rtee.hand.load import hand_folder, load_configured
 from rtee.hand.model import Hand
@@ -165,29 +164,20 @@ def _with_options(
     """Return the devices with homing allowed, and with an object, if the options say so."""
     specs = tuple(device.spec for device in devices)
     if options.home:
-        specs = homing_allowed(hand, specs)
+        specs = homing_allowed(specs)
     if options.object_in_hand is not None:
         specs = between_fingers(hand, specs, options.object_in_hand)
     return tuple(replace(d, spec=spec) for d, spec in zip(devices, specs, strict=True))
 
 
-def homing_allowed(hand: str, specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
+def homing_allowed(specs: Sequence[DeviceSpec]) -> tuple[DeviceSpec, ...]:
     """Return the devices of a hand with homing allowed at their first activation.
 
-    A device that is homed already does not move; the others do.
-
-    Raises:
-        ConfigError: if none of them is ever homed.
+    A device that is homed already, or never needs it, does not move.
     """
-    allowed = tuple(
+    return tuple(
         replace(spec, options={**spec.options, "home": "on_connect"})
         if "home" in default_options(find_driver(spec.driver, source=spec.source).Options)
         else spec
         for spec in specs
     )
-    # `replace` makes a new object, so that the same object means "unchanged".
-    if all(spec is given for spec, given in zip(allowed, specs, strict=True)):
-        drivers = ", ".join(sorted({spec.driver for spec in specs}))
-        hint = "; give --driver devices, too" if drivers == "kinematic" else ""
-        raise ConfigError(f"no device of hand '{hand}' needs homing (driver {drivers}){hint}")
-    return allowed

@@ -216,7 +216,8 @@ def suitability(
     """Return a key that sorts actions by suitability for an object of a width, the best first.
 
     The criteria, in order: collision-free and in force closure; opens by the whole margin; force in
-    the direction of pressing, in coarse classes; tips meet the object squarely; few actuators.
+    the direction of pressing, in coarse classes; tips meet the object squarely; few actuators; a
+    pinch before the motion of one finger.
 
     Args:
         hand: The hand.
@@ -238,6 +239,7 @@ def suitability(
         -round(strength),
         round(angle / _SQUARE),
         len(opening.actuators),
+        -len(action.fingers),
     )
 
 

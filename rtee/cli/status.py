@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rtee.cli._common import ConnectOption, JsonOption, RunningOption
 from rtee.cli._online import to_json, with_hand
 from rtee.cli._table import Column, Row, Table, on_terminal
+from rtee.types import Lifecycle
 
 if TYPE_CHECKING:
     from rtee.commands import StreamStatus
@@ -44,6 +45,14 @@ def _show(hand_status: HandStatus) -> None:
     print(f"log:      {'; '.join(filter(None, recording)) or 'off'}")
     print(f"profile:  {hand_status.profile}\n")
     _show_devices(hand_status.devices)
+    idle = [
+        device.name for device in hand_status.devices if device.lifecycle is not Lifecycle.ACTIVE
+    ]
+    if idle:
+        print(
+            f"\nnot active: {', '.join(idle)}; bring them back with: "
+            f"rtee recover --hand {hand_status.hand}"
+        )
 
 
 def _show_devices(devices: Sequence[DeviceStatus]) -> None:

@@ -157,7 +157,11 @@ class Devices:
 
     def movable(self) -> frozenset[int]:
         """Return the actuators that may be moved."""
-        active = (device for device in self._all if self._active[device.name])
+        active = (
+            device
+            for device in self._all
+            if self._active[device.name] and "position" in device.guarded.capabilities.accepts
+        )
         return frozenset().union(*(device.indices for device in active))
 
     def check_movable(self, indices: Iterable[int], movable: Collection[int] | None = None) -> None:
@@ -170,6 +174,9 @@ class Devices:
         idle = [self._hand.actuators[i].name for i in sorted(indices) if i not in movable]
         if not idle:
             return
+        for device in self._all:
+            if (why := device.guarded.capabilities.refuses.get("position")) is not None:
+                raise GoalRejected(f"'{device.name}' takes no set-points: {why}")
         doing = [f"; {d.name} is {d.guarded.doing}" for d in self._all if d.guarded.doing]
         hint = "".join(doing) or "; see `rtee status`, then recover"
         raise GoalRejected(f"the device of {', '.join(idle)} is not active{hint}")

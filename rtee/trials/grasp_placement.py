@@ -10,8 +10,7 @@ import numpy as np
 
 from rtee.actions.types import Action
 from rtee.actions.types import Primitive as PrimitiveAction
-from rtee.drivers.mujoco.pairs import LINK
-from rtee.drivers.mujoco.scene import approach
+from rtee.drivers.mujoco.scene import approach, tip_geoms, tip_middles
 from rtee.drivers.mujoco.simulation import Simulation
 from rtee.hand.model import Hand
 from rtee.planning.closing import ActionWay
@@ -94,9 +93,7 @@ class Places:
         self._model = simulation.model
         self._data = mujoco.MjData(self._model)
         self._goal = ActionWay.of(hand, action).end
-        tips = [hand.finger(name).tip_links for name in fingers_of(hand, action)]
-        bodies = [[self._model.body(LINK + link).id for link in tip] for tip in tips if tip]
-        self._geoms = [np.flatnonzero(np.isin(self._model.geom_bodyid, tip)) for tip in bodies]
+        self._geoms = tip_geoms(self._model, hand, fingers_of(hand, action))
         self._shift = self._contact_point(action)
 
     def find(self, most: int) -> list[Place]:
@@ -211,11 +208,9 @@ class Places:
         # Positions are all that is needed; finding contacts would cost far more.
         mujoco.mj_kinematics(self._model, self._data)
         inverse: FloatArray = np.asarray(np.linalg.inv(self._base()), dtype=np.float64)
-        middles = []
-        for geoms in self._geoms:
-            weight = self._model.geom_rbound[geoms] ** 3  # about the volume
-            middles.append(weight @ self._data.geom_xpos[geoms] / weight.sum())
-        points = np.array(middles) if middles else np.zeros((1, 3))
+        points = tip_middles(self._model, self._data, self._geoms)
+        if not len(points):
+            points = np.zeros((1, 3))
         found: FloatArray = points @ inverse[:3, :3].T + inverse[:3, 3]
         return found
 

@@ -10,7 +10,7 @@ import pytest
 from rtee.buses.pool import BusPool
 from rtee.drivers.connection import owner_of
 from rtee.drivers.registry import find_driver
-from rtee.errors import ConfigError, DeviceFault
+from rtee.errors import DeviceFault
 from rtee.hand.load import hand_folder
 from rtee.prepare import homing_allowed
 from rtee.run import RunOptions, prepare
@@ -53,15 +53,19 @@ async def test_a_hand_is_homed_when_the_user_says_so(tmp_path: Path, home: bool)
         await driver.close()
 
 
-def test_hands_that_are_never_homed_are_named() -> None:
-    with pytest.raises(ConfigError, match="no device of hand 'qb_softhand' needs homing"):
-        prepare("qb_softhand", RunOptions(driver="devices", emulated=True, home=True))
-    with pytest.raises(ConfigError, match="give --driver devices, too"):
-        prepare("schunk_svh", RunOptions(driver="kinematic", home=True))
+@pytest.mark.parametrize(
+    ("name", "driver"), [("qb_softhand", "devices"), ("schunk_svh", "kinematic")]
+)
+def test_hands_that_are_never_homed_may_be_told_to(name: str, driver: str) -> None:
+    plain, homed = (
+        prepare(name, RunOptions(driver=driver, emulated=driver == "devices", home=home))
+        for home in (False, True)
+    )
+    assert [d.spec for d in homed.devices] == [d.spec for d in plain.devices]
 
 
 def test_other_devices_keep_their_options(tmp_path: Path) -> None:
     homing, still = svh(tmp_path, home=False), DeviceSpec("q", "h", "qb_softhand", ())
-    found = homing_allowed("h", [homing, still])
+    found = homing_allowed([homing, still])
     assert found[0].options == {**homing.options, "home": "on_connect"}
     assert found[1] is still

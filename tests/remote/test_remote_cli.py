@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rtee.actions.library import ActionLibrary
+from rtee.capabilities import Capabilities
 from rtee.cli import _common
 from rtee.cli._common import app_of
 from rtee.cli.define import compose
@@ -25,6 +26,7 @@ from rtee.cli.status import status
 from rtee.cli.stop import recover, stop
 from rtee.errors import ConfigError, GoalRejected, NoHand, RequestRejected
 from rtee.hand.model import Hand
+from rtee.types import Lifecycle
 
 from .serving import Served, Told, announced, make_hand, make_library, serving
 
@@ -125,6 +127,24 @@ def test_status(served: Served) -> None:
     assert "log:      not written: No space left on device\n" in run(status)
     found = json.loads(run(status, "--json"))
     assert found["devices"][0]["lifecycle"] == "active"
+    assert "not active" not in shown
+
+
+def test_what_is_not_active_is_brought_back_by_the_line_said(served: Served) -> None:
+    [device] = served.loop.devices.values()
+    device.connection.lifecycle = Lifecycle.INACTIVE
+    assert run(status).endswith(
+        "\nnot active: sim; bring them back with: rtee recover --hand small\n"
+    )
+
+
+def test_what_takes_no_set_points_says_why(served: Served) -> None:
+    [device] = served.loop.devices.values()
+    device.driver.capabilities = Capabilities(
+        accepts=frozenset(), refuses={"position": "it plays x.mcap"}
+    )
+    with pytest.raises(RequestRejected, match="'sim' takes no set-points: it plays"):
+        run(do, "fist")
 
 
 def test_no_hand_runs() -> None:

@@ -15,7 +15,7 @@ from rtee.actions.library import ActionLibrary
 from rtee.buses.pool import BusPool
 from rtee.drivers.kinematic.driver import KinematicDriver
 from rtee.drivers.mujoco.options import SimOptions
-from rtee.drivers.mujoco.scene import make_simulation
+from rtee.drivers.mujoco.scene import Closing, make_simulation
 from rtee.errors import UnknownAction
 from rtee.hand.catalog import hand_names
 from rtee.hand.load import hand_folder, load_configured
@@ -158,3 +158,22 @@ def test_a_recording_at_simulated_time_can_be_computed_anew(tmp_path: Path) -> N
     assert found.same, found
     assert (found.goals, found.missing) == (4, 0)
     assert found.ticks == again.ticks
+
+
+@pytest.mark.parametrize(("name", "width"), [("onrobot_rg2", 30), ("robotiq_2f_85", 50)])
+def test_an_object_stands_where_the_gripper_closes_on_it(name: str, width: int) -> None:
+    """What is measured is what is held: links beside the fingertips' pads don't meet it first."""
+    hand, config = load_configured(name)
+    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
+    settings = loop_settings(config, rate=500.0)
+    options = SimOptions(object=f"box:{width}e-3x{width}e-3x0.05")
+    closing = Closing.of(hand, library)
+    simulation = make_simulation(
+        hand, options, hand.actuator_names, settings.period, closing=closing
+    )
+    headless = HeadlessHand(hand, library, settings, simulation)
+    result = headless.do(
+        Goal("PinchTight", ("finger_1", "finger_2"), opening=width / 1e3, force=20.0, grasp=True)
+    )
+    assert (result.grasped, result.within) == (True, True)
+    assert result.opening == pytest.approx(width / 1e3, abs=1e-3)

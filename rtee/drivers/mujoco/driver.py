@@ -15,6 +15,7 @@ import anyio
 import anyio.to_thread
 
 from rtee import monotonic
+from rtee.actions.library import ActionLibrary
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.mujoco.options import SimOptions
@@ -26,7 +27,7 @@ from rtee.errors import (
     SimulationUnstable,
     needing_extra,
 )
-from rtee.hand.load import load_hand
+from rtee.hand.load import hand_folder, load_hand
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading
 from rtee.types import DeviceSpec, Reference
@@ -104,17 +105,21 @@ class MujocoDriver(Driver):
     async def configure(self) -> None:
         """Build the model; takes a moment, so it does not run in the loop's thread."""
         with needing_extra("the driver 'mujoco'", "sim"):
-            from rtee.drivers.mujoco.scene import make_simulation
-        hand = await anyio.to_thread.run_sync(load_hand, self.spec.folder or self.spec.hand)
-        period = (self.spec.every or 1) / self.spec.rate
-        names = [actuator.name for actuator in self.spec.actuators]
-        self._simulation = await anyio.to_thread.run_sync(
-            make_simulation, hand, self._options, names, period
-        )
+            self._simulation = await anyio.to_thread.run_sync(self._made)
         self.object_description = self._simulation.object_description
         self.capabilities = replace(self.capabilities, touch=self._simulation.taxels.sensors)
         for note in self._simulation.notes:
             log.info("%s: %s", self.spec.name, note)
+
+    def _made(self) -> Simulation:
+        from rtee.drivers.mujoco.scene import Closing, make_simulation
+
+        folder, _ = hand_folder(self.spec.folder or self.spec.hand)
+        hand = load_hand(folder)
+        closing = Closing.of(hand, ActionLibrary.load(hand, folder / "actions"))
+        period = (self.spec.every or 1) / self.spec.rate
+        names = [actuator.name for actuator in self.spec.actuators]
+        return make_simulation(hand, self._options, names, period, closing=closing)
 
     async def activate(self) -> None:
         """Power the actuators where they are."""

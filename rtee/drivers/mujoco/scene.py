@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from rtee.actions.types import Action, Primitive
 from rtee.drivers.mujoco.contacts import TABLE_FRICTION, make_hard
 from rtee.drivers.mujoco.model import CARRIER, Built, build, compiled, copied, set_tiny
 from rtee.drivers.mujoco.objects import MESHES, OBJECT, add_object
@@ -40,6 +43,31 @@ _OUT_STEP = 0.002
 
 _CLOSURES = 26
 """Postures of a closing gripper in it: its tips go some 2 mm from one to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """How a gripper closes on what is between its two tips.
+
+    Attributes:
+        end: Actuator positions with the tips on each other ``(n,)`` [rad | m].
+        point: Where the tips meet then ``(3,)`` [m], in the base frame; ``None``: not known.
+    """
+
+    end: FloatArray
+    point: FloatArray | None = None
+
+    @classmethod
+    def of(cls, hand: Hand, actions: Iterable[Action]) -> Closing | None:
+        """Return that of the first pinch of a hand with two fingers; ``None`` without one."""
+        if len(hand.fingers) != 2:
+            return None
+        for action in actions:
+            if isinstance(action, Primitive) and action.kind.pinch:
+                end = np.array([action.postures[0].position[n] for n in hand.actuator_names])
+                point = action.evidence[0].point if action.evidence else None
+                return cls(end, None if point is None else np.array(point))
+        return None
 
 
 def build_hand(hand: Hand, options: SimOptions) -> Built:
@@ -171,13 +199,36 @@ def add_container(spec: mujoco.MjSpec, height: float, middle: tuple[float, float
         make_hard(geom, TABLE_FRICTION)
 
 
-def _clear_of_palm(
-    hand: Hand, spec: mujoco.MjSpec, shape: ObjectShape, place: FloatArray, mount: FloatArray
-) -> FloatArray:
-    """Return a place moved out of a hand until only fingertips are in the way.
+def tip_geoms(model: mujoco.MjModel, hand: Hand, fingers: Iterable[str]) -> list[NDArray[np.intp]]:
+    """Return the indices of the geoms of each of the fingertips that have a link."""
+    links = [hand.finger(name).tip_links for name in fingers]
+    bodies = [[model.body(LINK + link).id for link in tip] for tip in links if tip]
+    return [np.flatnonzero(np.isin(model.geom_bodyid, tip)) for tip in bodies]
 
-    A gripper's two tips meet the object before other links do; more fingers may wrap around it,
-    and only have to be free of it at rest.
+
+def tip_middles(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[NDArray[np.intp]]
+) -> FloatArray:
+    """Return the middles ``(k, 3)`` [m] of the fingertips' geometry in the world."""
+    middles = []
+    for each in geoms:
+        weight = model.geom_rbound[each] ** 3  # about the volume
+        middles.append(weight @ data.geom_xpos[each] / weight.sum())
+    return np.array(middles).reshape(-1, 3)
+
+
+def _place_in_hand(
+    hand: Hand,
+    spec: mujoco.MjSpec,
+    shape: ObjectShape,
+    place: FloatArray,
+    mount: FloatArray,
+    closing: Closing | None,
+) -> FloatArray:
+    """Return the place where a hand closes on an object.
+
+    A gripper closes with its two tips, so the object is between them where they fit it. More
+    fingers may wrap around it: it is moved out of the hand until it is free of it at rest.
 
     Args:
         hand: The hand.
@@ -185,9 +236,10 @@ def _clear_of_palm(
         shape: The object.
         place: The pose ``(4, 4)`` of the object in the hand's base frame.
         mount: The pose ``(4, 4)`` of that frame in the world.
+        closing: How a gripper closes.
 
     Returns:
-        The first such place along the hand's reach, or the same where there is none near.
+        The place; the given one where there is no such place near.
 
     Raises:
         ConfigError: if the object's mesh cannot be used.
@@ -198,22 +250,35 @@ def _clear_of_palm(
     data = mujoco.MjData(model)
     start = model.joint(OBJECT).qposadr[0]
     origin, way = model.qpos0[start : start + 3].copy(), approach(hand)
-    shares = np.linspace(0.0, 1.0, _CLOSURES).tolist() if len(hand.fingers) == 2 else [0.0]
-    postures = [
-        rest_position(model, hand, from_rest(hand.rest, closed(hand), share)) for share in shares
-    ]
-    free = {f"{LINK}{tip}" for tip in hand.tip_links}
-    for out in np.arange(0.0, _FARTHEST_OUT, _OUT_STEP).tolist():
+    open_hand = rest_position(model, hand)
+    moved = place.copy()
+
+    def is_clear(posture: FloatArray, position: FloatArray) -> bool:
+        data.qpos[:] = posture
+        data.qpos[start : start + 3] = position
+        return not _links_inside(model, data)
+
+    if closing is not None:
+        geoms = tip_geoms(model, hand, [finger.name for finger in hand.fingers])
+        middles = []
+        shares = np.linspace(1.0, 0.0, _CLOSURES).tolist()
+        postures = [
+            rest_position(model, hand, from_rest(hand.rest, closing.end, share)) for share in shares
+        ]
         for posture in postures:
             data.qpos[:] = posture
-            data.qpos[start : start + 3] = origin + out * (mount[:3, :3] @ way)
-            met = _links_inside(model, data)
-            # One posture in which other links are in the way is enough.
-            if met:
-                break
-        # Found in all postures: only fingertips, or nothing, are in the object.
-        if met <= free:
-            moved = place.copy()
+            mujoco.mj_kinematics(model, data)
+            middles.append(tip_middles(model, data, geoms).mean(axis=0))
+        if closing.point is not None:
+            meeting = mount[:3, :3] @ closing.point + mount[:3, 3]
+            middles = [middle + meeting - middles[0] for middle in middles]
+        # From closed to open: the first place that is clear is the tightest.
+        for posture, middle in zip(postures, middles, strict=True):
+            if is_clear(posture, middle) and is_clear(open_hand, middle):
+                moved[:3, 3] = mount[:3, :3].T @ (middle - mount[:3, 3])
+                return moved
+    for out in np.arange(0.0, _FARTHEST_OUT, _OUT_STEP).tolist():
+        if is_clear(open_hand, origin + out * (mount[:3, :3] @ way)):
             moved[:3, 3] += out * way
             return moved
     return place
@@ -263,6 +328,7 @@ def make_simulation(
     mount: FloatArray | None = None,
     container: tuple[float, float] | None = None,
     built: Built | None = None,
+    closing: Closing | None = None,
 ) -> Simulation:
     """Build, compile and start the simulation that the options describe.
 
@@ -278,6 +344,7 @@ def make_simulation(
             no container.
         built: The hand's model, as `build_hand` makes it of options that differ from these in
             object and friction at most; by default it is built here.
+        closing: How a gripper closes: where its object is put by default.
 
     Raises:
         ModelError: if the hand cannot be simulated.
@@ -295,7 +362,7 @@ def make_simulation(
             inside = np.eye(4)
             inside[:3, 3] = grasp_centre(hand)
             inside[:3, :3] = pose[:3, :3].T  # upright in the world
-            place = _clear_of_palm(hand, built.spec, shape, inside, pose)
+            place = _place_in_hand(hand, built.spec, shape, inside, pose, closing)
         pose = pose @ place
         add_object(built.spec, shape, mass=options.object_mass, pose=pose)
         if options.support == "table":

@@ -74,6 +74,8 @@ class ReplayDriver(Driver):
         self._touch: TouchReading | None = None
         self.capabilities = Capabilities(
             measures=frozenset(MEASURED),
+            accepts=frozenset(),
+            refuses={"position": f"it plays {self._options.file.name}"},
             identity={"model": "replay", "file": self._options.file.name},
         )
 
