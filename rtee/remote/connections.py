@@ -19,8 +19,7 @@ from typing import Any
 
 import zenoh
 
-MOST_OF_USER = 100
-"""Most connections of one user of this computer, less than a hand accepts in all."""
+from rtee.remote.rates import CONNECTIONS_OF_USER
 
 _TOGETHER = 0.25
 """Time between a new connection and a look at all [s]."""
@@ -120,7 +119,9 @@ class Connections:
             if link.family == socket.AF_UNIX and link.getsockname() == self._path:
                 held.setdefault(_user(link), []).append(_inode(link))
         # The newest ones: the kernel numbers sockets in the order in which they are made.
-        surplus = {inode for links in held.values() for inode in sorted(links)[MOST_OF_USER:]}
+        surplus = {
+            inode for links in held.values() for inode in sorted(links)[CONNECTIONS_OF_USER:]
+        }
         for link, _ in _connected() if surplus else ():
             if _inode(link) in surplus:
                 link.shutdown(socket.SHUT_RDWR)

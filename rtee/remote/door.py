@@ -30,12 +30,10 @@ from typing import Any
 from rtee import child, monotonic
 from rtee.errors import ConfigError
 from rtee.remote.connections import raise_file_limit
+from rtee.remote.rates import CONNECTIONS_OF_CERTIFICATE
 from rtee.remote.session import host_of, local_endpoint, open_listening
 
 log = logging.getLogger(__name__)
-
-_MOST_OF_ONE = 32
-"""Most connections of one certificate: far more than one person's programs have."""
 
 _MOST_SILENT = 256
 """Most connections that have not shown a certificate yet; beyond it the oldest are closed. Who has
@@ -261,7 +259,7 @@ class _Doorkeeper:
                 certificate = transport.get_extra_info("peercert")
                 name = _common_name(certificate)
                 passing = self._passing.setdefault(name, set())
-                if name in self._people and len(passing) < _MOST_OF_ONE:
+                if name in self._people and len(passing) < CONNECTIONS_OF_CERTIFICATE:
                     passing.add(task)
                     valid = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
                     async with asyncio.timeout(valid):

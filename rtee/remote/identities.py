@@ -20,10 +20,7 @@ from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import Check, IncomingRequest, accepted
-from rtee.remote.rates import REFUSALS, Ignored, Rates
-
-_MOST_CLIENTS = 64
-"""Most clients on one access path, such as with one certificate: far more than work together."""
+from rtee.remote.rates import CLIENTS_OF_WAY, REFUSALS, TOGETHER, Ignored, Rates
 
 _MOST_WAITING = 256
 """Most tokens that wait for their hello, hellos that wait for their token, and clients that may
@@ -92,7 +89,7 @@ class Identities:
         self._lock = threading.Lock()
         # One allowance for all: a stranger could change its name and so get a new one.
         self._strangers = Rates()
-        self._greeters: dict[str, Rates] = {}
+        self._ways: dict[str, Rates] = {}
         self._there: dict[str, Client] = {}
         self._by_token: dict[str, Client] = {}
         self._gone: OrderedDict[str, Client] = OrderedDict()
@@ -130,8 +127,8 @@ class Identities:
         with self._lock:
             if name in self._there or token in self._by_token:
                 raise RequestRejected(f"there is a client '{name}' already")
-            if sum(client.way == way for client in self._there.values()) >= _MOST_CLIENTS:
-                raise RequestRejected(f"there are {_MOST_CLIENTS} clients of this kind already")
+            if sum(client.way == way for client in self._there.values()) >= CLIENTS_OF_WAY:
+                raise RequestRejected(f"there are {CLIENTS_OF_WAY} clients of this kind already")
             client = Client(name, admitted.role, way, token)
             if token in self._tokens:
                 del self._tokens[token]
@@ -219,26 +216,36 @@ class Identities:
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
                 f" the role {admitted.role.name.lower()}"
             )
-        if not rates.allow(request.name):
+        together = self._together(client.way)
+        if not (rates.allow(request.name) and together.allow(request.name)):
             rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
-        if request.group == ASK and not rates.has_bytes():
+        if request.group == ASK and not (rates.has_bytes() and together.has_bytes()):
             rates.refuse("too many long answers in a short time", TooManyRequests)
         return client.name
+
+    def _together(self, way: str) -> Rates:
+        """Return what limits all clients on an access path together.
+
+        A flood on one path keeps nobody out on another.
+        """
+        rates = self._ways.get(way)
+        if rates is None:
+            with self._lock:
+                rates = self._ways.setdefault(way, Rates(times=TOGETHER))
+        return rates
 
     def charge(self, name: str, size: int) -> None:
         """Count the bytes of an answer to a client's question."""
         if (client := self._there.get(name)) is not None:
             client.rates.charge(size)
+            self._together(client.way).charge(size)
 
     def welcome(self, way: str) -> Check:
         """Return the check of a client that says hello on an access path; its name is empty."""
 
         def check(request: Request, attachment: bytes | None, question: bytes) -> str:
-            # Each path has an allowance of its own: a flood on one keeps nobody out on another.
             known = way if self._admitted(way) is not None else ""
-            with self._lock:
-                rates = self._greeters.setdefault(known, Rates())
-            if not rates.allow(request.name):
+            if not self._together(known).allow(request.name):
                 raise Ignored
             return ""
 

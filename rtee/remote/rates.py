@@ -1,4 +1,4 @@
-"""Rate limits of a client: requests of each kind, bytes of answers, and refusals."""
+"""What one client, certificate or user may use: connections, clients, requests and answers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,19 @@ from typing import NoReturn
 
 from rtee import monotonic
 from rtee.errors import RequestRejected
+
+CONNECTIONS_OF_CERTIFICATE = 32
+"""Most connections of one certificate: far more than one person's programs have."""
+
+CONNECTIONS_OF_USER = 100
+"""Most connections of one user of this computer, less than a hand accepts in all."""
+
+CLIENTS_OF_WAY = 64
+"""Most clients on one access path, such as with one certificate: far more than work together."""
+
+TOGETHER = 8.0
+"""What all clients on one access path may use together, in multiples of what one may: as much as
+eight programs that are busy all the time. Else one person's share would grow with each client."""
 
 _BURST = 0.5
 """Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""
@@ -22,6 +35,7 @@ _USUAL = 100.0
 """Default rate of requests of a kind [1/s]: several times that of programs that poll."""
 
 _RATES = {
+    "hello": _USUAL / TOGETHER,  # counted for an access path alone
     "jog": 200.0,  # a dragged slider sends sixty
     "sample": 4000.0,  # `StreamIntake` limits samples by the rate of their stream
     "info": 20.0,  # some milliseconds of work for every new posture
@@ -56,12 +70,15 @@ class Ignored(Exception):
 
 
 class Rates:
-    """Limits the requests of one client: a token bucket for each kind, by the clock ``now`` [s]."""
+    """Limits the requests of one client: a token bucket for each kind, by the clock ``now`` [s].
 
-    __slots__ = ("_left", "_now")
+    ``times`` multiplies all limits, for several clients together.
+    """
 
-    def __init__(self, now: Callable[[], float] = monotonic.asked) -> None:
-        self._now = now
+    __slots__ = ("_left", "_now", "_times")
+
+    def __init__(self, now: Callable[[], float] = monotonic.asked, times: float = 1.0) -> None:
+        self._now, self._times = now, times
         self._left: dict[str, tuple[float, float]] = {}
 
     def allow(self, name: str) -> bool:
@@ -83,14 +100,15 @@ class Rates:
         return self._bytes_left() > 0.0
 
     def _requests_left(self, name: str) -> float:
-        rate, now = _RATES.get(name, _USUAL), self._now()
+        rate, now = self._times * _RATES.get(name, _USUAL), self._now()
         left, then = self._left.get(name, (_BURST * rate, now))
         return min(left + (now - then) * rate, _BURST * rate)
 
     def _bytes_left(self) -> float:
         now = self._now()
-        left, then = self._left.get(_BYTES, (_BURST_BYTES, now))
-        return min(left + (now - then) * _MOST_BYTES, _BURST_BYTES)
+        rate, most = self._times * _MOST_BYTES, self._times * _BURST_BYTES
+        left, then = self._left.get(_BYTES, (most, now))
+        return min(left + (now - then) * rate, most)
 
     def refuse(self, reason: str, kind: type[RequestRejected] = RequestRejected) -> NoReturn:
         """Raise an error with a reason, or `Ignored` after too many refusals."""

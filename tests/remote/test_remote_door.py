@@ -44,7 +44,7 @@ async def test_each_certificate_has_so_many_connections(
         context = credentials_context(people)
         with ExitStack() as stack:
             links = []
-            for _ in range(door._MOST_OF_ONE + 8):
+            for _ in range(door.CONNECTIONS_OF_CERTIFICATE + 8):
                 link = socket.create_connection(("127.0.0.1", host_of(endpoint)[1]))
                 links.append(stack.enter_context(context.wrap_socket(link)))
             await until(lambda: sum(map(is_closed, links)) == 8)
@@ -186,7 +186,7 @@ def children() -> list[int]:
 
 
 def test_each_user_has_so_many_connections(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connections, "MOST_OF_USER", 3)
+    monkeypatch.setattr(connections, "CONNECTIONS_OF_USER", 3)
     path = tmp_path / "x.sock"
     session, endpoint = open_server(path)
     judged = connections.Connections(session, str(path))

@@ -20,10 +20,10 @@ from rtee.errors import RequestRejected, TooManyRequests
 from rtee.hand.model import Hand
 from rtee.loop.settings import LoopSettings
 from rtee.messages.identity import Signer, claim_of
-from rtee.messages.requests import HERE, REQUESTS, inbox_key
+from rtee.messages.requests import HERE, REQUESTS, Role, inbox_key
 from rtee.remote import command_handlers, query_handlers, rates, server
 from rtee.remote.call_queue import DelayQueue
-from rtee.remote.identities import _MOST_WAITING, Identities
+from rtee.remote.identities import _MOST_WAITING, Admitted, Identities
 from rtee.remote.inboxes import _Inbox
 from rtee.remote.incoming_request import IncomingRequest
 from rtee.remote.publishing import MOST_STREAMS
@@ -227,15 +227,17 @@ async def test_who_has_had_long_answers_waits_for_more_and_others_do_not(
         serving(hand, library),
         rtee.connect("small", client="flood") as flood,
         rtee.connect("small") as other,
+        rtee.connect("small") as third,
     ):
-        monkeypatch.setattr(rates, "_BURST_BYTES", 10.0)
-        monkeypatch.setattr(rates, "_MOST_BYTES", 1e-6)
         question = REQUESTS["actions"].question.encode({"kind": "", "name": "", "elements": ()})
+        length = len(await other._link.send("actions", question))
+        monkeypatch.setattr(rates, "_BURST_BYTES", length / 2.0)
+        monkeypatch.setattr(rates, "_MOST_BYTES", 1e-6)
         assert await flood._link.send("actions", question)
         with pytest.raises(TooManyRequests, match="too many long answers"):
             await flood._link.send("actions", question)
         assert (await flood.do("Trig", "index", intensity=0.1)).reached
-        assert await other._link.send("actions", question)
+        assert await third._link.send("actions", question)
 
 
 def test_delayed_calls() -> None:
@@ -474,6 +476,54 @@ def test_clients_that_vanish_are_forgotten() -> None:
         assert "busy" not in identities
     assert len(identities._gone) <= _MOST_WAITING
     assert all(answers)
+
+
+class Asking:
+    """A client of a certificate, without a network."""
+
+    def __init__(self, identities: Identities, way: str, number: int) -> None:
+        self._identities, self.name = identities, f"{way}.{number}"
+        answers: list[bytes] = []
+        token = f"{way}{number}".encode().hex().zfill(32)
+        request = REQUESTS["hello"]
+        question = request.question.encode({"client": self.name, "what": token})
+        identities.came(token)
+        asked = IncomingRequest(request, question, lambda data, _: answers.append(data), "")
+        identities.hello(asked, way)
+        self._signer = Signer(self.name)
+        secret = request.answer.decode(answers[0])["text"].split()[0]
+        self._signer.secret = bytes.fromhex(secret)
+
+    def asks(self, kind: str = "status") -> bool:
+        """Return whether it may ask once more."""
+        proof = self._signer.attachment(self._signer.number(), kind, b"").encode()
+        try:
+            return self._identities.check(REQUESTS[kind], proof, b"") == self.name
+        except (TooManyRequests, Ignored):
+            return False
+
+
+def test_more_clients_give_a_certificate_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each client within its own limits: sixty times what one may, before those of others."""
+    now = 1000.0
+    monkeypatch.setattr(Rates.__init__, "__defaults__", (lambda: now, 1.0))
+    identities = Identities(lambda way: Admitted(Role.MAINTAINER, f"{way}."))
+    ann = [Asking(identities, "ann", number) for number in range(40)]
+    ben = Asking(identities, "ben", 0)
+
+    def flood() -> int:
+        return sum(client.asks() for client in ann for _ in range(60))
+
+    once = flood()
+    assert once == rates.TOGETHER * 50  # half of what comes in a second at once
+    assert ben.asks()
+    assert sum(ben.asks() for _ in range(60)) == 49, "what it may alone"
+    now += 1.0
+    assert flood() == once
+    now += 1.0
+    identities.charge(ann[0].name, int(rates.TOGETHER * 2.1e6))
+    assert not ann[1].asks(), "an answer of its person's other client was long"
+    assert ben.asks()
 
 
 def test_who_was_interrupted_comes_back_with_its_token() -> None:

@@ -122,7 +122,7 @@ async def test_a_flood_of_stops_keeps_no_stop_away(hand: Hand, library: ActionLi
 async def test_64_clients_of_one_way_keep_no_stop_away(
     hand: Hand, library: ActionLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identities, "_MOST_CLIENTS", 2)
+    monkeypatch.setattr(identities, "CLIENTS_OF_WAY", 2)
     async with serving(hand, library), rtee.connect("small") as one, rtee.connect("small"):
         with pytest.raises(RequestRejected, match="clients of this kind"):
             async with rtee.connect("small"):
