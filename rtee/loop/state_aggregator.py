@@ -56,6 +56,7 @@ class StateAggregator:
         self._where = dict(zip((d.name for d in devices), self._indices, strict=True))
         self._whole = len(devices) == 1 and tuple(devices[0].indices) == tuple(range(n))
         self._seen = [0] * len(devices)
+        self._stamps = [math.nan] * len(devices)
         self._fresh: dict[int, tuple[BoolArray, list[bool]]] = {}
         self._extras: dict[str, Mapping[str, FloatArray]] = {}
         self.sample = Measurements(*(unmeasured,) * len(MEASURED))
@@ -88,8 +89,10 @@ class StateAggregator:
             state = link.state
             if state is not None and link.states != self._seen[k]:
                 self._seen[k] = link.states
-                # One bit for each device, so that the flags of each combination are made once.
-                new |= state.fresh << k
+                # One bit for each device, so that the flags of each combination are made once. A
+                # driver that returns a measurement again may not say so.
+                new |= (state.fresh and state.stamp != self._stamps[k]) << k
+                self._stamps[k] = state.stamp
                 self._merge(k, state)
         for name in self._touch.outdate(stamp):
             if name in self._by_taxels:

@@ -31,6 +31,7 @@ MEASUREMENTS: dict[str, Callable[[ActuatorState, ActuatorState], ActuatorState]]
     "frozen": lambda now, then: replace(now, position=then.position),
     "frozen at zero": lambda now, _: replace(now, position=np.zeros_like(now.position)),
     "old": lambda now, then: replace(then, fresh=False, stamp=now.stamp),
+    "repeated": lambda _, then: then,
     "random": lambda now, _: replace(
         now, position=np.array([random.Random(now.stamp).uniform(0.0, 1.5) for _ in now.position])
     ),
@@ -153,7 +154,7 @@ async def test_an_unmeasured_device_gets_no_reference_until_it_is_measured(
         assert driver.sent[0].position == pytest.approx(upper)
 
 
-@pytest.mark.parametrize("how", ["invalid", "one invalid", "old"])
+@pytest.mark.parametrize("how", ["invalid", "one invalid", "old", "repeated"])
 async def test_a_record_says_fresh_of_what_was_measured_only(hand: Hand, how: str) -> None:
     one = device(hand, rate=RATE)
     driver = Wrong(one.spec, BusPool())

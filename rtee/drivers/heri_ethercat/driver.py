@@ -110,7 +110,9 @@ class HeriEthercatDriver(Driver):
         self._references = [0.0] * (self._boards * MOTORS)
         self._limits = [math.inf] * (self._boards * MOTORS)
         self._replies: list[Reply] = []
-        self._stamp = 0.0
+        self._echoes: list[int] = []
+        self._echoing: set[int] = set()
+        self._stamp = self._returned = 0.0
         self._fresh = False
         self._powered = False
         self._acknowledge = 0
@@ -140,6 +142,7 @@ class HeriEthercatDriver(Driver):
             lambda bus: bus,
         )
         _identify(bus, self._boards, options, self.spec.name)
+        self._echoes, self._echoing = [], set()
         self.capabilities = replace(
             self.capabilities,
             identity={
@@ -191,8 +194,23 @@ class HeriEthercatDriver(Driver):
             self._replies = [Reply.from_bytes(data) for data in inputs[: self._boards]]
         except HeriFrameError as error:
             raise FrameError(self.connection.link.name, str(error), b"".join(inputs)) from error
-        self._stamp = monotonic.now()
+        if self._are_new():
+            self._stamp = monotonic.now()
         self._fresh = True
+
+    def _are_new(self) -> bool:
+        """Return whether all boards have measured anew.
+
+        A board returns the stamp of the command that it has read last. If its program hangs, its
+        EtherCAT controller goes on to send the process data as they were.
+        """
+        before, self._echoes = self._echoes, [reply.round_trip for reply in self._replies]
+        if not before:
+            return True
+        changed = {b for b, echo in enumerate(self._echoes) if echo != before[b]}
+        # A firmware may return none.
+        self._echoing |= changed
+        return self._echoing <= changed
 
     def _torque(self, board: int) -> float:
         """Return a board's torque reference [N·m]: the smaller limit of its motors; 0: none."""
@@ -302,7 +320,8 @@ class HeriEthercatDriver(Driver):
         pressure = np.array(
             [r.pressures[s] for r, s in zip(replies, sides, strict=True)], dtype=np.float64
         ).reshape(len(self._motors) * PHALANXES)
-        return ActuatorState.measured(
+        fresh, self._returned = self._stamp != self._returned, self._stamp
+        state = ActuatorState.measured(
             [r.positions[s] for r, s in zip(replies, sides, strict=True)],
             self._stamp,
             velocity=[r.velocities[s] for r, s in zip(replies, sides, strict=True)],
@@ -315,6 +334,7 @@ class HeriEthercatDriver(Driver):
                 if Fault(reply.fault & codec.ACKNOWLEDGE) & WARNINGS
             ),
         )
+        return state if fresh else replace(state, fresh=False)
 
     async def move(self, reference: Reference) -> None:
         """Exchange process data with the new references."""

@@ -88,6 +88,7 @@ class _Board:
         self.acknowledgement = b"\x00\x00"
         self.beat = 0
         self.stamp = 0
+        self.sent = b""
 
     def obey(self, code: int) -> bool:
         if code == Order.POWER_ON:
@@ -121,7 +122,7 @@ class HeriEmulator(Emulator, Grasps):
         timeout: Process data watchdog [s]; 0: off.
     """
 
-    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot"}
+    FAULTS: ClassVar[frozenset[str]] = Emulator.FAULTS | {"hardware", "encoder", "hot", "hung"}
 
     def __init__(self, properties: BoardProperties | None = None) -> None:
         super().__init__()
@@ -205,8 +206,10 @@ class HeriEmulator(Emulator, Grasps):
             return None
         inputs = []
         for board, data in zip(self.boards, outputs, strict=True):
-            self._take(board, data, now)
-            inputs.append(self._reply(board).to_bytes())
+            if "hung" not in self.faults or board is not self.boards[0]:
+                self._take(board, data, now)
+                board.sent = self._reply(board).to_bytes()
+            inputs.append(board.sent)
         return inputs
 
     def _take(self, board: _Board, data: bytes, now: float) -> None:

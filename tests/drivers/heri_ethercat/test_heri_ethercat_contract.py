@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
+import pytest
+
 from rtee.testing import DeviceCase, DriverContract, actuator, cycles
+from rtee.testing.session import Session, simulated_time
 
 NAMES = ("motor_finger1", "motor_finger2", "motor_finger3", "motor_thumb")
 
@@ -30,3 +34,29 @@ class TestHeriII(DriverContract):
         wire_faults=frozenset({"drop", "corrupt", "delay"}),
         cycles=cycles(100),
     )
+
+
+@pytest.fixture
+def anyio_backend() -> tuple[str, dict[str, Any]]:
+    return simulated_time()
+
+
+@pytest.mark.anyio
+async def test_a_board_whose_program_hangs_measures_nothing_new() -> None:
+    """Its EtherCAT controller goes on to send what it sent last."""
+    async with Session(TestHeriII.case) as session:
+        first = await session.start()
+        for _ in range(3):
+            await asyncio.sleep(0.001)
+            assert (await session.sense()).fresh
+        session.emulator.inject("hung")
+        states = []
+        for _ in range(5):
+            await asyncio.sleep(0.001)
+            states.append(await session.sense())
+        assert not any(state.fresh for state in states[1:])
+        assert len({state.stamp for state in states[1:]}) == 1, "as old as it is"
+        assert states[-1].stamp > first.stamp
+        session.emulator.clear()
+        await asyncio.sleep(0.001)
+        assert (await session.sense()).fresh
