@@ -7,10 +7,11 @@ import importlib.util
 import logging
 import sys
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Coroutine, Iterator, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import anyio
 
@@ -75,6 +76,7 @@ async def run_hands(
     serve: Serve | None = Server.open,
     say: Callable[[str], None] = print,
     until: anyio.Event | None = None,
+    beside: Callable[[BusPool, Sequence[HandLoop]], Coroutine[Any, Any, None]] | None = None,
 ) -> int:
     """Run hands until a signal, the end of the duration, or ``until``.
 
@@ -84,6 +86,7 @@ async def run_hands(
         serve: Opens the network server of a hand; ``None``: the hands are not on the network.
         say: Prints a line.
         until: Ends the run when it is set.
+        beside: Runs beside the hands, and is cancelled when they end.
 
     Returns:
         The exit status: 0.
@@ -143,7 +146,9 @@ async def run_hands(
         if not realtime.enabled:  # else no tick may wait for a page that was given back
             give_memory_back()
         try:
-            await _run(hands, options, collector, until, signals, cpus, service)
+            loops = [hand.loop for hand in hands]
+            task = None if beside is None else partial(beside, pool, loops)
+            await _run(hands, options, collector, until, signals, cpus, service, task)
         finally:
             for line in _summary(hands):
                 say(line)
@@ -237,6 +242,7 @@ async def _run(
     signals: Signals,
     cpus: Collection[int],
     service: Service | None,
+    beside: Callable[[], Coroutine[Any, Any, None]] | None,
 ) -> None:
     # Hands of one rate share a clock: one wake-up of the thread ticks them all.
     loops_by_rate: dict[float, list[HandLoop]] = {}
@@ -249,6 +255,8 @@ async def _run(
                 group.start_soon(drive, loops, Clock(rate), collector.idle)
             for command in options.companions:
                 group.start_soon(companion, command, cpus)
+            if beside is not None:
+                group.start_soon(beside)
             reason = await wait_for_end(options.duration, until, signals)
             if service is not None:
                 service.stopping()

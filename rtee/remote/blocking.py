@@ -399,13 +399,25 @@ def connect_blocking(
 
     Takes the same arguments as `rtee.connect`, and raises the same errors.
     """
+    return BlockingHand(*opened(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait))
+
+
+def opened(
+    hand: str | None,
+    *,
+    endpoint: str | None = None,
+    client: str = "python",
+    wait: float = 0.0,
+    on_wait: Callable[[str], object] | None = None,
+) -> tuple[BlockingPortal, RemoteHand, contextlib.ExitStack]:
+    """Return what a `BlockingHand` is made of; arguments and errors are those of `connect`."""
     with contextlib.ExitStack() as stack:
         portal = stack.enter_context(_portal())
-        opened = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
-        remote = stack.enter_context(_entered(portal, opened))
+        connection = connect(hand, endpoint=endpoint, client=client, wait=wait, on_wait=on_wait)
+        remote = stack.enter_context(_entered(portal, connection))
         # An error before this line leaves the context, which closes everything; from here on, the
         # hand does.
-        return BlockingHand(portal, remote, stack.pop_all())
+        return portal, remote, stack.pop_all()
 
 
 @contextlib.contextmanager

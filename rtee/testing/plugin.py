@@ -22,8 +22,7 @@ import pytest
 from rtee import monotonic
 
 if TYPE_CHECKING:
-    from rtee.remote.blocking import BlockingHand
-    from rtee.testing.running import StartHand
+    from rtee.testing.running import HandUnderTest, StartHand
 
 # Must precede the import: pytest then rewrites its assertions like those of a test file.
 pytest.register_assert_rewrite("rtee.testing.contract")
@@ -69,7 +68,7 @@ def rtee_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start
             object: str | None = None,  # noqa: A002 - as on the command line
             driver: str | None = None,
             timeout: float = 60.0,
-        ) -> BlockingHand:
+        ) -> HandUnderTest:
             return stack.enter_context(
                 running_hand(hand, folder=folder, object=object, driver=driver, timeout=timeout)
             )

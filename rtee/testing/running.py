@@ -6,23 +6,23 @@ The process ends with the test, and also when the process of the tests is killed
 from __future__ import annotations
 
 import contextlib
+import socket
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
-import rtee
+from anyio.from_thread import BlockingPortal
+
 from rtee import child, monotonic
-from rtee.drivers.plain_options import default_options
-from rtee.drivers.registry import find_driver
 from rtee.errors import ConfigError, NoHand, RteeError
 from rtee.hand.load import load_configured
+from rtee.remote.blocking import BlockingHand, opened
+from rtee.remote.client import RemoteHand
 from rtee.remote.directory import VARIABLE, running
-
-if TYPE_CHECKING:
-    from rtee.hand.config import HandConfig
-    from rtee.remote.blocking import BlockingHand
+from rtee.testing import bench
+from rtee.testing.bench import Bench
 
 _READY_WITHIN: Final = 60.0
 """Time for starting, connecting and homing [s]; an SVH homes for half of it."""
@@ -33,19 +33,50 @@ _LOOK_EVERY: Final = 0.2
 _END_WITHIN: Final = 10.0
 """Time for the hand to come to rest and to finish its recording [s]."""
 
-# Runs `rtee` and interrupts it as by Ctrl-C when its standard input is closed.
-_PROGRAM: Final = """
-import os, runpy, signal, sys, threading
 
-def watch():
-    while os.read(0, 1):
-        pass
-    os.kill(os.getpid(), signal.SIGINT)
+class HandUnderTest(BlockingHand):
+    """A running hand whose emulated devices a test unplugs, fills and breaks.
 
-signal.signal(signal.SIGINT, signal.default_int_handler)
-threading.Thread(target=watch, daemon=True).start()
-runpy.run_module("rtee", run_name="__main__", alter_sys=True)
-"""
+    It has the methods of `rtee.connect_blocking`. Those below act on all devices of the hand, or on
+    the one named, and return when it is done; the hand takes a moment to notice.
+    """
+
+    def __init__(
+        self,
+        portal: BlockingPortal,
+        hand: RemoteHand,
+        opened: contextlib.ExitStack,
+        act: Callable[[str, str, str | None], None],
+    ) -> None:
+        super().__init__(portal, hand, opened)
+        self._act = act
+
+    def unplug(self, device: str | None = None) -> None:
+        """Unplug the cable of a device; raises `ConfigError` if it is not emulated."""
+        self._act("unplug", "", device)
+
+    def plug(self, device: str | None = None) -> None:
+        """Plug the cable of a device in again; raises `ConfigError` if it is not emulated."""
+        self._act("plug", "", device)
+
+    def place(self, object: str, device: str | None = None) -> None:  # noqa: A002 - as elsewhere
+        """Put an object between the fingers, as for ``rtee run --object``.
+
+        Raises `ConfigError` if it does not fit there, or the device is not emulated.
+        """
+        self._act("place", object, device)
+
+    def take_away(self, device: str | None = None) -> None:
+        """Pull the object out of the fingers; raises `ConfigError` if none can be there."""
+        self._act("take_away", "", device)
+
+    def fault(self, name: str, device: str | None = None) -> None:
+        """Break a device, as ``rtee emulate --fault``; raises `ConfigError` for unknown names."""
+        self._act("fault", name, device)
+
+    def clear(self, device: str | None = None) -> None:
+        """Mend all faults of a device; raises `ConfigError` if it is not emulated."""
+        self._act("clear", "", device)
 
 
 class StartHand(Protocol):
@@ -58,7 +89,7 @@ class StartHand(Protocol):
         object: str | None = None,  # noqa: A002 - as on the command line
         driver: str | None = None,
         timeout: float = _READY_WITHIN,
-    ) -> BlockingHand:
+    ) -> HandUnderTest:
         """Start a hand; see `running_hand`."""
 
 
@@ -70,7 +101,7 @@ def running_hand(
     object: str | None = None,  # noqa: A002 - as on the command line
     driver: str | None = None,
     timeout: float = _READY_WITHIN,
-) -> Iterator[BlockingHand]:
+) -> Iterator[HandUnderTest]:
     """Run a hand in a separate process for as long as the context lasts.
 
     All processes of this computer with the same environment variable ``RTEE_RUNTIME_DIR`` can find
@@ -102,51 +133,50 @@ def running_hand(
             " does"
         )
     printed = folder / f"{config.name}.txt"
-    words = [str(hand), "--log", str(folder / "logs"), *_driven(config, driver)]
-    words += [] if object is None else ["--object", object]
-    command = child.python("-c", _PROGRAM, "run", *words)
-    with printed.open("wb") as output:
-        # The pipe ends the hand when it is closed, which happens even if this process is killed.
+    chosen = driver or ("" if config.devices else "kinematic")
+    ours, its = socket.socketpair()
+    held = [] if object is None else [object]
+    with printed.open("wb") as output, its:
+        # The socket ends the hand when it is closed, which happens even if this process is killed.
         # The file may be closed: the hand has its own descriptor.
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
+            child.python(
+                "-m",
+                bench.__name__,
+                str(its.fileno()),
+                str(hand),
+                str(folder / "logs"),
+                chosen,
+                *held,
+            ),
+            stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
+            pass_fds=[its.fileno()],
             env=child.environment(),
         )
+    line = bench.Bench(ours)
     try:
-        with _connected(config.name, process, printed, timeout) as remote:
+        with _connected(config.name, process, printed, timeout, line) as remote:
             yield remote
     except BaseException:
         # Whatever its exit status, the error of the test is the one to report.
-        _end(process)
+        _end(process, line)
         raise
     # A loop that fails while it ends must fail the test, even if all goals were reached.
-    if _end(process) != 0:
+    if _end(process, line) != 0:
         raise RteeError(f"the hand '{config.name}' failed: {_last(printed)}")
-
-
-def _driven(config: HandConfig, driver: str | None) -> list[str]:
-    """Return the options of `rtee run` for the driver: by default, emulated devices that home."""
-    if driver is not None:
-        return ["--driver", driver]
-    if not config.devices:
-        return ["--driver", "kinematic"]
-    drivers = [find_driver(device.driver) for device in config.devices.values()]
-    homes = any("home" in default_options(driver.Options) for driver in drivers)
-    # Ideal: an application's tests compare numbers, and must not fail on a computer for its noise.
-    return ["--driver", "devices", "--emulated", "--ideal", *(["--home"] if homes else [])]
 
 
 @contextlib.contextmanager
 def _connected(
-    name: str, process: subprocess.Popen[bytes], printed: Path, timeout: float
-) -> Iterator[BlockingHand]:
+    name: str, process: subprocess.Popen[bytes], printed: Path, timeout: float, line: Bench
+) -> Iterator[HandUnderTest]:
     until = monotonic.now() + timeout
     while True:
         try:
-            remote = rtee.connect_blocking(name, endpoint=_endpoint(name, process), client="test")
+            parts = opened(name, endpoint=_endpoint(name, process), client="test")
+            remote = HandUnderTest(*parts, line.do)
             break
         except NoHand:
             if process.poll() is not None:
@@ -175,10 +205,9 @@ def _failure(name: str, status: int, printed: Path) -> RteeError:
     return RteeError(f"the hand '{name}' ended with status {status}: {text}")
 
 
-def _end(process: subprocess.Popen[bytes]) -> int:
+def _end(process: subprocess.Popen[bytes], line: Bench) -> int:
     """Let the hand come to rest and end; return its exit status."""
-    if process.stdin is not None:
-        process.stdin.close()
+    line.close()
     try:
         return process.wait(_END_WITHIN)
     except subprocess.TimeoutExpired:

@@ -33,9 +33,10 @@ async def pick_async():
 TESTS = """
 import os
 import application
+import time
 import pytest
 import rtee
-from rtee.errors import NoHand
+from rtee.errors import ConfigError, NoHand
 
 @pytest.fixture
 def anyio_backend():
@@ -60,6 +61,31 @@ def test_nothing_is_there_to_pick_and_two_hands_run(rtee_hand):
     assert (first.name, second.name) == ("robotiq_2f_85", "schunk_svh")
     assert second.do("trig", "index", intensity=0.2).reached
 
+def until(true):
+    while not true():
+        time.sleep(0.01)
+
+def test_a_part_is_pulled_out_and_the_cable_too(rtee_hand):
+    hand = rtee_hand("robotiq_2f_85")
+    hand.place("50mm")
+    assert hand.do("grasp", effort=0.5).grasped
+    closed = hand.state().position[0]
+    hand.take_away()
+    until(lambda: hand.state().position[0] > closed + 0.05)
+    hand.unplug()
+    until(lambda: hand.status().devices[0].lifecycle != "active")
+    hand.plug("gripper")
+    until(lambda: hand.status().devices[0].reconnects)
+    hand.recover()
+    assert hand.open().reached
+    for mistake, call in (
+        ("unknown fault 'rust'", lambda: hand.fault("rust")),
+        ("no device 'grip'; did you mean 'gripper'", lambda: hand.unplug("grip")),
+        ("not between the fingers", lambda: hand.place("500mm")),
+    ):
+        with pytest.raises(ConfigError, match=mistake):
+            call()
+
 def test_mistakes_are_told_at_once(rtee_hand):
     with pytest.raises(ValueError, match="unknown hand 'robotiq_2f_8'"):
         rtee_hand("robotiq_2f_8")
@@ -77,7 +103,7 @@ def test_a_project_tests_its_application(pytester: pytest.Pytester, repository: 
     pytester.makepyfile(application=APPLICATION, test_application=TESTS)
     (pytester.path / "config").symlink_to(repository / "config")
     done = pytester.runpytest_subprocess("-q", "-W", "error", "-p", "no:cacheprovider", timeout=150)
-    done.assert_outcomes(passed=5)
+    done.assert_outcomes(passed=6)
 
 
 @pytest.mark.timeout(120)

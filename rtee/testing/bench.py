@@ -1,0 +1,146 @@
+"""The devices of a hand under test: cables, objects and faults, told from the test.
+
+`main` is the process that `rtee.testing.running.running_hand` starts: it runs the hand, and obeys
+the lines that come over a socket, one after the other. When the socket is closed, the hand comes to
+rest and ends, as it does by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import anyio
+import anyio.abc
+import anyio.to_thread
+
+from rtee.buses.emulator import Emulator
+from rtee.buses.pool import BusPool
+from rtee.buses.simulated import Simulation
+from rtee.drivers.connection import owner_of
+from rtee.drivers.objects import ObjectInHand, grasping
+from rtee.errors import ConfigError, RteeError, suggestion
+from rtee.loop.handloop import HandLoop
+from rtee.loop.realtime import backend_options
+from rtee.prepare import RunOptions
+from rtee.run import run_hands
+
+_DO: Final[dict[str, Callable[[Simulation, Emulator, str], None]]] = {
+    "unplug": lambda wire, _, __: wire.unplug(),
+    "plug": lambda wire, _, __: wire.replug(),
+    "place": lambda _, device, text: grasping(device).place_object(ObjectInHand.parse(text)),
+    "take_away": lambda _, device, __: grasping(device).remove_object(),
+    "fault": lambda _, device, name: device.inject(name),
+    "clear": lambda _, device, __: device.clear(),
+}
+"""What can be done to an emulated device, with one word of detail."""
+
+
+class Bench:
+    """The test's side: does something to the emulated devices of a running hand.
+
+    Args:
+        line: The socket to the hand's process.
+    """
+
+    def __init__(self, line: socket.socket) -> None:
+        self._line, self._answers = line, line.makefile("r", encoding="utf-8")
+
+    def do(self, what: str, detail: str = "", device: str | None = None) -> None:
+        """Do something to a device, or to all; return when it is done.
+
+        Raises:
+            ConfigError: if the device cannot do that, or is not emulated.
+            RteeError: if the hand has ended.
+        """
+        try:
+            self._line.sendall(f"{json.dumps([what, detail, device])}\n".encode())
+            answer = self._answers.readline()
+        except OSError:
+            answer = ""
+        if not answer:
+            raise RteeError("the hand under test has ended")
+        if (mistake := json.loads(answer)) is not None:
+            raise ConfigError(mistake)
+
+    def close(self) -> None:
+        """Let the hand come to rest and end."""
+        self._answers.close()
+        self._line.close()
+
+
+def main(words: Sequence[str]) -> int:
+    """Run a hand until the socket closes; return the exit status, as ``rtee run`` has it.
+
+    Args:
+        words: Number of the socket's descriptor; the hand; the folder of the recordings; the
+            driver, empty: emulated devices; the object in the hand, or nothing.
+    """
+    number, hand, folder, driver, *held = words
+    line = socket.socket(fileno=int(number))
+    simulated = driver == "mujoco"
+    options = RunOptions(
+        driver=driver or "devices",
+        emulated=not driver,
+        # An application's tests compare numbers, and must not fail on a computer for their noise.
+        ideal=not driver,
+        home=not driver,
+        log=Path(folder),
+        object_in_hand=held[0] if held and not simulated else None,
+        driver_options={"object": held[0]} if held and simulated else {},
+    )
+
+    def say(text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+    async def obey(pool: BusPool, loops: Sequence[HandLoop]) -> None:
+        file = line.makefile("r", encoding="utf-8")
+        # A thread that waits for the test may be left behind.
+        while text := await anyio.to_thread.run_sync(file.readline, abandon_on_cancel=True):
+            try:
+                what, detail, device = json.loads(text)
+                for wire, emulator in _chosen(pool, loops, device):
+                    wire.call(partial(_DO[what], wire, emulator, detail))
+                answer = None
+            except RteeError as error:
+                answer = str(error)
+            line.sendall(f"{json.dumps(answer)}\n".encode())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    async def run() -> int:
+        return await run_hands([hand], options, say=say, beside=obey)
+
+    try:
+        return anyio.run(run, backend_options=backend_options())
+    except RteeError as error:
+        say(f"rtee: {error}")
+        return error.exit_status
+
+
+def _chosen(
+    pool: BusPool, loops: Sequence[HandLoop], name: str | None
+) -> Iterator[tuple[Simulation, Emulator]]:
+    """Yield wire and emulator of a device, or of all."""
+    specs = {device: found.driver.spec for loop in loops for device, found in loop.devices.items()}
+    if name is not None and name not in specs:
+        raise ConfigError(f"there is no device '{name}'; {suggestion(name, specs)}")
+    for device in specs if name is None else [name]:
+        owner = owner_of(specs[device])
+        try:
+            yield pool.simulation(owner), pool.played(owner)
+        except KeyError:
+            raise ConfigError(
+                f"the device '{device}' is not emulated (driver {specs[device].driver})"
+            ) from None
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
