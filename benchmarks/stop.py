@@ -163,7 +163,7 @@ async def move(loop: HandLoop) -> None:
         await anyio.sleep(MOVE_EVERY)
 
 
-def attack(kind: str, endpoint: str) -> None:
+def attack(kind: str, endpoint: str, hand: str) -> None:
     """Attack until killed."""
     match kind:
         case "silent":
@@ -189,15 +189,15 @@ def attack(kind: str, endpoint: str) -> None:
         case "page":
             anyio.run(page)
         case _:
-            anyio.run(client_attack, kind)
+            anyio.run(client_attack, kind, hand)
 
 
-async def client_attack(kind: str) -> None:
+async def client_attack(kind: str, hand: str) -> None:
     """Attack as a client on this computer."""
     async with anyio.create_task_group() as group:
 
         async def one(number: int) -> None:
-            async with rtee.connect("small") as remote:
+            async with rtee.connect(hand) as remote:
                 while True:
                     if kind == "samples":
                         sample = StreamTargets(
@@ -319,6 +319,7 @@ def main() -> None:
     parser = command_line(__doc__, times=100, rate=1000.0, only="", realtime=False)
     parser.add_argument("--role", default="", help=argparse.SUPPRESS)
     parser.add_argument("--endpoint", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--name", default="small", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.realtime:
         # With threads that are started later: all of them take part in a stop.
@@ -328,7 +329,7 @@ def main() -> None:
         options = backend_options()
         anyio.run(serve, args.endpoint, args.rate, backend_options=options)
     elif args.role:
-        attack(args.role, args.endpoint)
+        attack(args.role, args.endpoint, args.name)
     else:
         with tempfile.TemporaryDirectory() as name, socket.socket() as probe:
             folder = Path(name) / "small"

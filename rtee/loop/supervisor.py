@@ -352,6 +352,8 @@ class Supervisor:
             if answer.cancelled():
                 continue
             self._exchanging = False
+            # The third of the time that a stop has left to the work before it ends with that work.
+            self._runner.end()
             self._runner.begin(ACTIVATE_WITHIN)
             try:
                 result = await request.action()

@@ -182,6 +182,28 @@ async def test_stop_interrupts_an_exchange_that_hangs(hand: Hand) -> None:
         assert await rig.loop.stop() == [("dummy", True)]
 
 
+@pytest.mark.parametrize("into", [0.001, 0.02, 0.035, 0.045])
+async def test_a_slow_device_has_its_time_to_stop(hand: Hand, into: float) -> None:
+    """A stop ended with the time that it had left to the exchange before it, and was not sent."""
+
+    class Slow(Listening):
+        async def sense(self) -> ActuatorState:
+            await anyio.sleep(0.03)
+            return await super().sense()
+
+        async def stop(self) -> None:
+            await anyio.sleep(0.06)
+            await super().stop()
+
+    settings = device(hand, deadline=1.0)
+    driver = Slow(settings.spec, BusPool())
+    async with running(hand, None, [(settings, driver)]) as rig:
+        await rig.run(0.3)
+        await anyio.sleep(into)
+        assert await rig.loop.stop() == [("dummy", True)]
+        assert driver.told.count("stop") == 1
+
+
 async def test_stop_interrupts_homing(hand: Hand) -> None:
     class Homing(Listening):
         homed = 0

@@ -1,0 +1,530 @@
+"""Cause a fault every few seconds while a hand moves, and count what did not hold; print Markdown.
+
+    python benchmarks/faults.py [--seconds 1800] [--hand inspire_rh56] [--rate 500] [--realtime]
+
+`rtee run` drives an emulated device, a process of its own (`rtee emulate`), and records. A client
+opens and closes the hand without end, and every two seconds a stop is sent as `rtee stop` does.
+Meanwhile, one after the other and in random order: the hand is killed (`kill -9`) and started
+again; it, or the device, stands still (SIGSTOP) for a while; the device loses its supply and comes
+back; the disk is full (the hand may write no more to its files); clients flood the hand (see
+`benchmarks/stop.py`); a client is killed in the middle of its goal.
+
+A stop counts for all faults during which it was sent or answered. While the device stands still or
+is unplugged, the right answer is that it has not confirmed; while the hand does, there is none.
+Afterwards the recordings are read: whether they are whole but for what a killed process had not
+written yet, where references began, and whether any was beyond a limit without being a position
+that was measured. With --realtime the hand, its device and what stops it have precedence over all
+others, so that other programs of a busy computer count for less.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.to_thread
+import numpy as np
+from common import Table, command_line, own
+from endurance import count
+from gui_common import COMMAND, MEGA
+
+import rtee
+from rtee.errors import NoHand, RteeError
+from rtee.hand.load import hand_folder, load_hand
+from rtee.hand.model import Hand as Model
+from rtee.log import Recording, read
+from rtee.log.recover import recover
+from rtee.remote.directory import running
+from rtee.remote.stopping import stop_at, stop_path
+
+PAUSE = (1.5, 3.5)
+"""Time between two faults [s]."""
+
+LASTS = 1.5
+"""Time for which most faults last [s]: longer than a device is waited for (0.5 s)."""
+
+FLOODS = 3.0
+"""Time for which clients flood the hand [s]."""
+
+STOP_EVERY = (1.5, 2.5)
+"""Time between two stops [s]."""
+
+SMALL = 4096
+"""Size to which the hand's files may grow while the disk is full [bytes]: less than they have."""
+
+READY = re.compile(r"actuators, .* (in)?active")
+"""What a hand says when it runs."""
+
+SILENT = ("killed", "hand stands still")
+"""Faults during which no answer is the right one."""
+
+MUTE = ("device stands still", "unplugged")
+"""Faults during which the right answer is that the device has not confirmed."""
+
+DYING = """
+import anyio, rtee, sys
+from rtee.errors import RteeError
+async def main():
+    async with rtee.connect(sys.argv[1]) as remote:
+        while True:
+            try:
+                await remote.do("Grasp", speed=0.05)
+            except RteeError:
+                await anyio.sleep(0.02)
+anyio.run(main)
+"""
+
+
+_CHILDREN: list[subprocess.Popen[str]] = []
+
+
+def child(words: list[str], **options: Any) -> subprocess.Popen[str]:
+    """Start a program that `main` kills at the end.
+
+    Unlike that of `witness`, it may be started in a thread that ends before it.
+    """
+    process = subprocess.Popen(words, text=True, **options)
+    _CHILDREN.append(process)
+    return process
+
+
+def without_precedence(process: subprocess.Popen[str]) -> subprocess.Popen[str]:
+    """Take the precedence from a program that it has inherited."""
+    os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
+    return process
+
+
+@dataclass(frozen=True)
+class Size:
+    """What a process uses."""
+
+    memory: float
+    threads: float
+    files: float
+
+    @classmethod
+    def of(cls, pid: int) -> Size:
+        return cls(own(pid) / MEGA, count(pid, "task"), count(pid, "fd"))
+
+
+@dataclass
+class Life:
+    """A process of the hand, from its start to its end.
+
+    Attributes:
+        first: What it used once it was ready.
+        last: What it used last.
+        ended: When it was killed, CLOCK_MONOTONIC [s]; ``None``: it ended by itself.
+        files: Its recordings.
+        gaps: Spans in which it could not record [s].
+    """
+
+    begun: float
+    first: Size | None = None
+    last: Size | None = None
+    ended: float | None = None
+    files: list[Path] = field(default_factory=list)
+    gaps: list[tuple[float, float]] = field(default_factory=list)
+
+
+class Device:
+    """The emulated device."""
+
+    def __init__(self, driver: str, port: Path) -> None:
+        self._words = [*COMMAND, "emulate", driver, "--link", str(port)]
+        self.plug()
+
+    def plug(self) -> None:
+        """Start it, and wait for its port."""
+        self.process = child(self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert self.process.stdout is not None
+        self.process.stdout.readline()
+
+    def unplug(self) -> None:
+        """Take its supply away."""
+        self.process.kill()
+        self.process.wait()
+
+
+class Hand:
+    """The hand, as `rtee run` runs it."""
+
+    def __init__(self, folder: Path, name: str, port: Path, rate: float) -> None:
+        self.name, self.logs, self._folder = name, folder / "logs", folder
+        self._words = [*COMMAND, "run", name, "--driver", "devices", "--option", f"port={port}"]
+        self._words += ["--rate", str(rate), "--log", str(self.logs)]
+        self.lives: list[Life] = []
+        self.start()
+
+    def start(self) -> None:
+        """Start it, and wait until it is ready."""
+        said = (self._folder / "said.txt").open("a")
+        place = said.tell()
+        self.life = Life(time.monotonic())
+        self.lives.append(self.life)
+        self.process = child(self._words, cwd=self._folder, stdout=said, stderr=said)
+        said.close()
+        while not READY.search(self._said(place)):
+            if self.process.poll() is not None:
+                raise SystemExit(f"the hand has ended: {self._said(place)}")
+            time.sleep(0.05)
+        time.sleep(1.0)  # the network and the recorder start, too
+        self.note()
+        self.life.first = self.life.last
+
+    def _said(self, place: int) -> str:
+        with (self._folder / "said.txt").open() as file:
+            file.seek(place)
+            return file.read()
+
+    def note(self) -> None:
+        """Note what it uses now."""
+        self.life.last = Size.of(self.process.pid)
+
+    def end(self, how: signal.Signals) -> None:
+        """End it."""
+        self.note()
+        if how is signal.SIGKILL:
+            self.life.ended = time.monotonic()
+        self.process.send_signal(how)
+        self.process.wait()
+        known = {path for life in self.lives for path in life.files}
+        # The flight recorder's files are copies of what was recorded.
+        found = {path for path in self.logs.glob("*.mcap") if "flight" not in path.name}
+        self.life.files = sorted(found - known)
+
+    def limit(self, size: int) -> None:
+        """Let its files grow to a size only [bytes]; -1: as they want."""
+        most = resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE)[1]
+        resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (size, most))
+
+
+@dataclass
+class Stop:
+    """A stop, and what was answered; `confirmed` is ``None`` without an answer."""
+
+    during: frozenset[str]
+    confirmed: bool | None
+    took: float
+
+
+class Trouble:
+    """Causes faults, and sends stops meanwhile."""
+
+    def __init__(self, hand: Hand, device: Device, seed: int = 1) -> None:
+        self.hand, self.device = hand, device
+        self.random = random.Random(seed)
+        self.stops: list[Stop] = []
+        self.caused: Counter[str] = Counter()
+        self.goals: Counter[str] = Counter()
+        self._now: set[str] = set()
+        self._lately: set[str] = set()
+        self._faults: dict[str, Callable[[], object]] = {
+            "killed": self._killed,
+            "hand stands still": self._hand_stands_still,
+            "device stands still": lambda: self._stand_still(device.process),
+            "unplugged": self._unplugged,
+            "disk full": self._disk_full,
+            **{f"flood of {kind}": self._flood_of(kind) for kind in FLOODS_OF},
+            "client killed": self._client_killed,
+        }
+
+    async def cause(self, seconds: float) -> None:
+        """Cause faults for a time [s], each as often as the others."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            names = list(self._faults)
+            self.random.shuffle(names)
+            for name in names:
+                await anyio.sleep(self.random.uniform(*PAUSE))
+                if time.monotonic() > until:
+                    return
+                with self._during(name):
+                    await anyio.to_thread.run_sync(self._faults[name])
+                self.caused[name] += 1
+
+    @contextlib.contextmanager
+    def _during(self, name: str) -> Iterator[None]:
+        self._now.add(name)
+        self._lately.add(name)
+        try:
+            yield
+        finally:
+            self._now.discard(name)
+
+    def _killed(self) -> None:
+        self.hand.end(signal.SIGKILL)
+        time.sleep(0.3)
+        self.hand.start()
+
+    def _stand_still(self, process: subprocess.Popen[str]) -> None:
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(LASTS)
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.5)  # the device is found again
+
+    def _hand_stands_still(self) -> None:
+        begun = time.monotonic()
+        self._stand_still(self.hand.process)
+        self.hand.life.gaps.append((begun, time.monotonic()))
+
+    def _unplugged(self) -> None:
+        self.device.unplug()
+        time.sleep(LASTS)
+        self.device.plug()
+        time.sleep(2.0)  # it is found again, at the latest after one and a half seconds
+
+    def _disk_full(self) -> None:
+        begun = time.monotonic()
+        self.hand.limit(SMALL)
+        time.sleep(LASTS)
+        self.hand.limit(-1)
+        time.sleep(LASTS)
+        self.hand.life.gaps.append((begun, time.monotonic()))
+
+    def _flood_of(self, kind: str) -> Callable[[], None]:
+        def flood() -> None:
+            stop = str(Path(__file__).with_name("stop.py"))
+            words = [sys.executable, stop, "--role", kind, "--name", self.hand.name]
+            attacker = without_precedence(child(words, stderr=subprocess.DEVNULL))
+            time.sleep(FLOODS)
+            attacker.kill()
+            attacker.wait()
+
+        return flood
+
+    def _client_killed(self) -> None:
+        words = [sys.executable, "-c", DYING, self.hand.name]
+        client = without_precedence(child(words, stderr=subprocess.DEVNULL))
+        time.sleep(LASTS)
+        client.kill()
+        client.wait()
+
+    async def move(self) -> None:
+        """Open and close the hand, whatever happens."""
+        while True:
+            with contextlib.suppress(RteeError):
+                async with rtee.connect(self.hand.name) as remote:
+                    while True:
+                        for action in ("Grasp", "open"):
+                            await self._do(remote, action)
+            await anyio.sleep(0.1)
+
+    async def _do(self, remote: rtee.RemoteHand, action: str) -> None:
+        try:
+            result = await remote.do(action, speed=0.3)
+        except NoHand:
+            raise
+        except RteeError:
+            self.goals["refused"] += 1
+            await anyio.sleep(0.1)
+        else:
+            self.goals["reached" if result.reached else "cancelled or aborted"] += 1
+
+    async def stop(self) -> None:
+        """Send stops."""
+        while True:
+            await anyio.sleep(self.random.uniform(*STOP_EVERY))
+            self._lately = set(self._now)
+            began = time.monotonic()
+            confirmed = await anyio.to_thread.run_sync(self._stop)
+            during = frozenset(self._lately)
+            self.stops.append(Stop(during, confirmed, time.monotonic() - began))
+
+    def _stop(self) -> bool | None:
+        # Where it listens as long as it lives; a killed one is not announced any more.
+        try:
+            path = stop_path(running()[self.hand.name].endpoints[0])
+            assert path is not None
+            return all(stop_at(path, self.hand.name, "benchmark").values())
+        except (KeyError, RteeError):
+            return None
+
+
+FLOODS_OF = ("samples", "requests", "clients")
+"""Attacks of `benchmarks/stop.py` that go on here."""
+
+
+@dataclass
+class Judged:
+    """What the recordings of one life show.
+
+    Attributes:
+        ticks: Ticks in them.
+        lost: Time before the kill that is missing [s]; ``None``: it was not killed.
+        holes: Times without ticks, though it ran and could record.
+        damage: Sentences about damage.
+        beyond: References beyond a limit that were not measured either.
+        jump: Largest distance from the first reference to the measurement, as a share of the range.
+    """
+
+    ticks: int
+    lost: float | None
+    holes: int
+    damage: list[str]
+    beyond: int
+    jump: float
+
+
+def judged(life: Life, model: Model) -> Judged:
+    """Read the recordings of a life."""
+    lower = np.array([a.lower for a in model.actuators])
+    upper = np.array([a.upper for a in model.actuators])
+    recordings: list[Recording] = []
+    damage: list[str] = []
+    for path in life.files:
+        if life.ended is not None:
+            recover(path, in_place=True)
+        recordings.append(read(path))
+        damage += recordings[-1].damage
+    beyond, jump = 0, 0.0
+    for number, recording in enumerate(recordings):
+        measured, sent = recording.actuator_states.position, recording.reference.position
+        for i in range(len(lower)):
+            outside = sent[:, i][(sent[:, i] < lower[i] - 1e-9) | (sent[:, i] > upper[i] + 1e-9)]
+            # It stays where it began, at a measurement, until somebody moves it.
+            beyond += int((~np.isin(np.round(outside, 6), np.round(measured[:, i], 6))).sum())
+        if number == 0:
+            rows = min(len(measured), len(sent))
+            known = np.isfinite(measured[:rows]).all(axis=1) & np.isfinite(sent[:rows]).all(axis=1)
+            if known.any():
+                row = int(np.argmax(known))
+                jump = float((np.abs(sent[row] - measured[row]) / (upper - lower)).max())
+    times = np.concatenate([r.actuator_states.time for r in recordings]) if recordings else []
+    holes = 0
+    for at in np.flatnonzero(np.diff(times) > 1.0):
+        begin, end = float(times[at]), float(times[at + 1])
+        holes += not any(a - 1.0 <= begin and end <= b + 1.0 for a, b in life.gaps)
+    last = float(times[-1]) if len(times) else life.begun
+    lost = None if life.ended is None else life.ended - last
+    return Judged(len(times), lost, holes, damage, beyond, jump)
+
+
+def print_stops(trouble: Trouble) -> None:
+    """Print how stops were answered, by the faults meanwhile."""
+    by_fault: dict[str, list[Stop]] = defaultdict(list)
+    for stop in trouble.stops:
+        for name in stop.during or ("nothing",):
+            by_fault[name].append(stop)
+    table = Table("during", "faults", "stops", "confirmed", "not", "no answer", "median, most [ms]")
+    for name in ("nothing", *trouble.caused):
+        stops = by_fault[name]
+        said = Counter(stop.confirmed for stop in stops)
+        times = [1e3 * stop.took for stop in stops if stop.confirmed] or [float("nan")]
+        took = f"{statistics.median(times):.0f}, {max(times):.0f}"
+        cells = (trouble.caused[name], len(stops), said[True], said[False], said[None], took)
+        table.row(name, *cells)
+    possible = [s for s in trouble.stops if not s.during & {*SILENT, *MUTE}]
+    done = sum(stop.confirmed is True for stop in possible)
+    print(f"\nStops that could be confirmed: **{done} of {len(possible)}**.\n")
+
+
+def print_lives(lives: list[Life], model: Model) -> None:
+    """Print what each process has used, and what its recordings show."""
+    pairs = [(x.first, x.last) for x in lives if x.first is not None and x.last is not None]
+    long = sorted((x.files and x.ended and x.ended - x.begun) or 0.0 for x in lives)
+    print(f"{len(lives)} processes of the hand, the longest {long[-1]:.0f} s:\n")
+    table = Table("", "at the start, median", "at the end, median", "largest growth")
+    for name in ("memory", "threads", "files"):
+        first = [getattr(a, name) for a, _ in pairs]
+        last = [getattr(b, name) for _, b in pairs]
+        most = max(b - a for a, b in zip(first, last, strict=True))
+        unit = " [MB]" if name == "memory" else ""
+        mean = (statistics.median(first), statistics.median(last))
+        table.row(name + unit, *(f"{each:.1f}" for each in mean), f"{most:+.1f}")
+    found = [judged(life, model) for life in lives]
+    lost = [each.lost for each in found if each.lost is not None]
+    most = f"{max(lost):.2f} s" if lost else "–"
+    print(f"\nRecordings, {sum(each.ticks for each in found)} ticks:\n")
+    table = Table("what", "found")
+    table.row("missing before a kill, most", most)
+    table.row("processes with more than 1 s missing", sum(each > 1.0 for each in lost))
+    table.row("holes of more than 1 s that have no such reason", sum(f.holes for f in found))
+    table.row("sentences about damage", sum(len(each.damage) for each in found))
+    table.row("references beyond a limit that were not measured", sum(f.beyond for f in found))
+    jump = max(each.jump for each in found)
+    table.row("first reference of a process to the measurement, most", f"{100 * jump:.2f} %")
+    for sentence in sorted({text for each in found for text in each.damage})[:5]:
+        print(f"\n- {sentence}")
+
+
+@contextlib.asynccontextmanager
+async def troubled(hand: Hand, device: Device) -> AsyncIterator[Trouble]:
+    """Move and stop the hand for as long as the context lasts."""
+    trouble = Trouble(hand, device)
+    async with anyio.create_task_group() as group:
+        group.start_soon(trouble.move)
+        group.start_soon(trouble.stop)
+        yield trouble
+        group.cancel_scope.cancel()
+
+
+def prepared(folder: Path, name: str) -> str:
+    """Copy a hand that is driven again as soon as its device is back; return the driver."""
+    place = folder / "config" / name
+    shutil.copytree(hand_folder(name)[0], place)
+    file = place / "hand.yaml"
+    text = file.read_text()
+    again = re.sub(r"(?m)^(    driver: (\w+))$", r"\1\n    reconnect: active", text, count=1)
+    file.write_text(again)
+    found = re.search(r"(?m)^    driver: (\w+)$", text)
+    if found is None:
+        raise SystemExit(f"{name} has no device")
+    return found[1]
+
+
+async def measure(folder: Path, name: str, seconds: float, rate: float) -> None:
+    """Run everything in a folder, and print."""
+    model = load_hand(name)
+    device = Device(prepared(folder, name), folder / "port")
+    hand = Hand(folder, name, folder / "port", rate)
+    own_first = Size.of(device.process.pid)
+    async with troubled(hand, device) as trouble:
+        await trouble.cause(seconds)
+    hand.end(signal.SIGTERM)
+    own_last = Size.of(device.process.pid)
+    print(f"`{name}`, {seconds:.0f} s at {rate:g} Hz, {sum(trouble.caused.values())} faults, ")
+    print(f"goals: {', '.join(f'{n} {how}' for how, n in trouble.goals.items())}.\n")
+    print_stops(trouble)
+    print_lives(hand.lives, model)
+    print(f"\nThe emulated device at the start and end: {own_first}, {own_last}.")
+    said = (folder / "said.txt").read_text()
+    print(f"\nTracebacks of the hand: {said.count('Traceback')}.")
+    if "Traceback" in said:
+        print(said[said.index("Traceback") :][:3000], file=sys.stderr)
+    device.unplug()
+
+
+def main() -> None:
+    """Run and print."""
+    options = {"seconds": 1800.0, "hand": "inspire_rh56", "rate": 500.0, "realtime": False}
+    given = command_line(__doc__, **options).parse_args()
+    if given.realtime:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    with tempfile.TemporaryDirectory(prefix="rtee-") as place:
+        os.chdir(place)
+        try:
+            anyio.run(measure, Path(place), given.hand, given.seconds, given.rate)
+        finally:
+            for process in _CHILDREN:
+                process.kill()
+
+
+if __name__ == "__main__":
+    main()
