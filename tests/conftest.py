@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from xdist.remote import Producer
     from xdist.scheduler import Scheduling
 
-# No test asserts times, and a busy computer must not fail one.
-settings.register_profile("rtee", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("rtee")
 
 # The tests must not find, stop or move the hands that a developer runs at the same time.
 for _name in ("RTEE_RUNTIME_DIR", "RTEE_CONNECT", "RTEE_HAND"):
@@ -39,6 +36,16 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 HEAVY, QUICK = "RTEE_HEAVY", "RTEE_QUICK"
 """Variables of the environment: run the tests marked as heavy, too; leave out `LONG` files."""
+
+# No test asserts times, and a busy computer must not fail one. A run has the same verdict each time;
+# heavy ones look elsewhere each time.
+settings.register_profile(
+    "rtee",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=not os.environ.get(HEAVY),
+)
+settings.load_profile("rtee")
 
 _LINES = Path(__file__).with_name("long_files.txt").read_text().splitlines()
 LONG = {name: float(seconds) for seconds, name in map(str.split, _LINES)}

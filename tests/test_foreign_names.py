@@ -219,6 +219,7 @@ def test_a_new_hand_has_the_configuration_of_any_other(folder: Path) -> None:
         ElementTree.fromstring((folder / file).read_text())
 
 
+@pytest.mark.heavy
 def test_extraction_and_its_report(folder: Path) -> None:
     hand = load_hand(folder)
     extraction = extract(hand)

@@ -86,6 +86,7 @@ def collected(
     return {path.name for path in folder.glob("*.whl")} - {wheel.name}
 
 
+@pytest.mark.heavy
 def test_the_wheels_are_those_of_the_other_computer(
     bundle: ModuleType, index: Path, tmp_path: Path
 ) -> None:
@@ -103,6 +104,7 @@ def test_the_wheels_are_those_of_the_other_computer(
     }
 
 
+@pytest.mark.heavy
 def test_what_is_missing_is_named(bundle: ModuleType, index: Path, tmp_path: Path) -> None:
     with pytest.raises(bundle.Problem, match=r"fast==3\.0"):
         collected(bundle, index, tmp_path / "later", "3.14", "aarch64")
@@ -140,6 +142,7 @@ def without_network() -> list[str]:
     return []
 
 
+@pytest.mark.heavy
 def test_it_installs_without_a_network_and_refuses_what_is_damaged(
     bundle: ModuleType, index: Path, tmp_path: Path
 ) -> None:

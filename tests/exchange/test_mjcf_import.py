@@ -528,7 +528,7 @@ CORDS = """
   <site site="on_coupler"/></spatial>"""
 
 
-@pytest.mark.parametrize("rest", ["0", "0.004", "0 0.003"])
+@pytest.mark.parametrize("rest", ["0", pytest.param("0.004", marks=pytest.mark.heavy), "0 0.003"])
 def test_the_springs_of_spatial_tendons_decide_what_a_linkage_leaves_open(
     tmp_path: Path, rest: str
 ) -> None:
@@ -551,6 +551,7 @@ def test_the_springs_of_spatial_tendons_decide_what_a_linkage_leaves_open(
             assert found[joint] == pytest.approx(data.joint(joint).qpos[0], abs=1e-3), joint
 
 
+@pytest.mark.heavy
 def test_the_spring_of_a_spatial_tendon_outside_of_linkages_is_noted(tmp_path: Path) -> None:
     cords = CORDS.format("0").replace('site="anchor"', 'site="outside"')
     text = STRETCHED.format(cords=cords).replace(
@@ -703,8 +704,7 @@ SAME = (
     "onrobot_3fg15",
     "robotiq_2f_85",
     "robotiq_3f",
-    "inspire_rh56",
-    "schunk_svh",
+    *(pytest.param(name, marks=pytest.mark.heavy) for name in ("inspire_rh56", "schunk_svh")),
 )
 
 

@@ -39,6 +39,7 @@ def passed(outcome: Outcome) -> bool:
     return all(path.stat().st_size > 0 for path in outcome.files)
 
 
+@pytest.mark.heavy
 def test_svh_reaches_its_postures(tmp_path: Path) -> None:
     outcome = svh.run(tmp_path, pictures=False, most=2)
     assert passed(outcome)
@@ -48,6 +49,7 @@ def test_svh_reaches_its_postures(tmp_path: Path) -> None:
     assert names[-4::2] == [svh.FIGURE_4, "schunkGrasp"]
 
 
+@pytest.mark.heavy
 def test_the_trigger_is_pressed_and_let_go(tmp_path: Path) -> None:
     outcome = drill.run(tmp_path, pictures=False, variations=1)
     assert passed(outcome)
@@ -135,6 +137,7 @@ def test_the_same_object_is_picked_and_placed(gripper: same_object.Gripper, tmp_
     assert names[-1] == "open"
 
 
+@pytest.mark.heavy
 def test_the_same_object_is_grasped_on_all_wires(tmp_path: Path) -> None:
     outcome = Outcome("grasped, held and let go")
     same_object.on_wires(same_object.GRIPPERS, tmp_path, outcome)
@@ -159,6 +162,7 @@ def test_a_wide_grasp_holds(name: str, trial: Trial, tmp_path: Path) -> None:
     assert span.name == trial.action
 
 
+@pytest.mark.heavy
 def test_the_steps_of_a_timed_action_get_their_pictures(tmp_path: Path) -> None:
     pytest.importorskip("PIL")
     ready = bench("robotiq_3f")

@@ -72,11 +72,14 @@ def depths(primitives: list[Primitive]) -> dict[str, list[float]]:
 @pytest.mark.parametrize(
     ("name", "kernels"),
     [
-        ("robotiq_3f", {k: v for k, v in KERNELS.items() if k not in RELATED}),
+        ("dagana", {k: v for k, v in KERNELS.items() if k not in RELATED}),
+        pytest.param(
+            "robotiq_3f", {k: v for k, v in KERNELS.items() if k not in RELATED}, marks=heavy
+        ),
         pytest.param("robotiq_3f", {k: v for k, v in KERNELS.items() if k in RELATED}, marks=heavy),
         pytest.param("leap_hand", KERNELS, marks=heavy),
     ],
-    ids=["robotiq_3f", "robotiq_3f-related", "leap_hand"],
+    ids=["dagana", "robotiq_3f", "robotiq_3f-related", "leap_hand"],
 )
 def test_another_kernel_writes_the_same_files(
     name: str, kernels: dict[str, dict[str, str]]
@@ -110,7 +113,9 @@ def moved(hand: Hand, random: np.random.Generator) -> Hand:
     return replace(hand, urdf=replace(hand.urdf, joints=joints))
 
 
-@pytest.mark.parametrize("name", [pytest.param("robotiq_3f", marks=heavy), "qb_softhand"])
+@pytest.mark.parametrize(
+    "name", [*(pytest.param(n, marks=heavy) for n in ("robotiq_3f", "qb_softhand")), "dagana"]
+)
 def test_a_nanometre_does_not_decide_what_is_found(name: str) -> None:
     hand = load_hand(ROOT / "config" / name)
     before = {(p.name, p.elements): p for p in extract(hand).primitives if p.evidence}

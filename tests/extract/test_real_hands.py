@@ -84,7 +84,10 @@ def of_kind(shared: Path, name: str, kind: str) -> dict[tuple[str, ...], Primiti
     return {p.elements: p for p in extracted(shared, name).primitives if p.name == kind}
 
 
-@pytest.mark.parametrize("name", PINCHES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.heavy] if name == "schunk" else []) for name in PINCHES],
+)
 def test_exactly_the_pairs_that_can_touch_pinch(name: str, shared: Path) -> None:
     assert set(of_kind(shared, name, "PinchTight")) == set(PINCHES[name])
 

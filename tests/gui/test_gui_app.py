@@ -73,6 +73,7 @@ async def has(app: App, kind: ActionKind, name: str, *, there: bool = True) -> N
         await anyio.sleep(0.02)
 
 
+@pytest.mark.heavy
 async def test_ten_hands_one_after_the_other(server: viser.ViserServer, tmp_path: Path) -> None:
     controls, nodes, commands = [], [], []
     async with anyio.create_task_group() as group:

@@ -122,7 +122,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "command",
     [
         # They store an action as "compose" does.
-        pytest.param(name, marks=[pytest.mark.heavy] if name in ("time", "generic") else [])
+        pytest.param(name, marks=[pytest.mark.heavy] if name in ("time", "generic", "try") else [])
         for name in COMMANDS
     ],
 )

@@ -196,6 +196,7 @@ def test_the_table_holds_every_command() -> None:
     assert set(COMMANDS) <= tried
 
 
+@pytest.mark.heavy
 def test_every_command_without_extras(tmp_path: Path, home: Path, repository: Path) -> None:
     write_hand(tmp_path)
     hidden = beyond(repository)
@@ -214,12 +215,14 @@ def test_every_command_without_extras(tmp_path: Path, home: Path, repository: Pa
                 pass
 
 
+@pytest.mark.heavy
 def test_the_commands_of_the_extraction(tmp_path: Path, home: Path, repository: Path) -> None:
     write_hand(tmp_path)
     with Shell(beyond(repository, "extract"), tmp_path, home) as shell:
         shell.check(EXTRACTED)
 
 
+@pytest.mark.heavy
 def test_the_gui_shows_a_hand_without_the_extraction(tmp_path: Path, repository: Path) -> None:
     pytest.importorskip("viser")
     hidden = beyond(repository, "gui")
@@ -263,6 +266,7 @@ def test_a_hand_moves_and_replays_without_ruckig(tmp_path: Path, home: Path) -> 
         shell.check([replay])
 
 
+@pytest.mark.heavy
 def test_a_recording_of_ruckig_says_what_it_needs(tmp_path: Path, home: Path) -> None:
     pytest.importorskip("ruckig")
     write_hand(tmp_path)

@@ -357,6 +357,7 @@ def test_a_jaw_of_the_body_and_a_claw_hold_a_ball() -> None:
     assert best.load > 3.0
 
 
+@pytest.mark.heavy
 @pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="needs Linux's scheduler")
 def test_planning_runs_as_an_ordinary_program(library: ActionLibrary) -> None:
     seen: list[tuple[int, int, set[int]]] = []

@@ -47,12 +47,14 @@ def test_a_hand_plans_as_the_command_does(remote: BlockingHand, folder: Path) ->
     assert (ranking.mass, ranking.friction, ranking.hand) == (0.3, 0.7, "mine")
 
 
+@pytest.mark.heavy
 def test_a_mesh_is_sent_to_the_hand(remote: BlockingHand, repository: Path) -> None:
     ranking = remote.grasp_plan(str(repository / "experiments/objects/wedge.stl"))
     assert ranking.object == "wedge.stl"
     assert ranking.plans
 
 
+@pytest.mark.heavy
 def test_the_hand_says_why_it_does_not_fit(remote: BlockingHand) -> None:
     with pytest.raises(RequestRejected, match="does not fit: width 140 mm"):
         remote.grasp_plan("sphere:0.07")

@@ -124,6 +124,7 @@ def test_a_worker_that_is_killed_is_told_in_one_sentence(hand: Path) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.heavy
 def test_outdated_results_stay_until_all_new_ones_are_there(hand: Path) -> None:
     old = [TrialResult(Trial("Grasp", (), "sphere:0.07"), True)]
     write_results(hand / "trials.yaml", Fingerprints("0"), old)
@@ -144,6 +145,7 @@ def test_outdated_results_stay_until_all_new_ones_are_there(hand: Path) -> None:
     assert not (hand / "trials.new.yaml").exists()
 
 
+@pytest.mark.heavy
 def test_results_of_other_actions_outlive_a_new_one(hand: Path) -> None:
     known = {
         name: TrialResult(Trial(name, (), "sphere:0.03"), True, position=(0.0, 0.0, place))

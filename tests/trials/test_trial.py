@@ -134,6 +134,7 @@ def test_what_is_heavier_than_the_payload_does_not_fit() -> None:
     assert varied.reason == "6 kg, the hand may hold 5 kg"
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize("shape", ["cylinder:0.035x0.12", "drill"])
 def test_robust_places_are_free_in_the_palm_and_apart(shape: str) -> None:
     ready = bench("qb_softhand")
@@ -256,6 +257,7 @@ def test_a_sweep_of_two_processes_equals_single_trials(held: TrialResult) -> Non
     assert found[small] == attempt(GRIPPER, small)
 
 
+@pytest.mark.heavy
 def test_a_cluster_of_two_workers_gives_the_same_results(held: TrialResult) -> None:
     distributed = pytest.importorskip("distributed")
     small = Trial("Grasp", object="sphere:0.02", variations=1)
@@ -326,6 +328,7 @@ def test_all_resumes_what_is_known(tmp_path: Path) -> None:
     assert read_results(path) == {result.trial.key: result for result in known}
 
 
+@pytest.mark.heavy
 def test_a_resumed_sweep_finds_what_an_uninterrupted_one_does(tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole.yaml", tmp_path / "parts.yaml"
     command = [GRIPPER, "--all", "--object", "sphere:0.02", "--variations", "1", "--jobs", "1"]

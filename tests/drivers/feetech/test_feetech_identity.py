@@ -62,6 +62,7 @@ async def test_what_cannot_be_done_is_told_and_changes_nothing() -> None:
                 await set_id(pool, wire.address, 1_000_000, 1, 3)
 
 
+@pytest.mark.heavy
 def test_the_one_servo_on_a_line_gets_its_id_by_the_command() -> None:
     servos = line("scs", (1,))
     with SimulatedLine([servos], wire_time=False) as wire:

@@ -168,6 +168,7 @@ def test_stop_stays_in_sight_however_far_the_panel_is_scrolled(window: Window) -
     stop.click(trial=True)
 
 
+@pytest.mark.heavy
 def test_a_killed_loop_is_said_plainly_and_a_new_one_goes_on(
     window: Window, hands: Hands, gui: Program
 ) -> None:

@@ -40,6 +40,7 @@ def _toggled(window: Window, box: Locator, before: Picture) -> Picture:
     return window.pictured_anew(before)
 
 
+@pytest.mark.heavy
 def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     window = squeezer
     card = window.folder("Grasp")
@@ -54,6 +55,7 @@ def test_effort_and_pressure_are_seen(squeezer: Window) -> None:
     window.button("Open").click()
 
 
+@pytest.mark.heavy
 def test_fingers_stop_where_they_touch(
     squeezer: Window, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,6 +140,7 @@ def test_gains_and_the_grip_effort_are_tuned(
         window.until(lambda: hand.status().grip_effort == 0.7)
 
 
+@pytest.mark.heavy
 def test_24_actuators_stay_usable(any_window: Window, hands: Hands) -> None:
     window = any_window
     assert hands[MANY].process.poll() is None
@@ -158,6 +161,7 @@ def test_24_actuators_stay_usable(any_window: Window, hands: Hands) -> None:
     window.tab("Plots")
 
 
+@pytest.mark.heavy
 def test_hands_one_after_the_other_leave_nothing_behind(any_window: Window, hands: Hands) -> None:
     window = any_window
     for hand in (SQUEEZER, MANY, GRIPPER):

@@ -55,6 +55,7 @@ def test_contact_forces_are_drawn_and_told(squeezer: Window) -> None:
     felt.wait_for(state="hidden")
 
 
+@pytest.mark.heavy
 def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
     window = squeezer
     grasp(window)
@@ -69,6 +70,7 @@ def test_taxels_are_drawn_and_told(squeezer: Window) -> None:
     window.tab("Plots")
 
 
+@pytest.mark.heavy
 def test_a_recording_shows_the_object_where_it_was(squeezer: Window, place: Path) -> None:
     window = squeezer
     before = set((place / "logs").glob("*.mcap"))

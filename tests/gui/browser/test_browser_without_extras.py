@@ -59,6 +59,7 @@ def bare(context: BrowserContext, place: Path, hands: Hands) -> Iterator[Window]
     assert "Traceback" not in said, said
 
 
+@pytest.mark.heavy
 def test_the_try_tab_says_what_is_missing_and_the_hand_still_moves(bare: Window) -> None:
     bare.tab("Try")
     bare.says("trying an action needs the extra 'sim': pip install \"rtee[sim]\"")
