@@ -37,8 +37,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 HEAVY, QUICK = "RTEE_HEAVY", "RTEE_QUICK"
 """Variables of the environment: run the tests marked as heavy, too; leave out `LONG` files."""
 
-# No test asserts times, and a busy computer must not fail one. A run has the same verdict each time;
-# heavy ones look elsewhere each time.
+# No test asserts times, and a busy computer must not fail one. A run has the same verdict each
+# time; heavy ones look elsewhere each time.
 settings.register_profile(
     "rtee",
     deadline=None,

@@ -16,6 +16,7 @@ from rtee import monotonic
 from rtee.commands import StreamSample
 from rtee.errors import ConfigError, LogError
 from rtee.log import read
+from rtee.loop.streams.targets import FAR
 from rtee.messages import topics
 from rtee.teleop.inputs import Input
 
@@ -182,7 +183,7 @@ def _number(column: str, cell: str, delimiter: str) -> float:
 def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, float]]) -> None:
     """Raise `ConfigError` for targets that are meant in another unit, such as degrees.
 
-    A little beyond the limits is usual; a whole range beyond them is not.
+    By the rule of the hand, which would refuse them when it is already in motion.
 
     Args:
         samples: The samples.
@@ -191,7 +192,8 @@ def check_units(samples: Sequence[Played], limits: Mapping[str, tuple[float, flo
     for sample in samples:
         for name, value in sample.targets.items():
             lower, upper = limits.get(name, (0.0, 1.0))
-            if not 2.0 * lower - upper <= value <= 2.0 * upper - lower:
+            span = FAR * (upper - lower)
+            if not lower - span <= value <= upper + span:
                 unit = "radians or metres" if name in limits else "intensities from 0 to 1"
                 raise ConfigError(
                     f"'{name}' goes to {value:g} after {sample.time:g} s, far beyond {lower:.3g} "

@@ -617,6 +617,13 @@ def test_a_blend_adds_the_ways_from_rest(hand: Hand, library: ActionLibrary) -> 
     positions, rates = resolved(hand, library, blend, dict.fromkeys(blend, 1.0))
     assert positions == pytest.approx({0: 0.5, 2: 0.65})
     assert rates == pytest.approx({0: 1.0, 2: 1.8})
+    # A glove overshoots a little.
+    assert resolved(hand, library, {"Trig thumb": 1.004}) == resolved(
+        hand, library, {"Trig thumb": 1.0}
+    )
+    assert resolved(hand, library, {"Trig thumb": -0.01}) == resolved(
+        hand, library, {"Trig thumb": 0.0}
+    )
     full = resolved(hand, library, dict.fromkeys(blend, 1.0))[0]
     assert full[2] == 1.0  # clamped into the limits
     # With an actuator that none of the actions moves.
@@ -626,7 +633,8 @@ def test_a_blend_adds_the_ways_from_rest(hand: Hand, library: ActionLibrary) -> 
 @pytest.mark.parametrize(
     ("values", "velocity", "said"),
     [
-        ({"Trig index": 1.2}, {}, "must be 0 to 1"),
+        ({"Trig index": 1.6}, {}, "must be 0 to 1"),
+        ({"Trig index": -0.6}, {}, "must be 0 to 1"),
         ({"Trig index": 40.0}, {}, "must be 0 to 1"),
         ({"Trig index": 0.2, "index_base": 0.1}, {}, "meant twice"),
         ({"drill": 0.5}, {}, "timed"),
@@ -714,21 +722,16 @@ class TestIntake:
             assert rig.driver.plants[0].position == 0.0
             assert streams.status().refused == 1
 
-    async def test_a_flood_is_thinned_with_one_sentence(self, hand: Hand) -> None:
+    async def test_a_flood_is_thinned_and_counted(self, hand: Hand) -> None:
         async with running(hand) as rig:
             streams = rig.loop.streams
             streams.begin("s", 50.0)
-            said, admitted = [], 0
+            admitted = 0
             for k in range(3000):  # at 10 kHz
-                try:
-                    admitted += streams.admit()
-                except GoalRejected as error:
-                    said.append(str(error))
+                admitted += streams.admit()
                 if k % 10 == 0:
                     await rig.run(0.001)
             assert 20 <= admitted <= 20 + 0.3 * 1.5 * 50 + 1
-            assert len(said) <= 4
-            assert "faster than the 50 a second" in said[0]
             assert streams.status().thinned in (0, 3000 - admitted)
 
     async def test_the_deadline_of_hand_yaml(self, hand: Hand) -> None:

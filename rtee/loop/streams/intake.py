@@ -131,8 +131,7 @@ class StreamIntake:
     def admit(self) -> bool:
         """Return whether the rate limit permits another sample; cheap, since floods call it, too.
 
-        Raises:
-            GoalRejected: if it does not, unless that was reported a moment ago.
+        Samples that it does not are counted (`StreamStatus.thinned`): the next ones mean the same.
         """
         now = self._now()
         rate = _FASTER * self._rate
@@ -143,11 +142,6 @@ class StreamIntake:
             self._tokens -= 1.0
             return True
         self._thinned += 1
-        self._refuse(
-            now,
-            f"samples come faster than the {self._rate:g} a second that the stream was begun with; "
-            "those beyond are dropped",
-        )
         return False
 
     def sample(self, sample: StreamTargets) -> None:

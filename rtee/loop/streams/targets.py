@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rtee.actions.library import ActionLibrary
     from rtee.hand.transmission import Coupling
 
-_FAR = 0.5
+FAR = 0.5
 """A position further beyond the limits than this share of the range is a mistake, such as degrees
 for radians. A nearer position, as of a glove, is clamped."""
 
@@ -200,7 +200,7 @@ class Targets:
         at = joint.actuator(value, spec)
         span = spec.upper - spec.lower
         revolute = spec.kind is not JointKind.PRISMATIC
-        if math.isfinite(span) and not (spec.lower - _FAR * span <= at <= spec.upper + _FAR * span):
+        if math.isfinite(span) and not (spec.lower - FAR * span <= at <= spec.upper + FAR * span):
             unit, other = ("rad", "degrees") if revolute else ("m", "millimetres")
             of = "" if joint.coupling is None else f" (of '{spec.name}': {at:g} {unit})"
             raise GoalRejected(
@@ -235,10 +235,11 @@ class Targets:
         given = all(blend.name in velocity for blend in self._blends)
         for blend in self._blends:
             intensity = values[blend.name]
-            if not 0.0 <= intensity <= 1.0:
+            if not -FAR <= intensity <= 1.0 + FAR:
                 raise GoalRejected(
                     f"the intensity of '{blend.name}' must be 0 to 1, not {intensity:g}"
                 )
+            intensity = min(max(intensity, 0.0), 1.0)  # a glove overshoots a little
             for i, displacement in blend.displacement.items():
                 positions[i] = positions.get(i, float(rest[i])) + intensity * displacement
                 if given:
