@@ -9,12 +9,16 @@ HAND = "robotiq_2f_85"
 
 
 def patient_gripper(config: Path, repository: Path) -> Path:
-    """Copy the gripper into a folder of hands, with a long deadline; return its hand.yaml.
+    """Copy the gripper into a folder of hands, with a long deadline; return its hand.yaml."""
+    shutil.copytree(repository / "config" / HAND, config / HAND)
+    return be_patient(config / HAND / "hand.yaml")
+
+
+def be_patient(file: Path) -> Path:
+    """Give the gripper of a hand.yaml a long deadline; return the file.
 
     The 31 ms that follow from its wire may pass on a busy computer before a thread runs.
     """
-    shutil.copytree(repository / "config" / HAND, config / HAND)
-    file = config / HAND / "hand.yaml"
     text = file.read_text()
     assert text.count("    driver: robotiq_2f\n") == 1
     file.write_text(

@@ -106,11 +106,11 @@ class SerialBus(Bus):
             counters.transactions += 1
             before = counters.bytes_received
             for attempt in range(retries + 1):
-                if attempt:
-                    counters.retries += 1
                 share = (end - monotonic.now()) / (retries + 1 - attempt)
                 if share <= 0.0:
                     break
+                if attempt:
+                    counters.retries += 1
                 try:
                     # A future instead of a coroutine saves an iteration of the event loop.
                     frame = await self._ask(request, parser, share, accept)

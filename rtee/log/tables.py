@@ -105,7 +105,7 @@ def _stream_samples(recording: Recording) -> Table:
 
 def _plans(recording: Recording) -> Table:
     """Return a table with a row for each motion of a plan, and a column for each actuator."""
-    actuators = recording.actuator_states.names or recording.metadata["actuators"].split()
+    actuators = recording.actuator_states.names or recording.metadata.get("actuators", "").split()
     rows = [(each, leg) for each in recording.plans for leg in each.value.legs]
     table = _times([entry for entry, _ in rows])
     table["goal_id"] = _column([entry.value.goal.goal_id for entry, _ in rows])

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from patient import be_patient
 
 from rtee.actions.build import generic
 from rtee.actions.library import ActionLibrary
@@ -37,6 +38,7 @@ def site(repository: Path) -> Iterator[Path]:
     folder.chmod(0o755)
     shutil.copytree(repository / "rtee", folder / "rtee")
     shutil.copytree(repository / "config", folder / "rtee/_config")
+    be_patient(folder / "rtee/_config" / GRIPPER / "hand.yaml")
     for place in (folder, *folder.rglob("*")):
         mode = 0o555 if place.is_dir() else 0o444
         place.chmod(mode)
