@@ -42,11 +42,13 @@ The tree::
 from __future__ import annotations
 
 import difflib
+import json
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import ClassVar
+from urllib.parse import unquote, urlsplit
 
 
 class RteeError(Exception):
@@ -146,8 +148,30 @@ class MissingExtra(ConfigError):
             what: The feature that needs it, in the singular, to begin a sentence: ``the GUI``.
             extra: Name of the extra.
         """
-        super().__init__(f"{what} needs the extra '{extra}': pip install \"rtee[{extra}]\"")
+        super().__init__(f"{what} needs the extra '{extra}': {install_line(extra)}")
         self.extra = extra
+
+
+def install_line(extra: str) -> str:
+    """Return how an extra is added to this rtee, from where it was installed.
+
+    A package of the same name on an index may be something else. The origin is what PEP 610 has
+    installers write; packages from an index, or from a folder of wheels, have none.
+    """
+    from importlib import metadata  # it would cost every start some milliseconds
+
+    try:
+        origin = metadata.distribution("rtee").read_text("direct_url.json")
+    except metadata.PackageNotFoundError:
+        origin = None
+    given = json.loads(origin or "{}")
+    parts = urlsplit(given.get("url", ""))
+    if parts.scheme == "file":
+        editable = "--editable " if given.get("dir_info", {}).get("editable") else ""
+        return f'pip install {editable}"{unquote(parts.path)}[{extra}]"'
+    if parts.scheme:
+        return f'pip install "rtee[{extra}] @ {given["url"]}"'
+    return f'install "rtee[{extra}]" from where this rtee came'
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rtee import monotonic
 from rtee.buses.timing import ask_for_short_slices
-from rtee.errors import ConfigError
+from rtee.errors import ConfigError, install_line
 from rtee.hand.config_schema import RealtimeSettings
 from rtee.loop.memory import lock_memory
 
@@ -56,7 +56,7 @@ def backend_options() -> dict[str, bool]:
         case "uvloop":
             if not installed:
                 raise ConfigError(
-                    f"{EVENT_LOOP}=uvloop, but uvloop is not installed; pip install 'rtee[fast]'"
+                    f"{EVENT_LOOP}=uvloop, but uvloop is not installed: {install_line('fast')}"
                 )
             return {"use_uvloop": True}
         case other:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rtee.drivers.diagnosis.checks import Check, ok, warning, wrong
-from rtee.errors import MissingExtra, NoRouter
+from rtee.errors import MissingExtra, NoRouter, install_line
 from rtee.hand.config_schema import Ros2Settings
 from rtee.ros2 import Context
 from rtee.ros2.listing import Sort, listed, unheard
@@ -25,7 +25,7 @@ async def check_graph(settings: Ros2Settings, hand: str | None = None) -> list[C
             rows = listed(context.graph.entities())
             checks = [ok("router", f"answers at {settings.router}, domain {context.domain}")]
     except MissingExtra as error:
-        return [wrong("ROS 2", str(error), "pip install 'rtee[ros2]'")]
+        return [wrong("ROS 2", str(error), install_line(error.extra))]
     except NoRouter as error:
         return [wrong("router", str(error), _ROUTER_REMEDY)]
     nodes = [row.name for row in rows if row.sort is Sort.NODE]

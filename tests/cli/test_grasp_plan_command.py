@@ -15,6 +15,7 @@ import pytest
 from rtee.actions.library import ActionLibrary
 from rtee.actions.types import Composed
 from rtee.cli.main import main
+from rtee.errors import install_line
 from rtee.hand.load import load_hand
 from rtee.hand.own_copy import copy_hand
 from rtee.planning.result import from_document
@@ -126,5 +127,5 @@ def test_it_names_the_extra_that_is_missing(folder: Path, tmp_path: Path) -> Non
     )
     assert ended.returncode == 2
     assert ended.stderr == (
-        "rtee: planning a grasp needs the extra 'extract': pip install \"rtee[extract]\"\n"
+        f"rtee: planning a grasp needs the extra 'extract': {install_line('extract')}\n"
     )

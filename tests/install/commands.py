@@ -10,6 +10,8 @@ from pathlib import Path
 
 from rtee_process import RTEE
 
+from rtee.errors import install_line
+
 URDF = """<robot name="claw">
   <link name="palm"><collision><geometry><box size="0.08 0.03 0.02"/></geometry></collision></link>
   {jaws}
@@ -53,7 +55,7 @@ class Case:
 
 def needs(line: str, extra: str) -> Case:
     """A command that needs an extra; all say it in the same words."""
-    return Case(line, f"needs the extra '{extra}': pip install \"rtee[{extra}]\"", 2)
+    return Case(line, f"needs the extra '{extra}': {install_line(extra)}", 2)
 
 
 DEVICES = (

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from rtee.errors import install_line
+
 from .conftest import Hands
 from .marks import in_a_browser
 from .running import GRIPPER, Program
@@ -62,9 +64,9 @@ def bare(context: BrowserContext, place: Path, hands: Hands) -> Iterator[Window]
 @pytest.mark.heavy
 def test_the_try_tab_says_what_is_missing_and_the_hand_still_moves(bare: Window) -> None:
     bare.tab("Try")
-    bare.says("trying an action needs the extra 'sim': pip install \"rtee[sim]\"")
+    bare.says(f"trying an action needs the extra 'sim': {install_line('sim')}")
     bare.button("Plan").click()
-    bare.says("planning a grasp needs the extra 'extract': pip install \"rtee[extract]\"")
+    bare.says(f"planning a grasp needs the extra 'extract': {install_line('extract')}")
     bare.button("Try").click()
     bare.says("trying an action needs the extra 'sim'")
     bare.forget()

@@ -1,0 +1,34 @@
+"""How a missing extra is to be installed."""
+
+from __future__ import annotations
+
+import json
+from importlib import metadata
+from types import SimpleNamespace
+
+import pytest
+
+from rtee.errors import MissingExtra
+
+
+@pytest.mark.parametrize(
+    ("origin", "said"),
+    [
+        (
+            {"url": "file:///home/a%20b/rtee", "dir_info": {"editable": True}},
+            'pip install --editable "/home/a b/rtee[gui]"',
+        ),
+        ({"url": "file:///tmp/rtee-1-py3-none-any.whl"}, 'pip install "/tmp/rtee-1-py3-none-any'),
+        ({"url": "https://x.org/rtee.whl"}, 'pip install "rtee[gui] @ https://x.org/rtee.whl"'),
+        (None, 'install "rtee[gui]" from where this rtee came'),
+    ],
+    ids=["checkout", "wheel", "address", "index or folder of wheels"],
+)
+def test_an_extra_comes_from_where_rtee_came(
+    monkeypatch: pytest.MonkeyPatch, origin: dict[str, object] | None, said: str
+) -> None:
+    """A package of that name on an index may be something else."""
+    text = None if origin is None else json.dumps(origin)
+    found = SimpleNamespace(read_text=lambda _: text)
+    monkeypatch.setattr(metadata, "distribution", lambda _: found)
+    assert f"the GUI needs the extra 'gui': {said}" in str(MissingExtra("the GUI", "gui"))
