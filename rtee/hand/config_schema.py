@@ -24,6 +24,9 @@ MIN_RATE = 1.0
 MAX_RATE = 2000.0
 """Fastest rate of the loop [Hz]: an exchange of one tick must fit into its period."""
 
+LONGEST_DEADLINE = 10.0
+"""Longest deadline of a stream [s]: samples further apart are goals, not a stream."""
+
 Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Fraction = Annotated[float, Interval(ge=0, le=1)]
@@ -199,7 +202,7 @@ class GraspSettings(Section):
 
     effort: Fraction = 0.2
     """A stalled actuator above this share of its effort limit holds something."""
-    grip_effort: Fraction = 0.4
+    grip_effort: Annotated[float, Interval(gt=0, le=1)] = 0.4
     """Effort while holding, as a share of the effort limit."""
     grip_after: NotNegative = 2.0
     """Time after the grasp until the effort is lowered to ``grip_effort`` [s]."""
@@ -223,7 +226,7 @@ class GraspSettings(Section):
 class StreamSettings(Section):
     """Streams of set-points."""
 
-    deadline: Positive = 0.1
+    deadline: Annotated[float, Interval(gt=0, le=LONGEST_DEADLINE)] = 0.1
     """A stream without a sample for this long brakes and holds [s]; a stream may ask for another
     one."""
     max_lag: Positive | None = None
@@ -247,6 +250,14 @@ class LoopSection(Section):
     """When a finger counts as holding something."""
     stream: StreamSettings = StreamSettings()
     """Streams of set-points."""
+
+    def __post_init__(self) -> None:
+        """Check that a stall is noticed before the goal is given up."""
+        if self.stall.time >= self.goal_timeout:
+            raise ValueError(
+                f"a stall is noticed after {self.stall.time:g} s, but a goal ends after "
+                f"{self.goal_timeout:g} s: 'time' of stall should be below goal_timeout"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,6 +113,14 @@ WRONG = [
     ("devices:", "driver: devices\nlimbs:", "limbs: unknown key", "limbs"),
     ("devices:", "loop: {stall: {tme: 1}}\ndevices:", "loop.stall.tme: unknown key; did", "tme"),
     ("devices:", "thermal: {warn: 90}\ndevices:", "thermal: should rise", "thermal"),
+    ("devices:", "loop: {stall: {time: 200}}\ndevices:", "loop: a stall is noticed", "loop"),
+    ("devices:", "loop: {stream: {deadline: 60}}\ndevices:", "loop.stream.deadline: ", "deadline"),
+    (
+        "devices:",
+        "loop: {grasp: {grip_effort: 0}}\ndevices:",
+        "grip_effort: should be",
+        "grip_effort",
+    ),
     (
         "devices:",
         "ros2: {gripper_joint: lft}\ndevices:",

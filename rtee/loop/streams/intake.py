@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rtee.commands import BeginStream, Command, EndStream, StreamSample, StreamStatus, StreamTargets
 from rtee.errors import GoalRejected
+from rtee.hand.config_schema import LONGEST_DEADLINE
 from rtee.loop.plan import effort_limits
 from rtee.loop.streams.targets import Targets
 from rtee.loop.streams.time_base import TimeBase
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
 MAX_RATE = 500.0
 """Highest rate of samples [Hz]: above that of gloves and planners, and within what a hand's
 computer can decode beside its loop."""
-
-_LONGEST_DEADLINE = 10.0
-"""Longest deadline [s]: samples further apart are goals, not a stream."""
 
 _LEAST_PERIODS = 1.5
 """A deadline must be longer than this many periods, or each sample would end in a pause."""
@@ -106,9 +104,9 @@ class StreamIntake:
                 "the loop interpolates between them"
             )
         within = settings.stream.deadline if deadline is None else deadline
-        if not 0.0 < within <= _LONGEST_DEADLINE:
+        if not 0.0 < within <= LONGEST_DEADLINE:
             raise GoalRejected(
-                f"the deadline must be above 0 and at most {_LONGEST_DEADLINE:g} s, not {within:g}"
+                f"the deadline must be above 0 and at most {LONGEST_DEADLINE:g} s, not {within:g}"
             )
         if within < _LEAST_PERIODS / rate:
             raise GoalRejected(
