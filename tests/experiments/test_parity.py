@@ -24,6 +24,7 @@ from rtee.drivers.registry import emulator_names
 from rtee.hand.catalog import hand_names
 from rtee.hand.model import Hand
 from rtee.run import PreparedHand
+from rtee.testing import simulated_time
 from rtee.trials.headless import HeadlessHand
 from rtee.types import Goal
 
@@ -82,7 +83,9 @@ def wired_ends(hands: dict[str, PreparedHand]) -> dict[str, np.ndarray]:
             for prepared in hands.values():
                 group.start_soon(in_turn, prepared)
 
-    anyio.run(together)
+    # On simulated time: a busy computer would miss deadlines of some of so many devices.
+    backend, options = simulated_time()
+    anyio.run(together, backend=backend, backend_options=options)
     return found
 
 

@@ -122,7 +122,7 @@ def test_without_the_extra_it_says_what_to_install(
     hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "PIL.Image", None)
-    with pytest.raises(MissingExtra, match=r'extra \'plot\': pip install "rtee\[plot\]"'):
+    with pytest.raises(MissingExtra, match=r'extra \'plot\': pip install .*\[plot\]"'):
         HandRenderer(hand)
 
 
