@@ -52,6 +52,24 @@ LONG = {name: float(seconds) for seconds, name in map(str.split, _LINES)}
 """How long the tests of a file take [s], where it is more than a moment (`make times`)."""
 
 
+AGAIN = {
+    "tests/buses/": "real ports, whose threads wait for a processor",
+    "tests/cli/test_calibrate_opening.py": "a process on a real port",
+    "tests/deploy/test_unprivileged.py": "a process that asks for real-time priority",
+    "tests/docs/test_six_motors.py": "a hand on a real port",
+    "tests/drivers/dynamixel/test_dynamixel_identity.py": "a process on a real port",
+    "tests/gui/": "a page drawn by the processor loses a click",
+    "tests/hand/test_own_copy.py": "a process on a real port",
+    "tests/loop/test_service.py": "processes and their signals in real time",
+    "tests/remote/": "Zenoh's threads and timers are in real time",
+    "tests/ros2/": "Zenoh's threads and timers are in real time, with other implementations",
+    "tests/test_run.py": "processes and their signals in real time",
+    "tests/testing/test_hand_fixture.py": "a process on a real port",
+}
+"""Tests of what is in real time, each with the reason: they are run once more when they fail, which
+the report says at its end (RERUN). All others have the same verdict each time."""
+
+
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
     """Leave out, in a quick run, what takes long; files are not even imported then."""
     quick = os.environ.get(QUICK) and collection_path.is_relative_to(REPOSITORY)
@@ -66,6 +84,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Put files that take long first, and those in a browser before them; leave out some."""
     cost = {item: LONG.get(_name(item.path), 0.0) for item in items}
     items.sort(key=lambda item: (item.get_closest_marker("browser") is None, -cost[item]))
+    for item in items:
+        if _name(item.path).startswith(tuple(AGAIN)):
+            item.add_marker(pytest.mark.flaky(reruns=1))
     wanted = os.environ.get(HEAVY) or "heavy" in config.option.markexpr
     left = [] if wanted else [item for item in items if item.get_closest_marker("heavy")]
     if os.environ.get(QUICK):
