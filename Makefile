@@ -34,7 +34,9 @@ test: .venv/.ready
 	@$(MAKE) --no-print-directory --jobs 5 checks tests
 
 tests: .ros2-peers/.ready .device-peers/.ready
-	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --durations 25
+	$(BIN)/python -m pytest -m "not browser" -n $(TEST_PROCESSES) --durations 25
+	@# Alone: a page that the processors draw leaves too little of them to what it shows.
+	$(BIN)/python -m pytest -m browser --durations 10
 
 # How long the files of tests take, by which they are shared out: the longest first.
 times: .ros2-peers/.ready .device-peers/.ready

@@ -45,7 +45,7 @@ class KinematicOptions:
         thermal_time: Time constant of the temperature [s].
     """
 
-    time_constant: Annotated[float, Interval(gt=0, le=10)] = 0.03
+    time_constant: Annotated[float, Interval(gt=0, le=10.0)] = 0.03
     start: Mapping[str, float] = field(default_factory=dict)
     objects: Mapping[str, float] = field(default_factory=dict)
     full_effort_at: Annotated[float, Gt(0)] = 0.1
