@@ -360,12 +360,14 @@ class Result:
         duration: Time from acceptance to the end [s].
         position: Measured actuator positions at the end, by name.
         elements: Elements of the action, for a goal with an opening or a force.
-        opening: Opening of the fingertips at the end [m]; ``None``: not known.
-        force: Estimated force between the fingertips [N]; ``None``: not known.
+        opening: Opening of the fingertips at the end [m]; ``None``: not known, as for an action
+            without one, or an aborted goal, whose device may be lost.
+        force: Estimated force between the fingertips [N]; ``None``: not known, likewise.
         force_error: Error of the estimate [N].
         force_source: Source of the estimate: ``device`` (the force that it measures, by its data
             sheet), ``tip forces``, ``effort`` or ``effort limit``.
-        within: Whether an object is held at its width, within the tolerance.
+        within: Whether an object is held at its width, within the tolerance; ``None``: no width was
+            asked for, or the opening was not measured.
         touched: Fingers with a reaction to contacts that touched something.
         unknown: Whether it cannot be told if something thin is held, or nothing: the fingertips are
             as near to one another as those of the empty hand.
@@ -390,7 +392,7 @@ class Result:
     force: float | None = None
     force_error: float | None = None
     force_source: str = ""
-    within: bool = False
+    within: bool | None = None
     touched: tuple[str, ...] = ()
     unknown: bool = False
 

@@ -95,7 +95,7 @@ def grasp(
     else:
         print(sentence(result, result.elements))
         # The exit status alone would not say why it is a failure.
-        if result.grasped and not result.within:
+        if result.grasped and result.within is False:
             least, most = (1e3 * (wanted + each) for each in (-within[0], within[1]))
             print(f"what is held is not {max(least, 0.0):g} to {most:g} mm wide, as asked")
         elif not (result.grasped or result.unknown):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -259,6 +258,7 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
     """
     import anyio
 
+    from rtee.hand.files import temporary_folder
     from rtee.log.playback import write_hand
     from rtee.log.reader import read
     from rtee.log.recover import recover as repair
@@ -268,12 +268,12 @@ def _run_recording(path: Path, *, speed: float, repeat: bool, gui: bool) -> int:
 
     # Read only enough to find the hand; the driver reads the rest.
     recording = read(path, only=[ROBOT_DESCRIPTION])
-    with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
+    with temporary_folder(path) as folder:
         if not recording.finished:
-            path = repair(path, Path(folder) / path.name).path
+            path = repair(path, folder / path.name).path
         hand = recording.hand
         if not _configured(hand, recording.metadata.get("actuators", "").split()):
-            hand = str(write_hand(recording, Path(folder)))
+            hand = str(write_hand(recording, folder))
         options = RunOptions(
             driver="replay",
             driver_options={"file": str(path.absolute()), "speed": speed, "repeat": repeat},

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
-from rtee.errors import ConfigError, UserError, needing_extra
+from rtee.errors import ConfigError, needing_extra
 from rtee.exchange.xacro_expand import arguments_of, expand
+from rtee.hand.files import temporary_folder
 
 XACRO: Final = ".xacro"
 """Suffix of files that are expanded; other files are never run."""
@@ -81,7 +81,7 @@ def xacro_as_urdf(
         MissingExtra: The extra ``xacro`` is not installed.
         ModelError: The file cannot be expanded.
     """
-    with _temporary_folder(path) as folder:
+    with temporary_folder(path) as folder:
         urdf = folder / f"{path.name.partition('.')[0] or 'hand'}.urdf"
         expand(path, urdf, arguments, package_dirs)
         # Mesh paths are relative to the xacro file, but the URDF is in another folder.
@@ -102,7 +102,7 @@ def as_srdf(
     if path is None or path.suffix != XACRO:
         yield path
         return
-    with _temporary_folder(path) as folder:
+    with temporary_folder(path) as folder:
         srdf = folder / f"{path.name.partition('.')[0] or 'hand'}.srdf"
         expand(path, srdf, arguments_of(arguments), package_dirs)
         yield srdf
@@ -123,20 +123,6 @@ def mjcf_as_urdf(
     """
     with needing_extra("reading MJCF", "sim"):
         from rtee.exchange.mjcf_import import import_mjcf
-    with _temporary_folder(path) as folder:
+    with temporary_folder(path) as folder:
         imported = import_mjcf(path, folder, folders, root=root)
         yield ReadableModel(imported.urdf, imported.passive, imported.excluded, imported.notes)
-
-
-@contextmanager
-def _temporary_folder(path: Path) -> Iterator[Path]:
-    """Make a folder for a conversion; errors about its files name the original file instead."""
-    with TemporaryDirectory(prefix="rtee-") as name:
-        folder = Path(name)
-        try:
-            yield folder
-        except UserError as error:
-            # The folder is gone when the message is read, and its lines differ from the file's.
-            if error.path is not None and error.path.is_relative_to(folder):
-                error.path, error.line = path, None
-            raise

@@ -22,7 +22,7 @@ NOTHING: Final = "–"
 def outcome(result: Result, *, width: bool = False) -> tuple[str, str]:
     """Return the outcome of a goal, maybe for an object of some width: a sentence, its colour."""
     at = "" if result.opening is None else f" at {grip_words(result)}"
-    if width and result.grasped and not result.within:
+    if width and result.grasped and result.within is False:
         return f"something of another width is held{at}", WARN
     if width and result.reached and not result.grasped:
         return f"nothing is held{at}", WARN

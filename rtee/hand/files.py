@@ -309,3 +309,21 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def temporary_folder(origin: Path | None) -> Iterator[Path]:
+    """Make a folder for files made from ``origin``; errors about them name that instead.
+
+    Without an origin they name no file: the folder is gone when the message is read.
+    """
+    with tempfile.TemporaryDirectory(prefix="rtee-") as name:
+        folder = Path(name)
+        try:
+            yield folder
+        except UserError as error:
+            if error.path is not None and error.path.is_relative_to(folder):
+                # The lines differ from the origin's.
+                error.path, error.line = origin, None
+            error.message = error.message.replace(f"{folder}{os.sep}", "")
+            raise

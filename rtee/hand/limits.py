@@ -120,7 +120,6 @@ def actuator_spec(
     if velocity <= 0:
         # 0 means "not given" in a URDF; the limiter needs a number, and a small one is safe.
         velocity = _ASSUMED_VELOCITY[JointKind(joint.kind)]
-        notes.append(f"actuator '{joint.name}' has no velocity limit; {velocity:g} is assumed")
     if joint.kind == "revolute" and upper - lower > _MANY_TURNS:
         notes.append(
             f"actuator '{joint.name}' goes from {lower:g} to {upper:g} rad, "
@@ -273,6 +272,24 @@ def soft_notes(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) ->
     return [
         f"the soft limits of <safety_controller> hold: {', '.join(held)}; "
         "'limits: {defaults: {range: hard}}' in hand.yaml takes the hard ones"
+    ]
+
+
+def velocity_note(joints: Sequence[UrdfJoint], urdf: Urdf, overrides: Overrides) -> list[str]:
+    """Return a note on the actuators whose velocity limit is assumed."""
+    lacking = [j for j in joints if _Reader(j, urdf, overrides).tighter("velocity") <= 0]
+    if not lacking:
+        return []
+    kinds = [JointKind(joint.kind) for joint in lacking]
+    speeds = dict.fromkeys(
+        f"{_ASSUMED_VELOCITY[kind]:g} {'m/s' if kind is JointKind.PRISMATIC else 'rad/s'}"
+        for kind in kinds
+    )
+    assumed = " and ".join(speeds)
+    more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
+    return [
+        f"no velocity limit for actuator '{lacking[0].name}'{more}; {assumed} is assumed, "
+        "unless hand.yaml has limits:"
     ]
 
 

@@ -25,6 +25,7 @@ from rtee.hand.limits import (
     rest_state,
     soft_notes,
     standing_position,
+    velocity_note,
 )
 from rtee.hand.linkages import Mover
 from rtee.hand.model import Finger, Hand, Joint, JointRole
@@ -267,7 +268,8 @@ def build_hand(urdf: Urdf, srdf: Srdf | None, overrides: Overrides) -> Hand:
     _check_actuators(driven, apart, overrides, urdf)
     state_name, state = rest_state(srdf)
     notes += rest_note(state_name, state, driven, overrides)
-    notes += soft_notes([urdf.joints[name] for name in driven], urdf, overrides)
+    moved = [urdf.joints[name] for name in driven]
+    notes += soft_notes(moved, urdf, overrides) + velocity_note(moved, urdf, overrides)
     specs = []
     for name in driven:
         spec, assumed = actuator_spec(urdf.joints[name], urdf, state, overrides)

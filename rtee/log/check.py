@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from rtee.commands import CommandRecord
 from rtee.errors import LogError, RteeError
+from rtee.hand.files import temporary_folder
 from rtee.hand.load import load_model
 from rtee.hand.model import Hand
 from rtee.log.dataclass_json import from_json
@@ -99,8 +99,8 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
     Raises:
         LogError: if the recording lacks the hand's model.
     """
-    with tempfile.TemporaryDirectory(prefix="rtee-replay-") as folder:
-        urdf = Path(folder, "hand.urdf")
+    with temporary_folder(recording.paths[0]) as folder:
+        urdf = folder / "hand.urdf"
         text = recording.urdf or _attached(recording, ".urdf")
         if not text:
             raise LogError("holds no URDF", path=recording.paths[0])
@@ -109,7 +109,7 @@ def recorded_hand(recording: Recording, actuators: Replayable) -> Hand:
         srdf: Path | None = None
         attached = _attached(recording, ".srdf")
         if attached:
-            srdf = Path(folder, "hand.srdf")
+            srdf = folder / "hand.srdf"
             srdf.write_text(attached)
         specs = actuators.actuators
         names = [spec.name for spec in specs]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TypedDict
+from typing import Final, TypedDict
 
 from rtee.drivers.plausibility import Plausibility
 from rtee.hand.model import Hand
@@ -34,6 +34,10 @@ _REST_IN = 0.05
 time [s]: it must not merely pass the target."""
 
 
+_DIGITS: Final = 9
+"""Digits of a reported opening [m]: a nanometre, which no device resolves."""
+
+
 class GripValues(TypedDict, total=False):
     """The fields of a `Result` about the opening and the force of the fingertips."""
 
@@ -42,7 +46,7 @@ class GripValues(TypedDict, total=False):
     force: float | None
     force_error: float | None
     force_source: str
-    within: bool
+    within: bool | None
 
 
 class Phase(Enum):
@@ -252,7 +256,7 @@ class Executor:
                 ),
                 touched=() if unknown else self._reflexes.touched,
                 unknown=unknown,
-                **self._grip_values(run, measured, grasped),
+                **self._grip_values(run, measured, grasped, aborted),
             )
         )
 
@@ -280,26 +284,31 @@ class Executor:
         opening, doubt = plan.grip.opening(measured.position), plan.grip.doubt(measured.position)
         return rules.may_be_nothing(opening, doubt, word=contact.says(plan.involved))
 
-    def _grip_values(self, run: _Run, measured: Measured, grasped: bool) -> GripValues:
+    def _grip_values(
+        self, run: _Run, measured: Measured, grasped: bool, aborted: bool
+    ) -> GripValues:
         """Return the fields of the result about opening and force of the fingertips."""
         plan = run.plan
         grip, goal = plan.grip, plan.goal
-        if grip is None:
+        if grip is None or aborted:
+            # A device was lost, or what it measures is not believed.
             return {"elements": plan.elements}
         blocked = any(self._contact.blocked(i) for i in grip.indices)
         width = grip.opening(run.touched if run.touched and grasped else measured.position)
         force, error, source = grip.force(
             measured.position, measured.effort, self._limits, measured.touch, blocked
         )
-        held = goal.grasp and grasped and goal.opening is not None
-        off = width - goal.opening if goal.opening is not None else math.nan
+        within = None
+        if goal.grasp and goal.opening is not None and not math.isnan(width):
+            within = grasped and -goal.narrower <= width - goal.opening <= goal.wider
         return {
             "elements": plan.elements,
-            "opening": None if math.isnan(width) else width,
+            # A zero of floating point is neither -2.8e-17 nor -0.
+            "opening": None if math.isnan(width) else round(width, _DIGITS) + 0.0,
             "force": None if math.isnan(force) else force,
             "force_error": None if math.isnan(error) else error,
             "force_source": source,
-            "within": held and -goal.narrower <= off <= goal.wider,
+            "within": within,
         }
 
     def _wait(self, run: _Run, stamp: float) -> None:

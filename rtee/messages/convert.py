@@ -89,6 +89,11 @@ RESULT = Codec(
     opening=_number("opening"),
     force=_number("force"),
     force_error=_number("force_error"),
+    # One byte, as the bool of earlier recordings.
+    within=As(
+        {"within": lambda within: -1 if within is None else int(within)},
+        lambda number: None if number < 0 else number == 1,
+    ),
     touched=field("touched", tuple),
 )
 EVENT = Codec("rtee_msgs/msg/Event", Event, stamp=field("time"))

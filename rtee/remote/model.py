@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 from rtee.errors import RteeError
 from rtee.hand.chains import Chain, tip_links
+from rtee.hand.files import temporary_folder
 from rtee.hand.load import load_hand, load_model
 from rtee.hand.model import Finger, Hand
 from rtee.hand.urdf import Urdf
@@ -43,8 +42,8 @@ def from_info(info: HandInfo) -> Hand:
     Raises `ModelError` if that cannot be used, for example because its meshes are missing.
     """
     # By way of a file, since models are only read from files.
-    with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
-        path = Path(folder) / "hand.urdf"
+    with temporary_folder(None) as folder:
+        path = folder / "hand.urdf"
         path.write_text(info.urdf, encoding="utf-8")
         rest = {a.name: a.rest for a in info.actuators}
         hand = load_model(path, name=info.name, rest=rest, actuators=info.actuator_names)

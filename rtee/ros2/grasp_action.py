@@ -37,6 +37,7 @@ class Grasp(ActionPart):
         # ROS 2 has no optional fields; a sequence of at most one value takes their place.
         for name in ("opening", "force", "force_error"):
             fields[name] = [] if fields[name] is None else [fields[name]]
+        fields["within"] = fields["within"] is True
         fields["position_name"] = list(result.position)
         fields["position"] = list(result.position.values())
         return kind(**fields)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from rtee.errors import LogError
+from rtee.hand.files import temporary_folder
 from rtee.hand.frames import homogeneous, pose_in_hand, pose_matrix
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.load import load_hand
@@ -54,8 +54,8 @@ def write_pictures(recording: Recording, path: Path) -> bool:
     """
     if recording.object_description is None or not len(recording.actuator_states):
         return False
-    with tempfile.TemporaryDirectory(prefix="rtee-") as folder:
-        hand = load_hand(write_hand(recording, Path(folder)))
+    with temporary_folder(recording.paths[0]) as folder:
+        hand = load_hand(write_hand(recording, folder))
         strip = _Strip(recording, hand)
         write_strip(path, [(caption, strip.picture(at)) for caption, at in moments(recording)])
     return True

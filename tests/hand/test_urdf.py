@@ -75,7 +75,14 @@ def test_continuous_and_prismatic(load: Load) -> None:
     assert left.velocity == 1.0
     assert left.effort == math.inf
     assert (right.kind, right.upper) == ("prismatic", 0.8)
-    assert "actuator 'left' has no velocity limit; 1 is assumed" in hand.notes
+    assert hand.notes[0].startswith("no velocity limit for actuator 'left'; 1 rad/s is assumed")
+
+
+def test_assumed_velocities_are_one_note(load: Load) -> None:
+    prismatic = GRIPPER.replace('"right" type="revolute"', '"right" type="prismatic"')
+    (note,) = [n for n in load(prismatic.replace(' velocity="2"', "")).notes if "velocity" in n]
+    both = "no velocity limit for actuator 'left' and 1 more; 1 rad/s and 0.1 m/s is assumed"
+    assert note.startswith(both)
 
 
 def test_transmission_elements_are_no_joints(load: Load) -> None:

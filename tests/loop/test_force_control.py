@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rtee.actions.library import ActionLibrary
-from rtee.commands import SetActive
+from rtee.commands import Abort, SetActive
 from rtee.hand.load import load_configured
 from rtee.loop.configure import loop_settings
 from rtee.loop.controller import Controller
@@ -158,6 +158,22 @@ def test_the_impact_of_the_contact_does_not_pass_for_the_force() -> None:
     assert result.force == pytest.approx(40.0, rel=0.05)
 
 
+def test_what_was_not_measured_is_none() -> None:
+    gripper = Gripper()
+    result = gripper.do(Goal("Grasp", opening=0.04))
+    assert (result.within, round(result.opening or 0.0, 3)) == (
+        None,
+        0.04,
+    )  # no width was asked for
+    gripper.accept(grasp(0.04, 40.0))
+    gripper.tick()
+    (name,) = gripper.hand.actuator_names
+    gripper.controller.apply(Abort("the cable is out", (name,)), gripper.time)
+    gripper.tick()
+    (lost,) = gripper.results
+    assert (lost.aborted, lost.within, lost.opening, lost.force) == (True, None, None, None)
+
+
 @pytest.mark.parametrize("reads", [0.01, 20.0])
 def test_a_broken_sensor_changes_the_force_by_a_factor_of_two_at_most(reads: float) -> None:
     gripper = Gripper(0.04, reads=reads)
@@ -225,6 +241,7 @@ def test_fingertips_that_meet_one_another_are_no_object(reads: float) -> None:
     gripper = Gripper(0.0003, reads=reads)
     result = gripper.do(grasp(0.004, 20.0))
     assert (result.grasped, result.within) == (False, False)
+    assert result.opening == abs(round(result.opening, 9))  # neither -2.8e-17 nor -0.0
     assert result.reached  # within the tolerance
     assert result.unknown == (reads == 1.0)  # by efforts alone, they have just arrived
     assert result.grasped_fingers == result.touched == ()
