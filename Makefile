@@ -93,7 +93,7 @@ format: .venv/.ready
 
 docs: .venv/.ready
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --group docs
-	$(BIN)/mkdocs build --strict
+	$(BIN)/zensical build --strict
 
 bench: .venv/.ready
 	for name in extract loop latency log drivers codecs gui simulation; do \
@@ -101,4 +101,4 @@ bench: .venv/.ready
 	done
 
 clean:
-	rm -rf .venv site .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv site .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -11,7 +11,7 @@ import typer
 from rtee.cli._common import JsonOption
 from rtee.cli._online import to_json
 from rtee.cli._table import Column, Row, Table
-from rtee.errors import LogError, MissingExtra, foreign, needing_extra
+from rtee.errors import ConfigError, LogError, foreign, needing_extra
 
 if TYPE_CHECKING:
     from rtee.log.check import Check
@@ -167,13 +167,13 @@ def plot(
 
 
 def _write_pictures(recording: Recording, path: Path) -> None:
-    """Write pictures of the simulated object in the hand, or note that the extra is missing."""
+    """Write pictures of the simulated object in the hand, or note why it cannot."""
     try:
         with needing_extra("a picture of the object", "extract"):
             from rtee.trials.recorded_pictures import write_pictures
         write_pictures(recording, path)
     # The plots are already written, so that a missing picture is no failure.
-    except MissingExtra as error:
+    except ConfigError as error:
         print(f"note: {error}")
     else:
         print(path)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from rtee.log.resync import HEAD, Record
+from rtee.log.resync import Record
 from rtee.messages.codec import SECOND
 
 _SHORTEST_CHUNK = 49
@@ -21,12 +21,10 @@ class Damage:
 
     Attributes:
         gaps: Damaged bytes, each with the number of chunks before them.
-        mended: The records with a damaged head whose content was recognised.
         summary: Whether the summary at the end of the file is damaged.
     """
 
     gaps: list[tuple[Record, int]] = field(default_factory=list)
-    mended: list[Record] = field(default_factory=list)
     summary: bool = False
 
     def sentences(self, times: Sequence[tuple[int, int]]) -> tuple[str, ...]:
@@ -36,11 +34,6 @@ class Damage:
         if others:
             size = sum(record.length for record, _ in others)
             told.append(f"{size} bytes in {len(others)} further places are damaged and lost")
-        if self.mended:
-            count = len(self.mended)
-            heads = "the head of 1 record is" if count == 1 else f"the heads of {count} records are"
-            first = self.mended[0].offset - HEAD.size
-            told.append(f"{heads} damaged, first at byte {first}; nothing of it is lost")
         if self.summary:
             told.append("the summary at the end of the file is damaged; nothing recorded is lost")
         return tuple(told)

@@ -183,8 +183,6 @@ class _Surveyor:
             data = True
             finished = False
             for record in scan(stream):
-                if record.mended:
-                    self._damage.mended.append(record)
                 if record.opcode == Opcode.FOOTER:
                     stream.seek(record.end)
                     finished = stream.read(len(MAGIC)) == MAGIC

@@ -1,9 +1,8 @@
 """Find the records of an MCAP file, also behind damage.
 
 A record's content repeats its length, since the strings and arrays in it say how long they are. A
-head (opcode and length) that disagrees with its content is damaged, and the content tells what it
-was. Where the content is damaged as well, the walk goes on at the next chunk that has the layout of
-one, or else at the summary.
+head (opcode and length) that disagrees with its content, and that no record follows, is damaged:
+the walk goes on at the next chunk that has the layout of one, or else at the summary.
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ import struct
 from dataclasses import dataclass
 from typing import BinaryIO, NamedTuple
 
-import numpy as np
 from mcap.opcode import Opcode
 
-from rtee.log.chunks import INDEX_ENTRY
 from rtee.log.mcapfile import MAGIC
 from rtee.messages.mcap_chunk import LARGEST_CHUNK
 
@@ -33,15 +30,15 @@ LATEST = 2**63 - 1
 _OWN = 0x80  # first opcode of records that other software may define for itself
 _FOOTER = struct.Struct("<BQQQI")  # head, begin of the summary, of its offsets, checksum
 _CHUNK = struct.Struct("<QQQI")  # begin of a chunk's content: start, end, size, checksum
-_NAME = HEAD.size + _CHUNK.size  # offset of the compression's name in the record of a chunk
-_INDEX_BEGIN = 6  # bytes before the entries of a message index: channel and their length
-_LONGEST_NAME = 8  # bytes of the name's length and of the longest name
+_REACH = HEAD.size + _CHUNK.size + 8  # bytes that the pattern of a chunk looks at, at most
 _FIRST_BLOCK = 4096  # bytes searched first: most damage is short
 _LARGEST_BLOCK = 1 << 20  # most bytes searched at once, which bounds the memory
 _PREFIXES = {4: struct.Struct("<I"), 8: struct.Struct("<Q")}
 
-_NAMES = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0")
-"""The names of compressions with their lengths."""
+_BEGIN = re.compile(
+    rb"\x06(?=.{%d}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0))" % (8 + _CHUNK.size), re.S
+)
+"""The begin of a chunk: its opcode, and the name of a compression with its length in its place."""
 
 
 class _Layout(NamedTuple):
@@ -73,18 +70,14 @@ _LAYOUTS: dict[int, _Layout] = {
     Opcode.DATA_END: _Layout((), 4),
 }
 
-_BY_CONTENT = (
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.ATTACHMENT,
-    Opcode.CHANNEL,
+_CHECKED = (
+    Opcode.HEADER,
     Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.CHUNK,
+    Opcode.ATTACHMENT,
     Opcode.METADATA,
 )
-"""Kinds that a record with a damaged opcode may have; those with the strictest layout first,
-since a content may have the layouts of several."""
-
-_CHECKED = (Opcode.HEADER, *_BY_CONTENT[2:], Opcode.CHUNK)
 """Kinds whose content is checked when it is read."""
 
 
@@ -100,13 +93,11 @@ class Record:
         opcode: Its kind, or `DAMAGE` for bytes that are no record.
         offset: Offset of its content in the file [bytes].
         length: Length of its content [bytes].
-        mended: Whether its head is damaged, and kind and length follow from the content.
     """
 
     opcode: int
     offset: int
     length: int
-    mended: bool = False
 
     @property
     def end(self) -> int:
@@ -132,7 +123,6 @@ class Finder:
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
-        self._chunks = False
         self.size = os.fstat(stream.fileno()).st_size
 
     def at(self, position: int) -> Record | None:
@@ -142,15 +132,15 @@ class Finder:
             return None
         opcode, length = HEAD.unpack(head)
         offset = position + HEAD.size
-        first = position == len(MAGIC)
-        # A header and metadata have the same layout, and only the first record is a header.
-        if first == (opcode == Opcode.HEADER) and self._length(opcode, offset) == length:
-            record: Record | None = Record(opcode, offset, length)
-        else:
-            record = self._doubtful(opcode, offset, length, first=first)
-        if record is not None and record.opcode == Opcode.CHUNK:
-            self._chunks = True
-        return record
+        said = self._length(opcode, offset)
+        if said == length:
+            return Record(opcode, offset, length)
+        if opcode == DAMAGE or not self._followed(offset + length):
+            return None
+        if opcode in _CHECKED or opcode not in _LAYOUTS or (said or length) < length:
+            # A kind, or fields, of later versions; or a content whose reader notices its damage.
+            return Record(opcode, offset, length)
+        return Record(DAMAGE, position, HEAD.size + length)
 
     def after(self, position: int) -> int | None:
         """Return where the walk goes on behind damage that begins at a position [bytes].
@@ -168,31 +158,6 @@ class Finder:
         self._stream.seek(position)
         return self._stream.read(size)
 
-    def _doubtful(self, opcode: int, offset: int, length: int, *, first: bool) -> Record | None:
-        """Return the record with a head that its content does not confirm."""
-        kinds = (Opcode.HEADER,) if first else _BY_CONTENT
-        fits = opcode != DAMAGE and self._followed(offset + length)
-        # A message has no length in its content. Files with messages outside of chunks have none.
-        loose = opcode == Opcode.MESSAGE and not self._chunks
-        if fits and not loose:
-            for kind in kinds:
-                if self._plausible(kind, offset) == length:
-                    return Record(kind, offset, length, mended=True)
-        said = self._length(opcode, offset)
-        if fits and (opcode in _CHECKED or opcode not in _LAYOUTS or (said or length) < length):
-            # A kind, or fields, of later versions; or a content whose reader notices its damage.
-            return Record(opcode, offset, length)
-        if fits:
-            return Record(DAMAGE, offset - HEAD.size, HEAD.size + length)
-        for kind in (opcode, *kinds):
-            said = self._plausible(kind, offset)
-            if said is None:
-                continue
-            # The content of a chunk has a checksum, which that of others lacks.
-            if kind == Opcode.CHUNK or self._confirmed(offset + said):
-                return Record(kind, offset, said, mended=True)
-        return None
-
     def _length(self, opcode: int, offset: int) -> int | None:
         """Return the length that a content has as a record of a kind [bytes]."""
         layout = _LAYOUTS.get(opcode)
@@ -209,21 +174,13 @@ class Finder:
         position += layout.rest
         return position - offset if position <= self.size else None
 
-    def _plausible(self, kind: int, offset: int) -> int | None:
-        """Return the length of a content that may be of a kind [bytes], ``None`` if it is not."""
-        length = self._length(kind, offset)
-        if length is None:
-            return None
-        if kind == Opcode.MESSAGE_INDEX and (length - _INDEX_BEGIN) % INDEX_ENTRY:
-            return None
-        if kind == Opcode.CHUNK:
-            start, end, size, checksum = _CHUNK.unpack(self._read(offset, _CHUNK.size))
-            # Without a checksum, a chunk could not be distinguished from other bytes.
-            if not (checksum and start <= end <= LATEST and size <= LARGEST_CHUNK):
-                return None
-            if not _NAMES.match(self._stream.read(_LONGEST_NAME)):
-                return None
-        return length
+    def _is_chunk(self, position: int) -> bool:
+        """Return whether a record that looks like a chunk agrees with its content."""
+        if not self._confirmed(position):
+            return False
+        start, end, size, checksum = _CHUNK.unpack(self._read(position + HEAD.size, _CHUNK.size))
+        # Without a checksum, a chunk could not be distinguished from other bytes.
+        return bool(checksum and start <= end <= LATEST and size <= LARGEST_CHUNK)
 
     def _confirmed(self, position: int) -> bool:
         """Return whether the head at a position is plausible and agrees with its content."""
@@ -245,13 +202,13 @@ class Finder:
         block = _FIRST_BLOCK
         while position < stop:
             # The overlap holds what the pattern looks at behind the last opcode.
-            data = self._read(position, block + _NAME + _LONGEST_NAME)
-            for begin in _alike(data, block):
-                offset = position + begin + HEAD.size
-                if position + begin >= stop:
+            data = self._read(position, block + _REACH)
+            for match in _BEGIN.finditer(data):
+                begin = position + match.start()
+                if match.start() >= block or begin >= stop:
                     break
-                if self._plausible(Opcode.CHUNK, offset) == HEAD.unpack_from(data, begin)[1]:
-                    return position + begin
+                if self._is_chunk(begin):
+                    return begin
             position += block
             block = min(2 * block, _LARGEST_BLOCK)
         return None
@@ -266,20 +223,3 @@ class Finder:
         if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - HEAD.size):
             return ()
         return (summary, position) if 0 < summary < position else (position,)
-
-
-def _alike(data: bytes, most: int) -> list[int]:
-    """Return where chunks may begin among the first bytes.
-
-    There is the opcode, and a plausible length of a compression's name at its place. Whole arrays
-    are compared, since nonsense may be full of either.
-    """
-    array = np.frombuffer(data, dtype=np.uint8)
-    count = min(most, array.size - _NAME - _LONGEST_NAME)
-    if count <= 0:
-        return []
-    alike = (array[:count] == Opcode.CHUNK) & (array[_NAME : _NAME + count] < _LONGEST_NAME)
-    for byte in range(1, 4):  # the higher bytes of the name's length
-        alike &= array[_NAME + byte : _NAME + byte + count] == 0
-    begins: list[int] = np.flatnonzero(alike).tolist()
-    return begins

