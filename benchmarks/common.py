@@ -24,7 +24,7 @@ HELP = {
     "hogs": "number of programs that keep CPUs busy",
     "jobs": "processes at a time",
     "live": "measure over the network, too",
-    "kills": "number of recordings to kill",
+    "kills": "number of times that a recording process is killed",
     "minutes": "length of the measurement or recording [min]",
     "nice": "priority of Chromium, 0 (as all others) to 19 (lowest)",
     "no_matrix": "leave the faults out",

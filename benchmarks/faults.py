@@ -1,25 +1,31 @@
 """Cause a fault every few seconds while a hand moves, and count what did not hold; print Markdown.
 
-    python benchmarks/faults.py [--seconds 1800] [--hand inspire_rh56] [--rate 500] [--realtime]
+    python benchmarks/faults.py [--seconds 1800] [--kills 50] [--hand inspire_rh56] [--rate 500]
+                                [--realtime]
 
 `rtee run` drives an emulated device, a process of its own (`rtee emulate`), and records. A client
 opens and closes the hand without end, and every two seconds a stop is sent as `rtee stop` does.
-Meanwhile, one after the other and in random order: the hand is killed (`kill -9`) and started
-again; it, or the device, stands still (SIGSTOP) for a while; the device loses its supply and comes
-back; the disk is full (the hand may write no more to its files); clients flood the hand (see
-`benchmarks/stop.py`); a client is killed in the middle of its goal.
+First the hand is killed (`kill -9`) so many times while it moves, and started again. Then, one
+after the other and in random order: it, or the device, stands still (SIGSTOP) for a while; the
+device loses its supply and comes back; every tenth of its answers gets lost; the disk is full (as
+root: a small file system of its own, else the hand may write no more to its files); the hand may
+open no more files; its wall clock is set back by an hour; clients flood the hand (see
+`benchmarks/stop.py`); a client is killed in the middle of its goal; and, less often, the hand is
+killed again.
 
 A stop counts for all faults during which it was sent or answered. While the device stands still or
 is unplugged, the right answer is that it has not confirmed; while the hand does, there is none.
-Afterwards the recordings are read: whether they are whole but for what a killed process had not
-written yet, where references began, and whether any was beyond a limit without being a position
-that was measured. With --realtime the hand, its device and what stops it have precedence over all
+What the hand uses is noted after each fault. Afterwards the recordings are read: whether they are
+whole but for what a killed process had not written yet, where references began, and whether any was
+beyond a limit, or further from the last one than the velocity allows, without being a position that
+was measured. With --realtime the hand, its device and what stops it have precedence over all
 others, so that other programs of a busy computer count for less.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import random
 import re
@@ -42,7 +48,7 @@ import anyio.to_thread
 import numpy as np
 from common import Table, command_line, own
 from endurance import count
-from gui_common import COMMAND, MEGA
+from gui_common import MEGA
 
 import rtee
 from rtee.errors import NoHand, RteeError
@@ -60,13 +66,26 @@ LASTS = 1.5
 """Time for which most faults last [s]: longer than a device is waited for (0.5 s)."""
 
 FLOODS = 3.0
-"""Time for which clients flood the hand [s]."""
+"""Time for which clients flood the hand, or answers are lost [s]."""
 
 STOP_EVERY = (1.5, 2.5)
 """Time between two stops [s]."""
 
 SMALL = 4096
 """Size to which the hand's files may grow while the disk is full [bytes]: less than they have."""
+
+DISK = 2**30
+"""Size of the file system for the recordings [bytes]: several times what they need."""
+
+LONG = 4
+"""Rounds of the other faults between two kills, so that a process lives for minutes."""
+
+WARM = 75.0
+"""Time after which a process is compared [s]: the flight recorder's minute is full."""
+
+SLACK = 1.01
+"""Steps of a reference count as within the velocity up to this factor: rounding, and ticks of
+which the recording has the time to the nanosecond only."""
 
 READY = re.compile(r"actuators, .* (in)?active")
 """What a hand says when it runs."""
@@ -76,6 +95,36 @@ SILENT = ("killed", "hand stands still")
 
 MUTE = ("device stands still", "unplugged")
 """Faults during which the right answer is that the device has not confirmed."""
+
+SHIFTED = """
+import signal, time
+now, back = time.time_ns, [0]
+time.time_ns = lambda: now() - back[0]
+time.time = lambda: time.time_ns() * 1e-9
+def hour(*_): back[0] += 3600 * 10**9
+signal.signal(signal.SIGUSR1, hour)
+from rtee.cli import main; main()
+"""
+"""A hand whose wall clock goes back by an hour at a signal: the computer's own stays as it is."""
+
+LOSSY = """
+import random, signal
+from rtee.drivers import emulator_server
+lossy = [False]
+class Player(emulator_server.Player):
+    def __init__(self, *given, **named):
+        super().__init__(*given, **named)
+        feed = self.emulator.feed
+        def sometimes(data, now):
+            answers = feed(data, now)
+            return [] if lossy[0] and random.random() < 0.1 else answers
+        self.emulator.feed = sometimes
+emulator_server.Player = Player
+def turn(*_): lossy[0] = not lossy[0]
+signal.signal(signal.SIGUSR1, turn)
+from rtee.cli import main; main()
+"""
+"""A device of which every tenth answer gets lost, from one signal to the next."""
 
 DYING = """
 import anyio, rtee, sys
@@ -110,6 +159,27 @@ def without_precedence(process: subprocess.Popen[str]) -> subprocess.Popen[str]:
     return process
 
 
+@contextlib.contextmanager
+def small_disk(folder: Path) -> Iterator[bool]:
+    """Put a folder on a small file system of its own, while the context lasts; whether it is."""
+    folder.mkdir()
+    image = folder.with_suffix(".img")
+    image.touch()
+    os.truncate(image, DISK)
+    made = ["mkfs.ext4", "-q", str(image)], ["mount", "-o", "loop", str(image), str(folder)]
+    try:
+        mounted = all(
+            subprocess.run(one, stderr=subprocess.DEVNULL).returncode == 0 for one in made
+        )
+    except FileNotFoundError:
+        mounted = False
+    try:
+        yield mounted
+    finally:
+        if mounted:
+            subprocess.run(["umount", "--lazy", str(folder)])
+
+
 @dataclass(frozen=True)
 class Size:
     """What a process uses."""
@@ -123,21 +193,22 @@ class Size:
         return cls(own(pid) / MEGA, count(pid, "task"), count(pid, "fd"))
 
 
+SIZES = {"memory": "memory [MB]", "threads": "threads", "files": "open files"}
+
+
 @dataclass
 class Life:
     """A process of the hand, from its start to its end.
 
     Attributes:
-        first: What it used once it was ready.
-        last: What it used last.
+        sizes: What it used, each with the time [s], CLOCK_MONOTONIC, while there was no fault.
         ended: When it was killed, CLOCK_MONOTONIC [s]; ``None``: it ended by itself.
         files: Its recordings.
         gaps: Spans in which it could not record [s].
     """
 
     begun: float
-    first: Size | None = None
-    last: Size | None = None
+    sizes: list[tuple[float, Size]] = field(default_factory=list)
     ended: float | None = None
     files: list[Path] = field(default_factory=list)
     gaps: list[tuple[float, float]] = field(default_factory=list)
@@ -147,7 +218,7 @@ class Device:
     """The emulated device."""
 
     def __init__(self, driver: str, port: Path) -> None:
-        self._words = [*COMMAND, "emulate", driver, "--link", str(port)]
+        self._words = [sys.executable, "-c", LOSSY, "emulate", driver, "--link", str(port)]
         self.plug()
 
     def plug(self) -> None:
@@ -165,9 +236,19 @@ class Device:
 class Hand:
     """The hand, as `rtee run` runs it."""
 
-    def __init__(self, folder: Path, name: str, port: Path, rate: float) -> None:
-        self.name, self.logs, self._folder = name, folder / "logs", folder
-        self._words = [*COMMAND, "run", name, "--driver", "devices", "--option", f"port={port}"]
+    def __init__(self, folder: Path, name: str, port: Path, rate: float, *, disk: bool) -> None:
+        self.name, self.logs, self._folder, self._disk = name, folder / "logs", folder, disk
+        self._words = [
+            sys.executable,
+            "-c",
+            SHIFTED,
+            "run",
+            name,
+            "--driver",
+            "devices",
+            "--option",
+            f"port={port}",
+        ]
         self._words += ["--rate", str(rate), "--log", str(self.logs)]
         self.lives: list[Life] = []
         self.start()
@@ -186,7 +267,6 @@ class Hand:
             time.sleep(0.05)
         time.sleep(1.0)  # the network and the recorder start, too
         self.note()
-        self.life.first = self.life.last
 
     def _said(self, place: int) -> str:
         with (self._folder / "said.txt").open() as file:
@@ -195,11 +275,10 @@ class Hand:
 
     def note(self) -> None:
         """Note what it uses now."""
-        self.life.last = Size.of(self.process.pid)
+        self.life.sizes.append((time.monotonic(), Size.of(self.process.pid)))
 
     def end(self, how: signal.Signals) -> None:
         """End it."""
-        self.note()
         if how is signal.SIGKILL:
             self.life.ended = time.monotonic()
         self.process.send_signal(how)
@@ -209,10 +288,35 @@ class Hand:
         found = {path for path in self.logs.glob("*.mcap") if "flight" not in path.name}
         self.life.files = sorted(found - known)
 
-    def limit(self, size: int) -> None:
-        """Let its files grow to a size only [bytes]; -1: as they want."""
-        most = resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE)[1]
-        resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (size, most))
+    @contextlib.contextmanager
+    def limited(self, what: int, most: int) -> Iterator[None]:
+        """Limit what it may use of the system, while the context lasts."""
+        before = resource.prlimit(self.process.pid, what)
+        resource.prlimit(self.process.pid, what, (most, before[1]))
+        try:
+            yield
+        finally:
+            resource.prlimit(self.process.pid, what, before)
+
+    @contextlib.contextmanager
+    def disk_full(self) -> Iterator[None]:
+        """Let nothing more be written to the recordings, while the context lasts."""
+        if not self._disk:
+            with self.limited(resource.RLIMIT_FSIZE, SMALL):
+                yield
+            return
+        rest = self.logs / "rest"
+        try:
+            with rest.open("wb") as file, contextlib.suppress(OSError):
+                for piece in (2**20, 2**12):
+                    with contextlib.suppress(OSError):
+                        while True:
+                            os.posix_fallocate(
+                                file.fileno(), os.fstat(file.fileno()).st_size, piece
+                            )
+            yield
+        finally:
+            rest.unlink()
 
 
 @dataclass
@@ -240,24 +344,33 @@ class Trouble:
             "hand stands still": self._hand_stands_still,
             "device stands still": lambda: self._stand_still(device.process),
             "unplugged": self._unplugged,
+            "answers lost": self._answers_lost,
             "disk full": self._disk_full,
+            "no more files": self._no_more_files,
+            "wall clock set back": self._clock_back,
             **{f"flood of {kind}": self._flood_of(kind) for kind in FLOODS_OF},
             "client killed": self._client_killed,
         }
 
-    async def cause(self, seconds: float) -> None:
-        """Cause faults for a time [s], each as often as the others."""
+    async def cause(self, seconds: float, kills: int) -> None:
+        """Kill the hand so many times, then cause faults for a time [s], each as often."""
+        for _ in range(kills):
+            await self._cause("killed")
         until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            names = list(self._faults)
+        for lap in itertools.count(1):
+            names = [each for each in self._faults if each != "killed" or lap % LONG == 0]
             self.random.shuffle(names)
             for name in names:
-                await anyio.sleep(self.random.uniform(*PAUSE))
                 if time.monotonic() > until:
                     return
-                with self._during(name):
-                    await anyio.to_thread.run_sync(self._faults[name])
-                self.caused[name] += 1
+                await self._cause(name)
+
+    async def _cause(self, name: str) -> None:
+        with self._during(name):
+            await anyio.to_thread.run_sync(self._faults[name])
+        self.caused[name] += 1
+        await anyio.sleep(self.random.uniform(*PAUSE))
+        self.hand.note()
 
     @contextlib.contextmanager
     def _during(self, name: str) -> Iterator[None]:
@@ -290,13 +403,27 @@ class Trouble:
         self.device.plug()
         time.sleep(2.0)  # it is found again, at the latest after one and a half seconds
 
+    def _answers_lost(self) -> None:
+        self.device.process.send_signal(signal.SIGUSR1)
+        time.sleep(FLOODS)
+        self.device.process.send_signal(signal.SIGUSR1)
+
+    def _clock_back(self) -> None:
+        self.hand.process.send_signal(signal.SIGUSR1)
+        time.sleep(LASTS)
+
     def _disk_full(self) -> None:
         begun = time.monotonic()
-        self.hand.limit(SMALL)
-        time.sleep(LASTS)
-        self.hand.limit(-1)
+        with self.hand.disk_full():
+            time.sleep(LASTS)
         time.sleep(LASTS)
         self.hand.life.gaps.append((begun, time.monotonic()))
+
+    def _no_more_files(self) -> None:
+        known = Path(f"/proc/{self.hand.process.pid}/fd").iterdir()
+        most = max(int(each.name) for each in known) + 1
+        with self.hand.limited(resource.RLIMIT_NOFILE, most):
+            time.sleep(LASTS)
 
     def _flood_of(self, kind: str) -> Callable[[], None]:
         def flood() -> None:
@@ -370,7 +497,9 @@ class Judged:
         lost: Time before the kill that is missing [s]; ``None``: it was not killed.
         holes: Times without ticks, though it ran and could record.
         damage: Sentences about damage.
+        back: Ticks whose recorded wall-clock time is before that of the one before.
         beyond: References beyond a limit that were not measured either.
+        fast: Steps of references beyond the velocity that do not end at a measurement.
         jump: Largest distance from the first reference to the measurement, as a share of the range.
     """
 
@@ -378,7 +507,9 @@ class Judged:
     lost: float | None
     holes: int
     damage: list[str]
+    back: int
     beyond: int
+    fast: int
     jump: float
 
 
@@ -386,6 +517,7 @@ def judged(life: Life, model: Model) -> Judged:
     """Read the recordings of a life."""
     lower = np.array([a.lower for a in model.actuators])
     upper = np.array([a.upper for a in model.actuators])
+    fastest = np.array([a.velocity for a in model.actuators])
     recordings: list[Recording] = []
     damage: list[str] = []
     for path in life.files:
@@ -393,10 +525,15 @@ def judged(life: Life, model: Model) -> Judged:
             recover(path, in_place=True)
         recordings.append(read(path))
         damage += recordings[-1].damage
-    beyond, jump = 0, 0.0
+    back, beyond, fast, jump = 0, 0, 0, 0.0
     for number, recording in enumerate(recordings):
         measured, sent = recording.actuator_states.position, recording.reference.position
+        back += int((np.diff(recording.actuator_states.wall) < 0).sum())
+        seconds = np.diff(recording.reference.t)[:, None]
+        steps = np.abs(np.diff(sent, axis=0)) > SLACK * fastest * seconds + 1e-9
         for i in range(len(lower)):
+            landed = np.round(sent[1:, i][steps[:, i]], 6)
+            fast += int((~np.isin(landed, np.round(measured[:, i], 6))).sum())
             outside = sent[:, i][(sent[:, i] < lower[i] - 1e-9) | (sent[:, i] > upper[i] + 1e-9)]
             # It stays where it began, at a measurement, until somebody moves it.
             beyond += int((~np.isin(np.round(outside, 6), np.round(measured[:, i], 6))).sum())
@@ -413,7 +550,7 @@ def judged(life: Life, model: Model) -> Judged:
         holes += not any(a - 1.0 <= begin and end <= b + 1.0 for a, b in life.gaps)
     last = float(times[-1]) if len(times) else life.begun
     lost = None if life.ended is None else life.ended - last
-    return Judged(len(times), lost, holes, damage, beyond, jump)
+    return Judged(len(times), lost, holes, damage, back, beyond, fast, jump)
 
 
 def print_stops(trouble: Trouble) -> None:
@@ -437,17 +574,21 @@ def print_stops(trouble: Trouble) -> None:
 
 def print_lives(lives: list[Life], model: Model) -> None:
     """Print what each process has used, and what its recordings show."""
-    pairs = [(x.first, x.last) for x in lives if x.first is not None and x.last is not None]
-    long = sorted((x.files and x.ended and x.ended - x.begun) or 0.0 for x in lives)
-    print(f"{len(lives)} processes of the hand, the longest {long[-1]:.0f} s:\n")
-    table = Table("", "at the start, median", "at the end, median", "largest growth")
-    for name in ("memory", "threads", "files"):
-        first = [getattr(a, name) for a, _ in pairs]
-        last = [getattr(b, name) for _, b in pairs]
-        most = max(b - a for a, b in zip(first, last, strict=True))
-        unit = " [MB]" if name == "memory" else ""
-        mean = (statistics.median(first), statistics.median(last))
-        table.row(name + unit, *(f"{each:.1f}" for each in mean), f"{most:+.1f}")
+    ends = [life.sizes[-1][0] - life.begun for life in lives]
+    print(f"{len(lives)} processes of the hand, the longest {max(ends):.0f} s. Those that lived ")
+    print(f"for longer than {2 * WARM:.0f} s, from {WARM:.0f} s after their start on:\n")
+    table = Table("", "first, median", "last, median", "largest growth", "in an hour", "processes")
+    late = [[(t, s) for t, s in life.sizes if t - life.begun > WARM] for life in lives]
+    late = [notes for notes in late if notes and notes[-1][0] - notes[0][0] > WARM]
+    for name, title in SIZES.items():
+        rows = [np.array([(t, getattr(s, name)) for t, s in notes]) for notes in late]
+        if not rows:
+            continue
+        rises = [row[-1, 1] - row[0, 1] for row in rows]
+        centred = np.concatenate([row - row.mean(axis=0) for row in rows])
+        slope = 3600.0 * (centred[:, 0] @ centred[:, 1]) / (centred[:, 0] @ centred[:, 0])
+        means = [f"{statistics.median(row[at, 1] for row in rows):.1f}" for at in (0, -1)]
+        table.row(title, *means, f"{max(rises):+.1f}", f"{slope:+.1f}", len(rows))
     found = [judged(life, model) for life in lives]
     lost = [each.lost for each in found if each.lost is not None]
     most = f"{max(lost):.2f} s" if lost else "–"
@@ -457,7 +598,9 @@ def print_lives(lives: list[Life], model: Model) -> None:
     table.row("processes with more than 1 s missing", sum(each > 1.0 for each in lost))
     table.row("holes of more than 1 s that have no such reason", sum(f.holes for f in found))
     table.row("sentences about damage", sum(len(each.damage) for each in found))
+    table.row("recorded times that go back", sum(f.back for f in found))
     table.row("references beyond a limit that were not measured", sum(f.beyond for f in found))
+    table.row("steps beyond the velocity, not to a measurement", sum(f.fast for f in found))
     jump = max(each.jump for each in found)
     table.row("first reference of a process to the measurement, most", f"{100 * jump:.2f} %")
     for sentence in sorted({text for each in found for text in each.damage})[:5]:
@@ -489,16 +632,27 @@ def prepared(folder: Path, name: str) -> str:
     return found[1]
 
 
-async def measure(folder: Path, name: str, seconds: float, rate: float) -> None:
+async def measure(folder: Path, name: str, seconds: float, kills: int, rate: float) -> None:
+    """Run everything in a folder, and print."""
+    with small_disk(folder / "logs") as disk:
+        await measure_on(folder, name, seconds, kills, rate, disk=disk)
+
+
+async def measure_on(
+    folder: Path, name: str, seconds: float, kills: int, rate: float, *, disk: bool
+) -> None:
     """Run everything in a folder, and print."""
     model = load_hand(name)
     device = Device(prepared(folder, name), folder / "port")
-    hand = Hand(folder, name, folder / "port", rate)
+    hand = Hand(folder, name, folder / "port", rate, disk=disk)
     own_first = Size.of(device.process.pid)
     async with troubled(hand, device) as trouble:
-        await trouble.cause(seconds)
+        await trouble.cause(seconds, kills)
+    hand.note()
     hand.end(signal.SIGTERM)
     own_last = Size.of(device.process.pid)
+    load = ", ".join(f"{each:.1f}" for each in os.getloadavg())
+    print(f"Load of the computer at the end: {load}. Disk of its own: {'yes' if disk else 'no'}.\n")
     print(f"`{name}`, {seconds:.0f} s at {rate:g} Hz, {sum(trouble.caused.values())} faults, ")
     print(f"goals: {', '.join(f'{n} {how}' for how, n in trouble.goals.items())}.\n")
     print_stops(trouble)
@@ -513,14 +667,15 @@ async def measure(folder: Path, name: str, seconds: float, rate: float) -> None:
 
 def main() -> None:
     """Run and print."""
-    options = {"seconds": 1800.0, "hand": "inspire_rh56", "rate": 500.0, "realtime": False}
-    given = command_line(__doc__, **options).parse_args()
+    options = {"seconds": 1800.0, "kills": 50, "hand": "inspire_rh56", "rate": 500.0}
+    given = command_line(__doc__, **options, realtime=False).parse_args()
     if given.realtime:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     with tempfile.TemporaryDirectory(prefix="rtee-") as place:
         os.chdir(place)
         try:
-            anyio.run(measure, Path(place), given.hand, given.seconds, given.rate)
+            sizes = (given.seconds, given.kills, given.rate)
+            anyio.run(measure, Path(place), given.hand, *sizes)
         finally:
             for process in _CHILDREN:
                 process.kill()

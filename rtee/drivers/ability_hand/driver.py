@@ -299,8 +299,8 @@ class AbilityHandDriver(Driver):
         """Hold the measured pose."""
         with contextlib.suppress(RteeError, OSError):
             self._attached.begin()
-            with self._pace.unhurried():
-                await patiently(self._hold)
+            # In the cycle's deadline: an answer that is lost must not use up a stop's time.
+            await patiently(self._hold)
 
     async def _hold(self) -> None:
         reply = await self._read()
