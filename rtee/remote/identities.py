@@ -20,7 +20,7 @@ from rtee.hand.names import check_name
 from rtee.messages.identity import SECRET, claim_of
 from rtee.messages.requests import ASK, HERE, PLAIN, Request, Role
 from rtee.remote.incoming_request import Check, IncomingRequest, accepted
-from rtee.remote.rates import CLIENTS_OF_WAY, REFUSALS, TOGETHER, Ignored, Rates
+from rtee.remote.rates import CLIENTS_OF_WAY, REFUSALS, RESERVED, TOGETHER, Ignored, Rates
 
 _MOST_WAITING = 256
 """Most tokens that wait for their hello, hellos that wait for their token, and clients that may
@@ -58,14 +58,15 @@ class Client:
         secret: The key with which the client signs its requests.
         token: Name of its liveliness token.
         rates: Limits the client's requests.
+        reserved: What is left to it when others on its access path use up all.
     """
 
-    __slots__ = ("_newest", "name", "rates", "role", "secret", "token", "way")
+    __slots__ = ("_newest", "name", "rates", "reserved", "role", "secret", "token", "way")
 
     def __init__(self, name: str, role: Role, way: str, token: str) -> None:
         self.name, self.role, self.way, self.token = name, role, way, token
         self.secret = secrets.token_bytes(SECRET)
-        self.rates = Rates()
+        self.rates, self.reserved = Rates(), Rates(times=RESERVED)
         self._newest: dict[str, int] = {}
 
     def is_new(self, request: str, count: int) -> bool:
@@ -216,10 +217,12 @@ class Identities:
                 f"'{request.name}' needs the role {request.role.name.lower()}; this client has"
                 f" the role {admitted.role.name.lower()}"
             )
-        together = self._together(client.way)
-        if not (rates.allow(request.name) and together.allow(request.name)):
+        shares = self._together(client.way), client.reserved
+        if not (rates.allow(request.name) and any(s.allow(request.name) for s in shares)):
             rates.refuse(f"too many requests '{request.name}' in a short time", TooManyRequests)
-        if request.group == ASK and not (rates.has_bytes() and together.has_bytes()):
+        if request.group == ASK and not (
+            rates.has_bytes() and any(share.has_bytes() for share in shares)
+        ):
             rates.refuse("too many long answers in a short time", TooManyRequests)
         return client.name
 
@@ -237,8 +240,8 @@ class Identities:
     def charge(self, name: str, size: int) -> None:
         """Count the bytes of an answer to a client's question."""
         if (client := self._there.get(name)) is not None:
-            client.rates.charge(size)
-            self._together(client.way).charge(size)
+            for rates in (client.rates, client.reserved, self._together(client.way)):
+                rates.charge(size)
 
     def welcome(self, way: str) -> Check:
         """Return the check of a client that says hello on an access path; its name is empty."""

@@ -21,6 +21,10 @@ TOGETHER = 8.0
 """What all clients on one access path may use together, in multiples of what one may: as much as
 eight programs that are busy all the time. Else one person's share would grow with each client."""
 
+RESERVED = 1.0 / 16.0
+"""What no other client on its access path can use up, in multiples of what one may: a client that
+is alone goes on working, slowly. For all of `CLIENTS_OF_WAY` that is half of `TOGETHER` again."""
+
 _BURST = 0.5
 """Burst of requests, in seconds of their rate [s]: a program's first requests come at once."""
 
@@ -101,8 +105,10 @@ class Rates:
 
     def _requests_left(self, name: str) -> float:
         rate, now = self._times * _RATES.get(name, _USUAL), self._now()
-        left, then = self._left.get(name, (_BURST * rate, now))
-        return min(left + (now - then) * rate, _BURST * rate)
+        # With less than one, a slow rate would allow nothing at all.
+        most = max(_BURST * rate, float(rate > 0.0))
+        left, then = self._left.get(name, (most, now))
+        return min(left + (now - then) * rate, most)
 
     def _bytes_left(self) -> float:
         now = self._now()

@@ -257,7 +257,7 @@ async def test_who_is_not_answered_any_more_waits_for_that(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(server, "_REFUSED_AFTER", 1e6)
-    monkeypatch.setitem(rates._RATES, REFUSALS, 1e-6)
+    monkeypatch.setitem(rates._RATES, REFUSALS, 0.0)
     async with serving(hand, library) as served:
         rude = await anyio.to_thread.run_sync(open_client, [served.server.endpoint])
         sessions.append(rude)
@@ -509,20 +509,24 @@ def test_more_clients_give_a_certificate_no_more(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Rates.__init__, "__defaults__", (lambda: now, 1.0))
     identities = Identities(lambda way: Admitted(Role.MAINTAINER, f"{way}."))
     ann = [Asking(identities, "ann", number) for number in range(40)]
-    ben = Asking(identities, "ben", 0)
+    quiet, ben = Asking(identities, "ann", 40), Asking(identities, "ben", 0)
 
     def flood() -> int:
         return sum(client.asks() for client in ann for _ in range(60))
 
     once = flood()
-    assert once == rates.TOGETHER * 50  # half of what comes in a second at once
+    # Half of what comes in a second at once, by eight; the others have what is reserved for each.
+    assert once == rates.TOGETHER * 50 + 32 * 3
+    assert sum(quiet.asks() for _ in range(60)) == 3, "the others have left it nothing"
     assert ben.asks()
     assert sum(ben.asks() for _ in range(60)) == 49, "what it may alone"
     now += 1.0
     assert flood() == once
     now += 1.0
     identities.charge(ann[0].name, int(rates.TOGETHER * 2.1e6))
-    assert not ann[1].asks(), "an answer of its person's other client was long"
+    now += 1.0
+    assert not ann[0].asks(), "its answer was long"
+    assert quiet.asks(), "it has had no long answer"
     assert ben.asks()
 
 
