@@ -16,6 +16,7 @@ HELP = {
     "connections": "number of connections, made one after the other",
     "before": "folder of hands whose stored actions are compared",
     "cycles": "exchanges with each fault",
+    "generations": "most generations of an evolution",
     "flight": "length of the flight recorder's history [s]",
     "frames": "frames for each decoder",
     "goals": "number of goals to send",

@@ -11,12 +11,13 @@ import numpy as np
 
 from rtee.actions.types import FARTHEST_CLEARANCE
 from rtee.extract.distance_queries import TOUCH
+from rtee.extract.envelopes import Envelopes
 from rtee.extract.goals import TipEdge, linked
 from rtee.extract.motion import DistanceBounds, Motion, StraightPath
 from rtee.extract.pairs import LinkPair
 from rtee.extract.resolution import COARSE
 from rtee.extract.scene import Scene
-from rtee.hand.linalg import cross, dot, matvec, norm, norms, rotated
+from rtee.hand.linalg import cross, dot, matvec, norm
 from rtee.hand.pairs import Pairs
 from rtee.sample import FloatArray
 from rtee.types import JointKind
@@ -40,7 +41,7 @@ _PLACE: Final = 2.0**-16
 a fingertip moves some micrometres."""
 
 _FEW: Final = 12
-"""Most pairs of links measured without comparing their spheres first, which would cost as much."""
+"""Most pairs of links measured without comparing envelopes first, which would cost as much."""
 
 _SHARE: Final = 0.8
 """Share of their distance at rest that near links have to keep: the rest is more than the rounding
@@ -50,9 +51,13 @@ REDUCED: Final = 0.25
 """Share of the margin for pinches without a posture of full margin: still clear, but only if the
 model is exact."""
 
-_PLACES: Final = 65
-"""Number of intensities at which the clearance on a path is measured, between which a fingertip
-moves a few millimetres."""
+_PLACES: Final = np.linspace(0.0, 1.0, 65)
+"""Intensities at which the clearance on a path is measured, between which a fingertip moves a few
+millimetres; a multiple of `_PARTS` intervals."""
+
+_CAUTIOUS: Final = 2.0
+"""Factor on the motion of links between two checks on a path, which is measured at some points and
+taken as even between them."""
 
 _PARALLEL: Final = 1e-3
 """Sine of the angle between two axes below which they are parallel."""
@@ -111,6 +116,7 @@ class Collisions:
     def __init__(self, scene: Scene, motion: Motion) -> None:
         self._scene = scene
         self._motion = motion
+        self._envelopes = Envelopes(scene)
         disabled = {frozenset((a, b)) for a, b, _ in scene.hand.disabled_collisions}
         parents, moves = scene.kinematics.model.parents, scene.hand.transmission.moves
 
@@ -137,7 +143,7 @@ class Collisions:
             if not adjacent and frozenset(pair.links) not in disabled:
                 candidates.append(pair)
         scene.place(scene.hand.rest)
-        close = np.flatnonzero(Spheres(scene, candidates).gaps() <= 0.0)
+        close = np.flatnonzero(self._gaps_at_rest(candidates) <= 0.0)
         near = [candidates[c] for c in close]
         touching = {pair.links for pair in near if scene.touching(pair)}
         self.at_rest = tuple(sorted(touching))
@@ -151,13 +157,22 @@ class Collisions:
     def _narrow(self) -> Pairs[str, float]:
         scene, wanted = self._scene, self._scene.hand.clearance / _SHARE
         scene.place(scene.hand.rest)
-        gaps = Spheres(scene, self.checked).gaps()
+        gaps = self._gaps_at_rest(self.checked)
         near = [self.checked[c] for c in np.flatnonzero(gaps < wanted)]
         return Pairs(
             (pair.links, COARSE.rounded_value(scene.exact_distance(pair)))
             for pair in near
             if scene.nearer(pair, wanted)
         )
+
+    def _gaps_at_rest(self, pairs: Sequence[LinkPair]) -> FloatArray:
+        """Return lower bounds on the distances of pairs at rest ``(p,)`` [m]."""
+        bounds: FloatArray = self._envelopes.gaps(
+            [self._scene.hand.rest],
+            self._envelopes.ends(pairs),
+            self._scene.hand.clearance / _SHARE,
+        )[0]
+        return bounds
 
     def margin(self, pair: LinkPair) -> float:
         """Return the distance that two links have to keep in a clear pose [m].
@@ -207,7 +222,8 @@ class Collisions:
             margins |= {pair.number: TOUCH for pair in beside}
         clearance = self._scene.hand.clearance
         carried = Carried(closing, groups, clearance) if closing and carrying else None
-        return CollisionChecker(self._scene, self._motion, pairs, margins, nested, carried)
+        measures = Measures(self._scene, self._motion, self._envelopes)
+        return CollisionChecker(measures, pairs, margins, nested, carried)
 
     def _fingers(self, closing: Closing) -> list[frozenset[int]]:
         """Return the bodies of each finger alone: its bars, and those that carry its tip only."""
@@ -280,6 +296,15 @@ class Carried:
     near: float
 
 
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """What measures links: the scene, bounds on their motion and on their distances."""
+
+    scene: Scene
+    motion: Motion
+    envelopes: Envelopes
+
+
 class CollisionChecker:
     """Checks the links that must stay apart in one search.
 
@@ -291,8 +316,7 @@ class CollisionChecker:
 
     def __init__(
         self,
-        scene: Scene,
-        motion: Motion,
+        measures: Measures,
         pairs: Sequence[LinkPair],
         margins: Mapping[int, float],
         nested: int,
@@ -301,23 +325,30 @@ class CollisionChecker:
         """Prepare checks of some pairs of links.
 
         Args:
-            scene: The hand's links.
-            motion: Bounds on their motion.
+            measures: What measures them.
             pairs: The pairs.
             margins: The distances that they have to keep, by number of the pair [m].
             nested: Number of nested pairs, which are the last.
             carried: Further pairs, which have to stay apart only until a pinch closes.
         """
-        self._scene = scene
-        self._motion = motion
+        self._measures = measures
+        self._scene, self._motion = measures.scene, measures.motion
         self.pairs = tuple(pairs)
         self._margin_of = dict(margins)
         self._margins = np.array([self._margin_of[pair.number] for pair in pairs])
         self._nested = nested
         self._carried = carried
-        self._spheres = Spheres(scene, self.pairs)
-        self._known = DistanceBounds(motion, self.pairs)
+        self._known = DistanceBounds(self._motion, self.pairs)
         self._paths: dict[bytes, Blocked | None] = {}
+        # All pairs that any check may be of, and the bounds on their distances on the last path.
+        groups = carried.groups.values() if carried else ()
+        every = (*self.pairs, *(pair for group in groups for pair in group))
+        self._ends = measures.envelopes.ends(every)
+        self._column = {pair.number: c for c, pair in enumerate(every)}
+        levers = np.array([self._motion.levers(pair) for pair in every])
+        self._levers = levers.reshape(-1, self._motion.joints)
+        self._every = np.array([self._margin_of[pair.number] for pair in every])
+        self._along: tuple[bytes, FloatArray] | None = None
 
     def margin(self, pair: LinkPair) -> float:
         """Return the distance that two links have to keep [m]."""
@@ -327,9 +358,22 @@ class CollisionChecker:
     def reduced(self) -> CollisionChecker:
         """A checker of the same links with a quarter of the margins."""
         margins = {n: max(TOUCH, margin * REDUCED) for n, margin in self._margin_of.items()}
-        return CollisionChecker(
-            self._scene, self._motion, self.pairs, margins, self._nested, self._carried
-        )
+        return CollisionChecker(self._measures, self.pairs, margins, self._nested, self._carried)
+
+    def _bounds(self, path: StraightPath) -> FloatArray:
+        """Return bounds on the distances of all pairs at `_PLACES` of a path ``(t, p)`` [m]."""
+        key = path.goal.tobytes()
+        if self._along is None or self._along[0] != key:
+            postures = [path.at(t) for t in _PLACES.tolist()]
+            # What pairs need to be free of each other on the least part of a path.
+            apart = self._speeds(path) / (2.0 * _PARTS) + self._every
+            apart = np.maximum(apart, FARTHEST_CLEARANCE * self._scene.unit)
+            self._along = key, self._measures.envelopes.gaps(postures, self._ends, apart)
+        return self._along[1]
+
+    def _speeds(self, path: StraightPath) -> FloatArray:
+        """Return bounds on the speeds of all pairs per unit of a path ``(p,)`` [m]."""
+        return matvec(self._levers, path.travel)
 
     def clearance(self, u: FloatArray, *, path: bool) -> float:
         """Return the least distance of the links at a posture [m], 5 mm at most.
@@ -341,20 +385,26 @@ class CollisionChecker:
         scene = self._scene
         least = FARTHEST_CLEARANCE * scene.unit
         straight = self._motion.path_to(u)
-        # From the pose backwards, since the least distance is usually at the end.
-        for t in np.linspace(1.0, 0.0, _PLACES) if path else (1.0,):
+        count = len(self.pairs)
+        places = _PLACES if path else _PLACES[-1:]
+        bounds = self._bounds(straight)[-len(places) :, :count].copy()
+        if not bounds.size:
+            return least
+        speeds = self._speeds(straight)
+        # The least bound first, until no pair can be nearer than the nearest so far.
+        while True:
+            k, c = divmod(int(np.argmin(bounds)), count)
+            if bounds[k, c] >= least:
+                return least
+            pair, t = self.pairs[c], places[k]
             scene.place(straight.at(float(t)))
-            near = np.flatnonzero(self._known.least(scene.joints) < least)
-            if len(near) > _FEW:
-                near = near[self._spheres.gaps()[near] < least]
-            gaps = [scene.at_least(self.pairs[c]) for c in near]
-            # The distances here bound those at the next intensity from below.
-            self._known.learn(near, gaps, scene.joints)
-            for c, gap in zip(near, gaps, strict=True):
-                # A proximity test of meshes is faster than their distance.
-                if gap < least and scene.nearer(self.pairs[c], least):
-                    least = min(least, scene.exact_distance(self.pairs[c]))
-        return least
+            gap = scene.at_least(pair)
+            # A proximity test of meshes is faster than their distance.
+            if gap < least and scene.nearer(pair, least):
+                least = min(least, scene.exact_distance(pair))
+            # Nor can it be much nearer at the places beside this one.
+            bounds[:, c] = np.maximum(bounds[:, c], gap - speeds[c] * np.abs(places - t))
+            bounds[k, c] = np.inf
 
     def at(self, u: FloatArray) -> list[LinkPair]:
         """Return the pairs of links that collide at a posture ``(n,)``."""
@@ -374,7 +424,8 @@ class CollisionChecker:
         margins = self._margins + _SURE
         near = begin + np.flatnonzero((self._known.least(scene.joints) <= margins)[begin:end])
         if len(near) > _FEW:
-            near = near[self._spheres.gaps()[near] <= margins[near]]
+            bounds = self._measures.envelopes.gaps([u], self._ends[:, near], margins[near])[0]
+            near = near[bounds <= margins[near]]
         self._known.learn(near, [scene.at_least(self.pairs[c]) for c in near], scene.joints)
         return [self.pairs[c] for c in near if scene.nearer(self.pairs[c], float(self._margins[c]))]
 
@@ -438,10 +489,22 @@ class CollisionChecker:
         self, path: StraightPath, pairs: Sequence[LinkPair]
     ) -> list[tuple[LinkPair, list[float]]]:
         """Return the runs of the path on which a pair may touch, by the ends of their parts."""
-        speeds = [self._motion.speed(pair, path) for pair in pairs]
+        columns_of = [self._column[pair.number] for pair in pairs]
+        speeds, margins = self._speeds(path)[columns_of].tolist(), self._every[columns_of].tolist()
+        apart = self._bounds(path)[:: (len(_PLACES) - 1) // _PARTS, columns_of]
+        # The same test as below, of all pairs on all parts at once.
+        reach = np.array(speeds) / _PARTS + 2.0 * np.array(margins)
+        alive = apart[:-1] + apart[1:] <= reach
+
+        def live(part: tuple[float, float], columns: Iterable[int]) -> list[int]:
+            begin, end = (int(t * _PARTS) for t in part)
+            within = set(np.flatnonzero(alive[begin:end].any(axis=0)).tolist())
+            return [c for c in columns if c in within]
+
         gaps: list[dict[float, float]] = [{} for _ in pairs]
         left: list[list[tuple[float, float]]] = [[] for _ in pairs]
-        parts = {(0.0, 1.0): self._within_reach(path, pairs, speeds)}
+        whole = (0.0, 1.0)
+        parts = {whole: live(whole, range(len(pairs)))}
         while parts:
             asked: dict[float, set[int]] = {}
             for ends, columns in parts.items():
@@ -456,10 +519,9 @@ class CollisionChecker:
                     gaps[c][t] = self._scene.at_least(pairs[c])
             halves: dict[tuple[float, float], list[int]] = {}
             for (start, end), columns in parts.items():
-                middle = (start + end) / 2.0
+                middle, halved = (start + end) / 2.0, []
                 for c in columns:
-                    margin = self._margin_of[pairs[c].number]
-                    here, there = gaps[c][start] - margin, gaps[c][end] - margin
+                    here, there = gaps[c][start] - margins[c], gaps[c][end] - margins[c]
                     # Links that come near each other in between have to cover both gaps.
                     if here + there > speeds[c] * (end - start):
                         continue
@@ -467,39 +529,32 @@ class CollisionChecker:
                     if (end - start) * (_COARSE_PARTS if overlap else _PARTS) <= 1.0:
                         left[c].append((start, end))
                     else:
-                        halves.setdefault((start, middle), []).append(c)
-                        halves.setdefault((middle, end), []).append(c)
+                        halved.append(c)
+                for half in ((start, middle), (middle, end)) if halved else ():
+                    if near := live(half, halved):
+                        halves[half] = near
             parts = halves
         return [(pair, run) for pair, ends in zip(pairs, left, strict=True) for run in _runs(ends)]
-
-    def _within_reach(
-        self, path: StraightPath, pairs: Sequence[LinkPair], speeds: Sequence[float]
-    ) -> list[int]:
-        """Return the indices of the pairs whose spheres come near each other on some half."""
-        spheres = self._spheres if pairs is self.pairs else Spheres(self._scene, pairs)
-        bounds = []
-        for t in (0.0, 0.5, 1.0):
-            self._scene.place(path.at(t))
-            bounds.append(spheres.gaps())
-        reach = np.array(speeds) / 2.0
-        reach += [2.0 * self._margin_of[pair.number] for pair in pairs]
-        near = (bounds[0] + bounds[1] <= reach) | (bounds[1] + bounds[2] <= reach)
-        return [int(c) for c in np.flatnonzero(near)]
 
     def _first_in(self, pair: LinkPair, path: StraightPath, ends: Sequence[float]) -> float | None:
         """Return the intensity of a pair's first contact on a run of the path, or ``None``."""
         travelled = self._motion.travelled(pair, path, ends)
         # Equal steps of motion instead of intensity: links move unevenly along the path.
         steps = min(max(1, int(np.ceil(travelled[-1] / STEP))), _MOST)
-        before, margin = ends[0], self._margin_of[pair.number]
+        margin, places = self._margin_of[pair.number], [ends[0]]
         for goal in np.linspace(0.0, travelled[-1], steps + 1)[1:]:
             t = float(np.interp(goal, travelled, ends)) if travelled[-1] > 0.0 else ends[-1]
             # On a lattice, which is independent of a processor's last digits.
-            t = min(ends[-1], round(t / _PLACE) * _PLACE)
+            places.append(min(ends[-1], round(t / _PLACE) * _PLACE))
+        number = 1
+        while number <= steps:
+            t = places[number]
             self._scene.place(path.at(t))
             if self._scene.nearer(pair, margin):
-                return bisect(self._scene, pair, path, before, t, margin)
-            before = t
+                return bisect(self._scene, pair, path, places[number - 1], t, margin)
+            # Skip the places at which the links cannot yet be near: a step moves them by `STEP`.
+            gap = self._scene.at_least(pair) - margin
+            number += 1 + max(0, int(gap / (_CAUTIOUS * STEP)))
         return None
 
 
@@ -601,43 +656,3 @@ def bisect(
         else:
             apart = middle
     return touching
-
-
-class Spheres:
-    """Lower bounds on the distances of many pairs of links, from bounding spheres."""
-
-    def __init__(self, scene: Scene, pairs: Sequence[LinkPair]) -> None:
-        """Compute the spheres of the links of these pairs."""
-        self._scene = scene
-        links = list(dict.fromkeys(shapes for pair in pairs for shapes in pair.shapes))
-        spheres = [_sphere(scene, shapes) for shapes in links]
-        self._bodies = [scene.shapes[shapes[0]].body for shapes in links]
-        self._centres = np.array([centre for centre, _ in spheres]).reshape(-1, 3)
-        radii = np.array([radius for _, radius in spheres])
-        self._first = np.array([links.index(pair.shapes[0]) for pair in pairs], dtype=np.intp)
-        self._second = np.array([links.index(pair.shapes[1]) for pair in pairs], dtype=np.intp)
-        self._radii = radii[self._first] + radii[self._second] if pairs else np.zeros(0)
-
-    def gaps(self) -> FloatArray:
-        """Return the least distance of every pair at the posture of the scene ``(p,)`` [m]."""
-        rotations, translations = self._scene.bodies()
-        # Summed in a fixed order, unlike BLAS, for the same bits on every processor.
-        there = np.add.reduce(rotations[self._bodies] * self._centres[:, None, :], axis=2)
-        there += translations[self._bodies]
-        between = there[self._second] - there[self._first]
-        result: FloatArray = norms(between) - self._radii
-        return result
-
-
-def _sphere(scene: Scene, shapes: tuple[int, ...]) -> tuple[FloatArray, float]:
-    """Return a sphere around shapes of one body, in the body's frame: centre and radius [m]."""
-    corners = []
-    for i in shapes:
-        shape = scene.shapes[i]
-        corners.append(
-            rotated(shape.points, shape.placement.rotation) + shape.placement.translation
-        )
-    points = np.concatenate(corners)
-    # Around the bounding box; this is not the smallest sphere, but a valid bound.
-    centre: FloatArray = (points.min(axis=0) + points.max(axis=0)) / 2.0
-    return centre, float(norms(points - centre).max())

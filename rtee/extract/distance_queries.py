@@ -88,6 +88,15 @@ class DistanceQueries:
             number[i] = self._model.addGeometryObject(placed)
         for i, j in self.couples:
             self._model.addCollisionPair(pin.CollisionPair(number[i], number[j]))
+        # Flat faces alone have exact depths.
+        self._flat = [
+            draft and not any(isinstance(bodies[n], _ENDLESS) for n in couple)
+            for couple in self.couples
+        ]
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, without Coal's memory of earlier measurements."""
         self._data = self._model.createData()
         distance = coal.DistanceRequest()
         # One contact is enough, since only whether they touch is asked.
@@ -99,13 +108,18 @@ class DistanceQueries:
             self._data.collisionRequests[k] = collision
         # Their elements are Pinocchio's own requests, so that changes below take effect.
         self._distances = list(self._data.distanceRequests)
-        for request, (i, j) in zip(self._distances, self.couples, strict=True):
-            if draft and not any(isinstance(bodies[n], _ENDLESS) for n in (i, j)):
+        for request, flat in zip(self._distances, self._flat, strict=True):
+            if flat:
                 request.epa_tolerance = _POLYTOPES
         self._collisions = list(self._data.collisionRequests)
         self.results: Any = list(self._data.distanceResults)
         self._measured = self._placed = -1
         self._least = (0.0, 0)
+
+    @property
+    def used(self) -> bool:
+        """Whether anything was measured since the beginning."""
+        return self._measured >= 0 or self._placed >= 0
 
     @property
     def measures_meshes(self) -> bool:

@@ -19,7 +19,7 @@ from rtee.extract.pinch import PinchProbe, pinch_search
 from rtee.extract.ranking import FoundPinch, Rank
 from rtee.hand.geometry import HandGeometry
 from rtee.hand.model import Finger, Hand
-from rtee.hand.resting import closed_rest
+from rtee.hand.resting import NEAR, closed_rest
 
 _LARGE: Final = 5.0
 """Size that no link of a hand has [m]; larger ones come from meshes in millimetres."""
@@ -142,7 +142,18 @@ def _notes(inspector: Inspector, form: Canonical) -> tuple[str, ...]:
     if pairs:
         named = ", ".join(f"{a} and {b}" for a, b in sorted(map(sorted, pairs)))
         notes.append(f"these links touch at rest and are not checked against each other: {named}")
-    closed = closed_rest(HandGeometry(form.source))
+    # Reads the meshes of the hand as given, for which tips have to be near each other.
+    closed = closed_rest(HandGeometry(form.source)) if _near_at_rest(inspector) else None
     if closed is not None:
         notes.append(closed.text)
     return tuple(notes)
+
+
+def _near_at_rest(inspector: Inspector) -> bool:
+    """Return whether any two fingertips nearly touch at rest."""
+    scene = inspector.scene
+    scene.place(scene.hand.rest)
+    tips = [finger.tip for finger in scene.hand.fingers if finger.tip]
+    pairs = (scene.pair(*both) for both in combinations(tips, 2))
+    # Twice the distance, since it is exact in another unit of length.
+    return any(pair and scene.at_least(pair) <= 2.0 * NEAR * scene.unit for pair in pairs)

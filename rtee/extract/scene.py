@@ -302,8 +302,9 @@ class Scene:
     def forget(self) -> None:
         """Drop Coal's memory of earlier queries, which changes later results by some 10 nm."""
         for known in (self._rough, self._convex):
-            for number in [number for number, queries in known.items() if queries.remembers]:
-                del known[number]
+            for queries in known.values():
+                if queries.remembers and queries.used:
+                    queries.forget()
 
     def touching(self, pair: LinkPair, *, surfaces: bool = True) -> bool:
         """Return whether the original geometry of two links touches.
