@@ -87,8 +87,8 @@ SLACK = 1.01
 """Steps of a reference count as within the velocity up to this factor: rounding, and ticks of
 which the recording has the time to the nanosecond only."""
 
-READY = re.compile(r"actuators, .* (in)?active")
-"""What a hand says when it runs."""
+READY = re.compile(r"actuators, .*; network ")
+"""What a hand says when it runs, whether its device was found at once or not."""
 
 SILENT = ("killed", "hand stands still")
 """Faults during which no answer is the right one."""

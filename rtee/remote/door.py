@@ -43,6 +43,13 @@ way."""
 _SILENT_FOR = 3.0
 """Time to show a certificate [s]: several round trips of a slow VPN."""
 
+_FOR_STOPS = 8
+"""Connections of one certificate beyond its limit: its programs may have used up that, and a stop
+has to get in all the same."""
+
+_STOPPED_WITHIN = 3.0
+"""Time after which those are closed [s]: a stop takes some tenths, on a busy computer a second."""
+
 _BACKLOG = 1024
 """Connections that wait in the kernel to be accepted."""
 
@@ -259,10 +266,11 @@ class _Doorkeeper:
                 certificate = transport.get_extra_info("peercert")
                 name = _common_name(certificate)
                 passing = self._passing.setdefault(name, set())
-                if name in self._people and len(passing) < CONNECTIONS_OF_CERTIFICATE:
+                left = CONNECTIONS_OF_CERTIFICATE - len(passing)
+                if name in self._people and left > -_FOR_STOPS:
                     passing.add(task)
                     valid = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
-                    async with asyncio.timeout(valid):
+                    async with asyncio.timeout(valid if left > 0 else min(valid, _STOPPED_WITHIN)):
                         await self._pass(name, reader, writer)
             finally:
                 self._passing.get(name, set()).discard(task)
