@@ -56,6 +56,7 @@ class Emulator(ABC):
             bytes are the same as on a line.
         duplex: Of its line: half, as on a two-wire RS-485 or a single data wire, or full.
         WEAR: How the real device differs from its sheet, as far as it was measured.
+        axes: Its motors.
         faults: Faults injected at present.
         wear: How this one differs from its sheet.
         fresh: Whether no program has had an answer since the line was connected.
@@ -69,6 +70,7 @@ class Emulator(ABC):
     period: float = 0.0
     baudrate: int = 115200
     duplex: ClassVar[Duplex] = Duplex.HALF
+    axes: Any = ()
 
     def __init__(self) -> None:
         self.faults: set[str] = set()
@@ -101,8 +103,8 @@ class Emulator(ABC):
         """Lose what the device loses when its supply is cut and comes back."""
 
     def motors(self) -> Sequence[Any]:
-        """Return its motors, which `wear_down` wears down, too."""
-        return ()
+        """Return its motors, which `wear_down` wears down, too, and ``stuck`` blocks."""
+        return list(self.axes)
 
     def wear_down(self, wear: Wear) -> None:
         """Make it differ from its sheet."""
@@ -129,8 +131,10 @@ class Emulator(ABC):
             self.faults.discard(fault)
         self.on_faults()
 
-    def on_faults(self) -> None:  # noqa: B027 - some devices look at `faults` where it matters
-        """Act on `faults`, as by blocking a motor; called whenever they have changed."""
+    def on_faults(self) -> None:
+        """Act on `faults`; called whenever they have changed. By default it blocks the motors."""
+        for motor in self.motors():
+            motor.stuck = "stuck" in self.faults
 
     def _elapsed(self, now: float) -> float:
         """Return the time since the last call [s]: 0 at the first one, and never negative."""

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from rtee.buses.bus import Bus
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
 from rtee.drivers.connection import Connection
 from rtee.drivers.standstill import Standstill
+from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
 from rtee.object_description import ObjectDescription
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
+
+if TYPE_CHECKING:
+    from rtee.buses.emulator import Emulator
+
+B = TypeVar("B", bound=Bus)
+L = TypeVar("L")
 
 
 class Driver(ABC):
@@ -27,6 +36,8 @@ class Driver(ABC):
         spec: The device as configured.
         buses: The buses of this process, from which the driver acquires the one it needs.
         capabilities: What the device measures and accepts; may be refined by `configure`.
+        active: Whether the device has been activated, in drivers that note it: one that is not is
+            only read.
         doing: A lengthy operation under way, in words such as ``homing the thumb``; else empty.
             It is published while the call is under way.
         object_description: Shape of the object that a simulated device grasps, after `configure`.
@@ -36,6 +47,7 @@ class Driver(ABC):
     """
 
     Options: ClassVar[type[Any] | None] = None
+    active: bool = False
     doing: str = ""
     object_description: ObjectDescription | None = None
     connection: Connection[Any] | None = None
@@ -56,6 +68,71 @@ class Driver(ABC):
             HandshakeError: if another device answers than the one expected.
             BusError: if the bus cannot be used.
         """
+
+    async def open(
+        self,
+        bus: Callable[..., Awaitable[B]],
+        address: str,
+        talk: Callable[[B], L],
+        *,
+        emulator: str | type[Emulator] | None = None,
+        emulated: Mapping[str, Any] | None = None,
+        **settings: Any,
+    ) -> L:
+        """Open `connection`, to the device or to its emulator, and return the new link.
+
+        Args:
+            bus: The method of `buses` that acquires the bus.
+            address: The bus's address.
+            talk: Makes the link from the bus.
+            emulator: The emulator or its name; by default the one named as the driver.
+            emulated: Options of an emulated device, beside those in hand.yaml.
+            settings: Further arguments of ``bus``, such as ``baudrate``.
+
+        Raises:
+            BusError: if the bus cannot be opened.
+        """
+        # Imported only here: drivers without a bus do without.
+        from rtee.drivers.emulators import emulator_of
+
+        connection: Connection[L] = self.connection or Connection(self.spec)
+        self.connection = connection
+        played = emulator_of(self.spec, emulator, **(emulated or {}))
+        return await connection.open(
+            bus(address, owner=connection.owner, emulator=played, **settings), talk
+        )
+
+    @contextmanager
+    def identifying(
+        self,
+        expected: str,
+        absent: str,
+        hint: str,
+        *strangers: type[Exception],
+        check: str = "check the address",
+    ) -> Iterator[None]:
+        """Say of an error in the first exchanges whether no device or another one is there.
+
+        Args:
+            expected: The device, with its article, such as ``an SVH``.
+            absent: What is wrong if none answers, such as ``no SVH answers at /dev/ttyUSB0``.
+            hint: What to check then.
+            strangers: The errors that another device causes.
+            check: What to check if another device answers.
+
+        Raises:
+            NotConnected: if no device answers, or none that can be understood.
+            HandshakeError: if another device answers.
+        """
+        try:
+            yield
+        except strangers as error:
+            reason = getattr(error, "message", None) or str(error)
+            raise HandshakeError(
+                self.spec.name, expected, f"another device ({reason})", hint=check
+            ) from error
+        except (BusTimeout, FrameError) as error:
+            raise NotConnected(self.spec.name, absent, hint=hint) from error
 
     async def activate(self) -> None:
         """Power and enable the device; homes it only if the options allow it and it is not homed.
@@ -122,6 +199,12 @@ class Driver(ABC):
         """
         return ""
 
+    def fault(self, code: int, name: str, hint: str) -> DeviceFault:
+        """Return a fault that the device reports; the driver is inactive from here on."""
+        # An inactive driver only reads, so that the fault is raised once and not in every cycle.
+        self.active = False
+        return DeviceFault(self.spec.name, code, name, hint=hint)
+
     def counters(self) -> Mapping[str, int]:
         """Return the counters of the device's bus, for its status; must return at once."""
         return {} if self.connection is None else self.connection.counters()
@@ -141,5 +224,6 @@ class Driver(ABC):
 
     async def close(self) -> None:
         """Detach from the bus; may be called any number of times, in any state."""
+        self.active = False
         if self.connection is not None:
             await self.connection.close()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from rtee.buses.modbus import ModbusBus, ModbusRefusal, UnitUnreachable
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
-from rtee.drivers.emulators import emulator_of
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
 from rtee.drivers.onrobot_common import (
     FIRMWARE,
     PRODUCT,
@@ -21,43 +22,46 @@ from rtee.drivers.onrobot_common import (
     serial_number,
     version,
 )
-from rtee.drivers.register_blocks import Blocks, ExchangingDriver
+from rtee.drivers.register_blocks import Blocks
+from rtee.drivers.registers import Registers
 from rtee.drivers.wiring import only_actuator
-from rtee.errors import BusError, BusTimeout, FrameError, HandshakeError, NotConnected
-from rtee.types import DeviceSpec, Reference
+from rtee.errors import BusError, FrameError, NotConnected
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec
 
 CONNECTING = 0.5
 """Longest time for a request about the gripper while connecting [s]; the box may be slow."""
 
-S = TypeVar("S")
+S = TypeVar("S", bound=Registers)
 
 
-class OnRobotDriver(ExchangingDriver[S]):
+class OnRobotDriver(Driver, Generic[S]):
     """An OnRobot gripper on Modbus, with one actuator.
 
-    It needs no activation and no homing.
+    It needs no activation and no homing. A cycle is one exchange, which writes a command and reads
+    the state; where nothing is to be commanded, the state is read.
 
     Attributes:
         MODEL: Its name in messages.
         EMULATOR: The name of its emulator.
-        STATUS_TYPE: The class of its state.
+        STATUS: The block of its state.
+        COMMAND: The block of a command.
         SOURCE: First register of its state.
-        COUNT: Registers of its state.
-        SENT: Registers of a command.
     """
 
     MODEL: ClassVar[str]
     EMULATOR: ClassVar[str]
-    STATUS_TYPE: ClassVar[type[Any]]
+    STATUS: ClassVar[type[Registers]]
+    COMMAND: ClassVar[type[Registers]]
     SOURCE: ClassVar[int]
-    COUNT: ClassVar[int]
-    SENT: ClassVar[int]
 
     def __init__(self, spec: DeviceSpec, buses: BusPool, settings: OnRobotOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
+        self.connection: Connection[Blocks[S]] = Connection(spec)
         only_actuator(spec, self.MODEL)
-        self._status: S = self.STATUS_TYPE()
+        status: Any = self.STATUS()
+        self._status: S = status
 
     # --- defined by each model ---------------------------------------------------------------
 
@@ -69,52 +73,74 @@ class OnRobotDriver(ExchangingDriver[S]):
     def _abilities(self, best_rate: float, identity: Mapping[str, str]) -> Capabilities:
         """Return what it measures and accepts."""
 
+    @abstractmethod
+    def _measured(self, status: S, stamp: float) -> ActuatorState:
+        """Return a state in SI units."""
+
+    @abstractmethod
+    def _refuse(self, status: S) -> None:
+        """Raise the fault that a state reports, if any."""
+
+    @abstractmethod
+    def _stopping(self) -> Sequence[int]:
+        """Return the registers that end its motion and change nothing else."""
+
+    @abstractmethod
+    def _forget(self) -> None:
+        """Forget the last command."""
+
     # --- life --------------------------------------------------------------------------------
+
+    def _decoded(self, block: Sequence[int]) -> S:
+        status: Any = self.STATUS.from_registers(block, self._settings.address)
+        self._note(status)
+        return self._status
+
+    def _note(self, status: S) -> None:
+        """Store a state that was read."""
+        self._status = status
 
     async def configure(self) -> None:
         """Open the connection and identify the gripper; moves nothing."""
         options = self._settings
-        blocks = await self.connection.open(
-            self.buses.modbus(
-                options.address,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                parity="E",
-                emulator=emulator_of(self.spec, self.EMULATOR, port=options.address),
-            ),
+        blocks = await self.open(
+            self.buses.modbus,
+            options.address,
             lambda bus: Blocks(
                 bus,
                 options.unit,
+                self._decoded,
                 output=TARGETS,
                 source=self.SOURCE,
-                count=self.COUNT,
+                count=self.STATUS.COUNT,
                 kind=options.exchange,
                 # No document gives a refresh time, so only the wire limits the rate.
                 refresh=0.0,
             ),
+            emulator=self.EMULATOR,
+            emulated={"port": options.address},
+            baudrate=options.baudrate,
+            parity="E",
         )
-        best = blocks.best_rate(self.SENT) if blocks.bus.rtu else options.rate
+        best = blocks.best_rate(self.COMMAND.COUNT) if blocks.bus.rtu else options.rate
+        where = f"unit {options.unit} at {options.address}"
+        hint = "check supply, cable and `unit` (65; 66 or 67 on a dual quick changer)"
         try:
-            identity = await self._identify(blocks.bus)
-        except UnitUnreachable as error:
-            raise self._absent("the Compute Box finds no tool") from error
-        except BusTimeout as error:
-            raise self._absent("no answer") from error
-        except (ModbusRefusal, FrameError) as error:  # a tool that does not have these registers
-            raise HandshakeError(self.spec.name, self.MODEL, error.message) from error
+            # A tool that does not have these registers refuses to read them.
+            strangers = ModbusRefusal, FrameError
+            with self.identifying(self.MODEL, f"no answer ({where})", hint, *strangers):
+                identity = await self._identify(blocks)
+        except NotConnected as error:
+            if not isinstance(error.__cause__, UnitUnreachable):
+                raise
+            found = f"the Compute Box finds no tool ({where})"
+            raise NotConnected(self.spec.name, found, hint=hint) from error.__cause__
         self.capabilities = self._abilities(best, identity)
-        self._pace(best)
+        blocks.pace(self.spec, best)
 
-    def _absent(self, what: str) -> NotConnected:
-        return NotConnected(
-            self.spec.name,
-            f"{what} (unit {self._settings.unit} at {self._settings.address})",
-            hint="check supply, cable and `unit` (65; 66 or 67 on a dual quick changer)",
-        )
-
-    async def _identify(self, bus: ModbusBus) -> dict[str, str]:
-        self._status = await self._read()
-        unit = self._settings.unit
+    async def _identify(self, blocks: Blocks[S]) -> dict[str, str]:
+        await blocks.read()
+        unit, bus = self._settings.unit, blocks.bus
         identity = {"address": f"unit {unit}", **await self._described(bus)}
         # Few sources document these registers, so they are shown and nothing depends on them.
         with contextlib.suppress(BusError):
@@ -130,30 +156,34 @@ class OnRobotDriver(ExchangingDriver[S]):
     async def activate(self) -> None:
         """Check that it reports no fault."""
         with self.connection.link.unhurried():
-            self._status = await self._read()
-        self._refuse(self._status)
+            self._refuse(await self.connection.link.read())
         self._forget()
-        self._active = True
+        self.active = True
 
     async def examine(self) -> str:
         """Raise the fault that it reports."""
-        self._refuse(await self._read())
+        self._refuse(await self.connection.link.read())
         return ""
 
-    # --- every cycle -------------------------------------------------------------------------
+    async def sense(self) -> ActuatorState:
+        """Return the state that came with the last exchange, or read it."""
+        status, stamp = await self.connection.link.newest()
+        if self.active:
+            self._refuse(status)
+        return self._measured(status, stamp)
 
-    async def move(self, reference: Reference) -> None:
-        """Send a reference in one frame."""
-        if reference.mask[0]:
-            await super().move(reference)
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if self.connection.is_open and await self.connection.link.insist(self._stopping()):
+            self._forget()
+
+    async def deactivate(self) -> None:
+        """Stop; a grip is kept."""
+        await self.stop()
+        self.active = False
 
     async def recover(self) -> None:
         """Check that the cause of the fault is gone, and stop."""
         with self.connection.link.unhurried():
-            self._status = await self._read()
-        self._refuse(self._status)
+            self._refuse(await self.connection.link.read())
         await self.stop()
-
-    def _decoded(self, block: Sequence[int]) -> S:
-        status: S = self.STATUS_TYPE.from_registers(block, self._settings.address)
-        return status

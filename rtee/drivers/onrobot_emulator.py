@@ -137,10 +137,6 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
         self.axis.max_effort = self._effort(self._built_up)
         self._busy = self._built_up < 1.0
 
-    def on_faults(self) -> None:
-        """Block the motor while it is stuck."""
-        self.axis.stuck = "stuck" in self.faults
-
     def read(self, function: int, address: int, count: int, now: float) -> Sequence[int]:
         """Return registers; those inside a block that no document names are 0."""
         self._reachable()
@@ -161,10 +157,6 @@ class OnRobotEmulator(ModbusEmulator, Grasps):
     def _reachable(self) -> None:
         if "no_tool" in self.faults:
             raise Refused(_GATEWAY_NO_TARGET)
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [self.axis]
 
     def advance(self, now: float) -> None:
         """Let time pass up to ``now``."""

@@ -7,8 +7,6 @@ register names (rACT, gFLT ...) are used here.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal
@@ -17,6 +15,7 @@ from pydantic import Field
 
 from rtee.drivers.options import DeviceOptions
 from rtee.drivers.register_blocks import ExchangeKind
+from rtee.drivers.registers import Registers, at, flag
 
 OUTPUT = 0x03E8
 """First register of the block that the host writes, on a serial line."""
@@ -78,7 +77,7 @@ class RobotiqOptions(DeviceOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class RobotiqCommand(ABC):
+class RobotiqCommand(Registers):
     """The first byte of every gripper's output block.
 
     Attributes:
@@ -87,17 +86,13 @@ class RobotiqCommand(ABC):
         release: rATR, the automatic release.
     """
 
-    activate: bool = False
-    go: bool = False
-    release: bool = False
-
-    @abstractmethod
-    def to_registers(self) -> Sequence[int]:
-        """Return the registers."""
+    activate: bool = flag(0, 8)
+    go: bool = flag(0, 11)
+    release: bool = flag(0, 12)
 
 
 @dataclass(frozen=True, slots=True)
-class RobotiqStatus(ABC):
+class RobotiqStatus(Registers):
     """The part that every gripper's input block has.
 
     Attributes:
@@ -107,10 +102,10 @@ class RobotiqStatus(ABC):
         fault: The code of gFLT, 0 for none; see the gripper's `FAULTS`.
     """
 
-    activated: bool = False
-    going: bool = False
-    progress: Progress = Progress.RESET
-    fault: int = 0
+    activated: bool = flag(0, 8)
+    going: bool = flag(0, 11)
+    progress: Progress = at(0, 12, 2, Progress)
+    fault: int = at(1, 8, 4)
 
     @property
     def ready(self) -> bool:
@@ -121,10 +116,6 @@ class RobotiqStatus(ABC):
     def reset(self) -> bool:
         """Whether it is not activated, nor about to be."""
         return self.progress is Progress.RESET
-
-    @abstractmethod
-    def to_registers(self) -> Sequence[int]:
-        """Return the registers."""
 
 
 class Grip:

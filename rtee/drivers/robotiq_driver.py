@@ -14,9 +14,10 @@ from typing import ClassVar, Generic, TypeVar
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.emulators import emulator_of
-from rtee.drivers.register_blocks import PATIENT, Blocks, ExchangingDriver
+from rtee.drivers.register_blocks import PATIENT, Blocks
 from rtee.drivers.robotiq_common import (
     NOT_ACTIVATED,
     Fault,
@@ -24,8 +25,9 @@ from rtee.drivers.robotiq_common import (
     RobotiqOptions,
     RobotiqStatus,
 )
-from rtee.errors import BusError, BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected
-from rtee.types import DeviceSpec
+from rtee.errors import BusError, BusTimeout, DeviceFault, FrameError
+from rtee.sample import ActuatorState
+from rtee.types import DeviceSpec, Reference
 
 _POLL = 0.01
 """Time between two readings of the status while the gripper moves by itself [s]."""
@@ -37,42 +39,49 @@ S = TypeVar("S", bound=RobotiqStatus)
 C = TypeVar("C", bound=RobotiqCommand)
 
 
-class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
+class RobotiqDriver(Driver, Generic[S, C]):
     """A Robotiq gripper on Modbus.
 
-    The first write comes with the first reference that differs from where an active gripper is.
+    A cycle is one exchange, which writes a reference and reads the status. The first write comes
+    with the first reference that differs from where an active gripper is.
 
     Attributes:
         MODEL: Its name in the message when another device answers.
         EMULATOR: The name of its emulator.
+        STATUS: Its input block.
+        COMMAND: Its output block.
         FAULTS: Its fault codes.
         HINT: What to do about a gripper that is not activated.
-        COUNT: Registers of either block.
-        RESET: Registers that clear rACT.
-        ACTIVATE: Registers that set nothing but rACT.
+        USED: Registers that hold the activation and the request of all fingers together: the first
+            of the output block.
     """
 
     MODEL: ClassVar[str]
     EMULATOR: ClassVar[str]
+    STATUS: ClassVar[type[RobotiqStatus]]
+    COMMAND: ClassVar[type[RobotiqCommand]]
     FAULTS: ClassVar[Mapping[int, Fault]]
     HINT: ClassVar[str]
-    COUNT: ClassVar[int]
-    RESET: ClassVar[Sequence[int]]
-    ACTIVATE: ClassVar[Sequence[int]]
+    USED: ClassVar[int] = 3
 
     def __init__(self, spec: DeviceSpec, buses: BusPool, settings: RobotiqOptions) -> None:
         super().__init__(spec, buses)
         self._settings = settings
-        self._status = self._decoded(())
+        self.connection: Connection[Blocks[S]] = Connection(spec)
+        self._status: S = self._decoded([0] * self.STATUS.COUNT)
         self._sent: C | None = None
         self._home_asked = False
         self.capabilities = self._abilities(100.0)
 
-    # --- defined by each model ---------------------------------------------------------------
-
-    @abstractmethod
     def _decoded(self, block: Sequence[int]) -> S:
-        """Return the status of an input block, the default of an empty one; raises `FrameError`."""
+        status: S = self.STATUS.from_registers(block, self._settings.port)  # type: ignore[assignment]
+        return status
+
+    def _action(self, activate: bool) -> Sequence[int]:
+        """Return the registers that set nothing but rACT, or clear it, which resets it."""
+        return self.COMMAND(activate=activate).to_registers()[: self.USED]
+
+    # --- defined by each model ---------------------------------------------------------------
 
     @abstractmethod
     def _places(self) -> tuple[int, int, int]:
@@ -85,6 +94,18 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
     @abstractmethod
     def _identity(self) -> Mapping[str, str]:
         """Return the identity of the gripper, as shown to users."""
+
+    @abstractmethod
+    def _measured(self, status: S, stamp: float) -> ActuatorState:
+        """Return a status in SI units."""
+
+    @abstractmethod
+    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+        """Return the registers to send for a reference; ``None``: nothing."""
+
+    @abstractmethod
+    def _stopping(self) -> Sequence[int]:
+        """Return the registers that end its motion and change nothing else."""
 
     # --- life --------------------------------------------------------------------------------
 
@@ -104,52 +125,45 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
         output, source, function = self._places()
         # Where both blocks begin at the same register, function 23 cannot distinguish them.
         mixed = output == source and settings.exchange == "auto"
-        # An emulated gripper starts activated, as after an earlier run, unless it is to be homed.
-        emulated = {"activated": settings.home == "on_demand", **settings.emulator}
-        blocks = await self.connection.open(
-            self.buses.modbus(
-                settings.port,
-                owner=self.connection.owner,
-                baudrate=settings.baudrate,
-                gap=self._gap(),
-                emulator=emulator_of(self.spec, self.EMULATOR, emulator=emulated),
-            ),
+        blocks = await self.open(
+            self.buses.modbus,
+            settings.port,
             lambda bus: Blocks(
                 bus,
                 settings.unit,
+                self._decoded,
                 output=output,
                 source=source,
-                count=self.COUNT,
+                count=self.STATUS.COUNT,
                 kind="separate" if mixed else settings.exchange,
                 function=function,
             ),
+            emulator=self.EMULATOR,
+            # An emulated gripper starts activated, as after an earlier run, unless it is to home.
+            emulated={"emulator": {"activated": settings.home == "on_demand", **settings.emulator}},
+            baudrate=settings.baudrate,
+            gap=self._gap(),
         )
-        best = blocks.best_rate(self.COUNT)
+        best = blocks.best_rate(self.COMMAND.COUNT)
         self.capabilities = self._abilities(best)
         await self._identify()
-        self._pace(best)
+        blocks.pace(self.spec, best)
 
     async def _identify(self) -> None:
-        try:
-            self._status = await self._read()
-        except BusTimeout as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no answer from unit {self._settings.unit} at {self._settings.port}",
-                hint="check supply, wiring, `unit` and `baudrate`",
-            ) from error
-        except FrameError as error:
-            raise HandshakeError(
-                self.spec.name,
-                f"a {self.MODEL}",
-                error.message,
-                hint="is it another gripper, or is another program using the line?",
-            ) from error
+        settings = self._settings
+        with self.identifying(
+            f"a {self.MODEL}",
+            f"no answer from unit {settings.unit} at {settings.port}",
+            "check supply, wiring, `unit` and `baudrate`",
+            FrameError,
+            check="is it another gripper, or is another program using the line?",
+        ):
+            self._status = await self.connection.link.read()
 
     async def activate(self) -> None:
         """Attach to an active gripper; activate an inactive one where that is allowed."""
         with self.connection.link.unhurried():
-            status = self._status = await self._read()
+            status = self._status = await self.connection.link.read()
         self._refuse(status)
         allowed = self._settings.home == "on_connect" or self._home_asked
         if not status.ready:
@@ -159,16 +173,16 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
         await self._prepare(allowed)
         self._home_asked = False
         self._sent = None
-        self._active = True
+        self.active = True
 
     async def _prepare(self, allowed: bool) -> None:
         """Finish the preparation of the gripper, which may move it only if ``allowed``."""
 
     async def _activate(self) -> None:
         # A gripper that was activated already starts again only from a reset.
-        await self._write(self.RESET)
+        await self._write(self._action(False))
         await self._until(lambda status: status.reset)
-        await self._write(self.ACTIVATE)
+        await self._write(self._action(True))
         await self._until(lambda status: status.ready)
 
     async def _within(self, doing: str, steps: Callable[[], Awaitable[None]]) -> None:
@@ -189,13 +203,13 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
     async def _end_activation(self) -> None:
         # Only a reset ends an activation; without it the gripper goes on once its fingers are free.
         with contextlib.suppress(BusError):
-            await self._write(self.RESET)
+            await self._write(self._action(False))
 
     async def _until(self, done: Callable[[S], bool]) -> None:
         missed = 0
         while True:
             try:
-                status = self._status = await self._read()
+                status = self._status = await self.connection.link.read()
             except (BusTimeout, FrameError):
                 missed += 1
                 if missed > _MISSED:
@@ -209,27 +223,46 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
 
     async def examine(self) -> str:
         """Return whether it is not activated; raises the fault that it reports."""
-        status = self._status = await self._read()
+        status = self._status = await self.connection.link.read()
         self._refuse(status)
         return "" if status.ready else "not activated"
 
-    async def _supervise(self) -> None:
-        await super()._supervise()
-        if not self._status.ready:
-            # A write with rACT set has begun to activate it, which moves it.
-            await self._insist(self.RESET)
-            name = "lost its activation; was its supply cut?"
-            raise self._gripper_fault(NOT_ACTIVATED, name)
+    # --- every cycle -------------------------------------------------------------------------
 
-    def _forget(self) -> None:
-        self._sent = None
+    async def sense(self) -> ActuatorState:
+        """Return the state that came with the last exchange, or read it."""
+        self._status, stamp = await self.connection.link.newest()
+        if self.active:
+            self._refuse(self._status)
+            if not self._status.ready:
+                # A write with rACT set has begun to activate it, which moves it.
+                await self.connection.link.insist(self._action(False))
+                name = "lost its activation; was its supply cut?"
+                raise self._gripper_fault(NOT_ACTIVATED, name)
+        return self._measured(self._status, stamp)
+
+    async def move(self, reference: Reference) -> None:
+        """Send a reference in one frame, and read the state with it."""
+        registers = self._registers_for(reference)
+        if registers is not None:
+            self._status = await self.connection.link.exchange(registers)
 
     # --- stop and faults ---------------------------------------------------------------------
+
+    async def stop(self) -> None:
+        """End the motion; what is gripped stays gripped."""
+        if self.connection.is_open and await self.connection.link.insist(self._stopping()):
+            self._sent = None
+
+    async def deactivate(self) -> None:
+        """Stop; a grip is kept."""
+        await self.stop()
+        self.active = False
 
     async def recover(self) -> None:
         """Clear a fault; if that ends the activation, the next `activate` may move the fingers."""
         with self.connection.link.unhurried():
-            status = self._status = await self._read()
+            status = self._status = await self.connection.link.read()
             fault = self.FAULTS.get(status.fault)
             if fault is not None and fault.major:
                 await self._clear()
@@ -239,13 +272,13 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
 
     async def _clear(self) -> None:
         """Reset the gripper, and wait a moment for its fault to go."""
-        await self._write(self.RESET)
+        await self._write(self._action(False))
         end = monotonic.now() + PATIENT
         while self._status.fault or self._status.activated:
             if monotonic.now() > end:
                 raise self._gripper_fault(self._status.fault or NOT_ACTIVATED)
             await asyncio.sleep(_POLL)
-            self._status = await self._read()
+            self._status = await self.connection.link.read()
 
     def _refuse(self, status: S) -> None:
         """Raise the fault that the gripper reports, unless it is only a warning."""
@@ -257,7 +290,7 @@ class RobotiqDriver(ExchangingDriver[S], Generic[S, C]):
     def _gripper_fault(self, code: int, name: str = "") -> DeviceFault:
         fault = self.FAULTS.get(code, Fault("a fault that no manual names", "recover"))
         hint = self.HINT if code == NOT_ACTIVATED else fault.hint
-        return self._fault(code, name or fault.name, hint)
+        return self.fault(code, name or fault.name, hint)
 
     def _warnings(self, status: S) -> tuple[str, ...]:
         if not any(status.to_registers()):

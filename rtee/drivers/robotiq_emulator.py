@@ -116,10 +116,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
     def _release(self, command: Any) -> None:
         """Set the motors' speeds and targets for the automatic release."""
 
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return self.axes
-
     # --- faults and objects ------------------------------------------------------------------
 
     def power_cycle(self, now: float) -> None:
@@ -153,11 +149,6 @@ class RobotiqEmulator(ModbusEmulator, Grasps):
         super().clear(fault)
         if self._fault == self.CODES[self.PASSING] and self.PASSING not in self.faults:
             self._fault = 0
-
-    def on_faults(self) -> None:
-        """Block the motors while they are stuck."""
-        for axis in self.axes:
-            axis.stuck = "stuck" in self.faults
 
     # --- registers ---------------------------------------------------------------------------
 

@@ -34,11 +34,10 @@ from rtee.drivers.ability_hand.options import AbilityHandOptions, motors_of
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import Unhurried, cycle_deadline
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.tare import Tare
-from rtee.errors import BusTimeout, DeviceFault, FrameError, NotConnected, RteeError
+from rtee.errors import DeviceFault, FrameError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -131,26 +130,22 @@ class AbilityHandDriver(Driver):
         self._reply = self._doubted = None
         self._tare.reset()
         self._pace.deadline = Unhurried.PATIENCE
-        bus = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                emulator=emulator_of(self.spec, "ability_hand"),
-            ),
+        bus = await self.open(
+            self.buses.serial,
+            options.port,
             lambda bus: bus,
+            emulator="ability_hand",
+            baudrate=options.baudrate,
         )
-        try:
+        with self.identifying(
+            "an Ability Hand",
+            f"no Ability Hand answers at address {options.address} on {options.port}",
+            "check supply, wires, `address` and `baudrate`, and that the hand is set to UART or "
+            "RS-485 with byte stuffing: from the factory it is set to I2C",
+        ):
             # Twice: in fast mode, a reply has the variant that the previous request selected.
             await self._read()
             reply = await self._read()
-        except (BusTimeout, FrameError) as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no Ability Hand answers at address {options.address} on {options.port}",
-                hint="check supply, wires, `address` and `baudrate`, and that the hand is set to "
-                "UART or RS-485 with byte stuffing: from the factory it is set to I2C",
-            ) from error
         best = self._best_rate(bus)
         self._pace.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(

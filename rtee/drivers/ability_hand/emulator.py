@@ -140,10 +140,6 @@ class AbilityHandEmulator(Emulator, Grasps):
         rate = int(options.get("baudrate", codec.BAUDRATES[0]))
         return cls(read_properties(AbilityProperties, options, **given), baudrate=rate)
 
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return self.axes
-
     def wear_down(self, wear: Wear) -> None:
         """Make it differ from its sheet; its touch sensors are not zero at rest, and noisy."""
         super().wear_down(wear)
@@ -168,11 +164,6 @@ class AbilityHandEmulator(Emulator, Grasps):
     def line_reset(self) -> None:
         """Forget the bytes of an incomplete command."""
         self._parser.reset()
-
-    def on_faults(self) -> None:
-        """Block the motors, or not."""
-        for axis in self.axes:
-            axis.stuck = "stuck" in self.faults
 
     # --- time --------------------------------------------------------------------------------
 

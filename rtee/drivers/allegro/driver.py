@@ -22,7 +22,6 @@ from rtee.drivers.allegro.link import PATIENCE, AllegroLink
 from rtee.drivers.allegro.options import AllegroOptions, wire_order
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import read_options
 from rtee.errors import BusError, BusTimeout, DeviceFault, HandshakeError, NotConnected, RteeError
 from rtee.sample import ActuatorState
@@ -94,15 +93,13 @@ class AllegroDriver(Driver):
         # Opening closes the bus, too, but only this makes a hand that still receives go limp.
         await self.close()
         options = self.options
-        link = await self.connection.open(
-            self.buses.can(
-                options.channel,
-                owner=self.connection.owner,
-                interface=options.interface,
-                bitrate=codec.BITRATE,
-                emulator=emulator_of(self.spec, "allegro"),
-            ),
+        link = await self.open(
+            self.buses.can,
+            options.channel,
             lambda bus: AllegroLink(bus, options.hand, options.deadline),
+            emulator="allegro",
+            interface=options.interface,
+            bitrate=codec.BITRATE,
         )
         info, serial = await self._identify(link)
         version = info.version if options.version is None else options.version
@@ -124,14 +121,12 @@ class AllegroDriver(Driver):
 
     async def _identify(self, link: AllegroLink) -> tuple[HandInfo, str]:
         options = self.options
-        try:
+        with self.identifying(
+            "an Allegro Hand",
+            f"no Allegro Hand answers as number {options.hand} on {options.channel}",
+            "is its supply on, the bus terminated and at 1 Mbit/s, and `hand` right?",
+        ):
             info = await link.info(patient=True)
-        except BusTimeout as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no Allegro Hand answers as number {options.hand} on {options.channel}",
-                hint="is its supply on, the bus terminated and at 1 Mbit/s, and `hand` right?",
-            ) from error
         expected = {options.version} if options.version else set(SCALES)
         if info.version not in expected:
             raise HandshakeError(

@@ -23,7 +23,6 @@ from rtee.drivers.cia402.drive import DriveLink
 from rtee.drivers.cia402.identity import identify
 from rtee.drivers.cia402.options import Cia402Options
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.wiring import check_names
@@ -85,15 +84,13 @@ class Cia402Driver(Driver):
         # Not left to `open`: the old drives' subscriptions have to end, too.
         await self.close()
         options = self.options
-        cycle = await self.connection.open(
-            self.buses.canopen(
-                options.channel,
-                owner=self.connection.owner,
-                interface=options.interface,
-                bitrate=options.bitrate,
-                emulator=emulator_of(self.spec, "cia402"),
-            ),
+        cycle = await self.open(
+            self.buses.canopen,
+            options.channel,
             lambda bus: DriveCycle(self.spec, bus, options),
+            emulator="cia402",
+            interface=options.interface,
+            bitrate=options.bitrate,
         )
         # SDO transfers block, so they run in the worker thread, one drive after the other.
         bus = cycle.bus

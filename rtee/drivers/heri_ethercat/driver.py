@@ -19,7 +19,6 @@ from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.heri_ethercat import codec
 from rtee.drivers.heri_ethercat.codec import (
     ACKNOWLEDGE_OBJECT,
@@ -133,13 +132,8 @@ class HeriEthercatDriver(Driver):
         # On reconnection, the old master has to end first: a network has only one.
         await self.close()
         options = self.options
-        bus = await self.connection.open(
-            self.buses.ethercat(
-                options.interface,
-                owner=self.connection.owner,
-                emulator=emulator_of(self.spec, "heri_ethercat"),
-            ),
-            lambda bus: bus,
+        bus = await self.open(
+            self.buses.ethercat, options.interface, lambda bus: bus, emulator="heri_ethercat"
         )
         _identify(bus, self._boards, options, self.spec.name)
         self._echoes, self._echoing = [], set()

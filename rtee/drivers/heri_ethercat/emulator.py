@@ -154,12 +154,6 @@ class HeriEmulator(Emulator, Grasps):
         elif fault == "hot":
             self.boards[0].fault |= Fault.CURRENT_LIMITED
 
-    def on_faults(self) -> None:
-        """Block the motors while they are stuck."""
-        for board in self.boards:
-            for motor in board.motors:
-                motor.stuck = "stuck" in self.faults
-
     def motors(self) -> Sequence[Axis]:
         """Return its motors."""
         return [motor for board in self.boards for motor in board.motors]

@@ -8,7 +8,7 @@ import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -21,7 +21,6 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.inspire_rh56.calibration import ForceZeros, calibrate, read_zeros
 from rtee.drivers.inspire_rh56.codec import (
@@ -47,12 +46,9 @@ from rtee.drivers.inspire_rh56.tactile import TactileReader, sensors
 from rtee.drivers.options import read_options
 from rtee.errors import (
     BusError,
-    BusTimeout,
     CommandRejected,
     DeviceFault,
     FrameError,
-    HandshakeError,
-    NotConnected,
     RteeError,
 )
 from rtee.sample import ActuatorState, FloatArray
@@ -125,20 +121,17 @@ class InspireRh56Driver(Driver):
         # The supply may have been cut, which restores the hand's initial limits.
         self._forces = self._speeds = None
         self._angles = [KEEP] * COUNT
-        try:
-            with link.unhurried():
-                await self._identify(link)
-        except (BusTimeout, FrameError) as error:
-            raise NotConnected(
-                self.spec.name,
+        with (
+            link.unhurried(),
+            self.identifying(
+                "an RH56",
                 f"no RH56 answers as unit {options.unit} at {options.port}",
-                hint="check supply, wires, `unit`, `baudrate` and `protocol`: some hands speak "
-                "Modbus alone",
-            ) from error
-        except (ModbusRefusal, Rh56FrameError) as error:
-            raise HandshakeError(
-                self.spec.name, "an RH56", f"another device ({error})", hint="check the address"
-            ) from error
+                "check supply, wires, `unit`, `baudrate`, and `protocol`: some speak Modbus alone",
+                ModbusRefusal,
+                Rh56FrameError,
+            ),
+        ):
+            await self._identify(link)
         best = self._best_rate(link)
         link.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
@@ -153,21 +146,21 @@ class InspireRh56Driver(Driver):
         )
 
     async def _open(self) -> Rh56Link:
-        options, owner = self.options, self.connection.owner
-        emulator = emulator_of(self.spec, "inspire_rh56")
-        rate = options.baudrate
+        options = self.options
+        # The deadline is set when the best rate is known; so far, exchanges are `unhurried`.
+        arguments = options.unit, 0.0, options.retries
+        line: dict[str, Any] = {"emulator": "inspire_rh56", "baudrate": options.baudrate}
         if options.modbus:
             await self._pause()
-            return await self.connection.open(
-                self.buses.modbus(
-                    options.port, owner=owner, baudrate=rate, behind=_BEHIND, emulator=emulator
-                ),
-                lambda bus: ModbusLink(bus, options.unit, 0.0, options.retries),
+            return await self.open(
+                self.buses.modbus,
+                options.port,
+                lambda bus: ModbusLink(bus, *arguments),
+                behind=_BEHIND,
+                **line,
             )
-        return await self.connection.open(
-            self.buses.serial(options.port, owner=owner, baudrate=rate, emulator=emulator),
-            # The deadline is set when the best rate is known; so far, exchanges are `unhurried`.
-            lambda bus: FrameLink(bus, options.unit, 0.0, options.retries),
+        return await self.open(
+            self.buses.serial, options.port, lambda bus: FrameLink(bus, *arguments), **line
         )
 
     async def _pause(self) -> None:

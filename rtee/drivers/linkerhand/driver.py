@@ -19,19 +19,15 @@ from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import cycle_deadline
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.linkerhand.codec import BAUDRATE, FAULT_NAMES, MOST, Fault, Table, Version, dotted
 from rtee.drivers.linkerhand.link import CanLink, LinkerLink, ModbusLink
 from rtee.drivers.linkerhand.options import LinkerHandOptions, motors_of, scales_of
 from rtee.drivers.options import read_options
 from rtee.errors import (
-    BusTimeout,
     CommandRejected,
     DeviceFault,
-    FrameError,
     HandshakeError,
-    NotConnected,
     RteeError,
 )
 from rtee.sample import ActuatorState, FloatArray
@@ -83,36 +79,28 @@ class LinkerHandDriver(Driver):
         options = self.options
         self._targets = self._torques = self._speeds = None
         link = await self._open()
-        version: Version | None = None
-        try:
-            with link.unhurried():
-                version = await link.version()
-                self._temperatures, _ = await link.health()
-                self._keep(await link.read(Table.POSITION))
-        except (BusTimeout, FrameError) as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no LinkerHand {self._model.name} answers as unit {options.unit} on "
-                f"{options.where}",
-                hint="check supply, wires, `model` and `unit`: 39 is a right hand, 40 a left one; "
-                "one that stays silent wants its supply cut",
-            ) from error
-        except ModbusRefusal as error:
-            raise self._another(str(error)) from error
+        name, check = f"a LinkerHand {self._model.name}", "check `model` and `unit`"
+        with (
+            link.unhurried(),
+            self.identifying(
+                name,
+                f"no {name[2:]} answers as unit {options.unit} on {options.where}",
+                "check supply, wires, `model` and `unit`: 39 is a right hand, 40 a left one; one "
+                "that stays silent wants its supply cut",
+                ModbusRefusal,
+                check=check,
+            ),
+        ):
+            version = await link.version()
+            self._temperatures, _ = await link.health()
+            self._keep(await link.read(Table.POSITION))
         if version is not None and options.check_model and version.motors != self._model.count:
-            raise self._another(f"one with {version.motors} motors")
+            found = f"another device (one with {version.motors} motors)"
+            raise HandshakeError(self.spec.name, name, found, hint=check)
         best = 1.0 / link.cycle_time()
         link.deadline = cycle_deadline(self.spec, best)
         self.capabilities = replace(
             self.capabilities, best_rate=best, identity=self._identity(version)
-        )
-
-    def _another(self, what: str) -> HandshakeError:
-        return HandshakeError(
-            self.spec.name,
-            f"a LinkerHand {self._model.name}",
-            f"another device ({what})",
-            hint="check `model` and `unit`",
         )
 
     def _identity(self, version: Version | None) -> dict[str, str]:
@@ -124,23 +112,23 @@ class LinkerHandDriver(Driver):
         return found
 
     async def _open(self) -> LinkerLink:
-        options, owner = self.options, self.connection.owner
-        emulator = emulator_of(self.spec, "linkerhand")
+        options = self.options
         arguments = (self._model, options.unit, 0.0, options.retries, options.pause)
         if options.channel is not None:
-            return await self.connection.open(
-                self.buses.can(
-                    options.channel,
-                    owner=owner,
-                    interface=options.interface,
-                    bitrate=options.bitrate,
-                    emulator=emulator,
-                ),
+            return await self.open(
+                self.buses.can,
+                options.channel,
                 lambda bus: CanLink(bus, *arguments),
+                emulator="linkerhand",
+                interface=options.interface,
+                bitrate=options.bitrate,
             )
-        return await self.connection.open(
-            self.buses.modbus(options.port, owner=owner, baudrate=BAUDRATE, emulator=emulator),
+        return await self.open(
+            self.buses.modbus,
+            options.port,
             lambda bus: ModbusLink(bus, *arguments),
+            emulator="linkerhand",
+            baudrate=BAUDRATE,
         )
 
     async def _examine(self) -> None:

@@ -113,10 +113,6 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
         given = cls._given(options, "model", "unit", "travel_time")
         return cls(read_properties(LinkerProperties, options, **given))
 
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return self.axes
-
     def closings(self) -> Sequence[Closing]:
         """Return how the motors that bend the digits close."""
         pairs = zip(self.model.motors, self.axes, strict=True)
@@ -136,8 +132,7 @@ class LinkerHandEmulator(ModbusEmulator, Grasps):
 
     def on_faults(self) -> None:
         """Stop the motor that has a fault; it continues when the fault is gone."""
-        for axis in self.axes:
-            axis.stuck = "stuck" in self.faults
+        super().on_faults()
         self.axes[_INDEX].enabled = not self.faults & set(_FAULTS)
 
     def advance(self, now: float) -> None:

@@ -7,16 +7,15 @@ codes and status bits; the vendor prints no example frames.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import ClassVar
 
-from rtee.drivers.onrobot_common import TENTH_MM, signed
+from rtee.drivers.onrobot_common import TENTH_MM
+from rtee.drivers.registers import Registers, at, flag
 from rtee.drivers.scale import LinearScale
-from rtee.errors import FrameError
 
-STATUS = 0x0100
+STATE = 0x0100
 """First of the registers that report the state."""
 
 GEOMETRY = 0x010E
@@ -28,9 +27,6 @@ LIMITS = 0x0201
 SETTINGS = 0x0401
 """Settable finger length, an unnamed register, finger position, fingertip offset."""
 
-STATUS_COUNT = 4  # registers of the status: bits, raw diameter, diameter with offset, force
-
-_RESERVED = 0xFFF0  # bits of the status that the guide leaves 0
 _HUNDREDTH_MM = 1e-5  # m in a register's unit of offsets
 
 
@@ -57,7 +53,7 @@ class GripType(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(Registers):
     """What the host asks for: registers 0 to 3, best written in one frame.
 
     Attributes:
@@ -67,26 +63,17 @@ class Command:
         control: What to do.
     """
 
-    force: int
-    diameter: int
-    grip_type: GripType = GripType.EXTERNAL
-    control: Control = Control.NONE
+    COUNT: ClassVar[int] = 4
+    WHAT: ClassVar[str] = "command of a 3FG"
 
-    def to_registers(self) -> tuple[int, int, int, int]:
-        """Return the four registers."""
-        return self.force, self.diameter, self.grip_type, self.control
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from four registers; raises `FrameError` for unknown values."""
-        try:
-            return cls(registers[0], registers[1], GripType(registers[2]), Control(registers[3]))
-        except ValueError as error:
-            raise FrameError(bus, f"no command of a 3FG: {error}") from None
+    force: int = at(0)
+    diameter: int = at(1)
+    grip_type: GripType = at(2, kind=GripType)
+    control: Control = at(3, kind=Control)
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(Registers):
     """The gripper's state: registers 0100 to 0103.
 
     Attributes:
@@ -99,35 +86,18 @@ class Status:
         force: Force applied [0.1 %].
     """
 
-    busy: bool = False
-    grip_detected: bool = False
-    force_grip: bool = False
-    calibrated: bool = True
-    raw_diameter: int = 0
-    diameter: int = 0
-    force: int = 0
+    COUNT: ClassVar[int] = 4
+    WHAT: ClassVar[str] = "status of a 3FG"
+    STRICT: ClassVar[bool] = True
 
-    def to_registers(self) -> tuple[int, int, int, int]:
-        """Return the four registers."""
-        bits = self.busy | self.grip_detected << 1 | self.force_grip << 2 | self.calibrated << 3
-        return bits, self.raw_diameter, self.diameter & 0xFFFF, self.force
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from four registers; raises `FrameError` if reserved bits are set."""
-        bits, raw, offset, force = registers[:4]
-        if bits & _RESERVED:
-            raise FrameError(bus, f"no status of a 3FG: {bits:#06x}", bits.to_bytes(2, "big"))
-        return cls(
-            busy=bool(bits & 1),
-            grip_detected=bool(bits & 2),
-            force_grip=bool(bits & 4),
-            calibrated=bool(bits & 8),
-            raw_diameter=raw,
-            # The only signed register: an internal grip's offset may exceed the raw diameter.
-            diameter=signed(offset),
-            force=force,
-        )
+    busy: bool = flag(0, 0)
+    grip_detected: bool = flag(0, 1)
+    force_grip: bool = flag(0, 2)
+    calibrated: bool = flag(0, 3)
+    raw_diameter: int = at(1)
+    # The only signed register: an internal grip's offset may exceed the raw diameter.
+    diameter: int = at(2, signed=True)
+    force: int = at(3)
 
 
 @dataclass(frozen=True, slots=True)

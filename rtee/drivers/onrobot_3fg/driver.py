@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -16,8 +16,7 @@ from rtee.capabilities import Capabilities, GripForce
 from rtee.drivers.onrobot_3fg.codec import (
     GEOMETRY,
     LIMITS,
-    STATUS,
-    STATUS_COUNT,
+    STATE,
     Command,
     Control,
     Fingers,
@@ -29,6 +28,7 @@ from rtee.drivers.onrobot_3fg.codec import (
 from rtee.drivers.onrobot_common import OnRobotOptions, metres
 from rtee.drivers.onrobot_driver import CONNECTING, OnRobotDriver
 from rtee.drivers.options import read_options
+from rtee.drivers.registers import Registers
 from rtee.errors import ConfigError, HandshakeError
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -79,10 +79,9 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
 
     MODEL: ClassVar[str] = "an OnRobot 3FG"
     EMULATOR: ClassVar[str] = "onrobot_3fg"
-    STATUS_TYPE: ClassVar[type[Any]] = Status
-    SOURCE: ClassVar[int] = STATUS
-    COUNT: ClassVar[int] = STATUS_COUNT
-    SENT: ClassVar[int] = len(Command(0, 0).to_registers())
+    STATUS: ClassVar[type[Registers]] = Status
+    COMMAND: ClassVar[type[Registers]] = Command
+    SOURCE: ClassVar[int] = STATE
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobot3FGOptions, spec)
@@ -91,7 +90,6 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         self._fingers = Fingers()
         self._kind = GripType[self.options.grip.upper()]
         self._sent: Command | None = None
-        self._next_sent: Command | None = None
         self._tips = 0
         self._wanted: tuple[int, int] = (0, 0)
         self._wanted_since = 0.0
@@ -165,20 +163,18 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
             grasped=(status.grip_detected,),
         )
 
-    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+    async def move(self, reference: Reference) -> None:
         """Follow a reference that changes, grip at one that rests."""
+        if not reference.mask[0]:
+            return
         command = self._next(
             self.scale.position.to_count(float(reference.position[0])),
             self.scale.effort.to_count(float(reference.max_effort[0])),
             monotonic.now(),
         )
-        if command is None:
-            return None
-        self._next_sent = command
-        return self._registers(command)
-
-    def _accepted(self) -> None:
-        self._sent = self._next_sent
+        if command is not None:
+            await self.connection.link.exchange(self._registers(command))
+            self._sent = command
 
     def _forget(self) -> None:
         self._sent = None
@@ -256,4 +252,4 @@ class OnRobot3FGDriver(OnRobotDriver[Status]):
         if not status.calibrated:
             # The code is the number of the bit in the status.
             hint = "restart the tool from the Compute Box's web page, then recover"
-            raise self._fault(3, "calibration lost", hint)
+            raise self.fault(3, "calibration lost", hint)

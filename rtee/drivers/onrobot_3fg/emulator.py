@@ -100,6 +100,7 @@ class OnRobot3FGEmulator(OnRobotEmulator):
         )
         self.axis.rating = made.force
         self.axis.enabled = True
+        self.axes = [self.axis]
         self.begun = 0
         # The factory's fingers in the registers' units: 49 mm, second hole, 6.3 mm offset.
         self._settings = [490, 0, 2, 630]

@@ -7,14 +7,13 @@ and status bits; the linkage is that of the vendor's model.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import ClassVar
 
-from rtee.drivers.onrobot_common import TENTH_MM, signed
+from rtee.drivers.onrobot_common import TENTH_MM
+from rtee.drivers.registers import Field, Registers, at, each, flag
 from rtee.drivers.scale import LinearScale
-from rtee.errors import FrameError
 
 OFFSET = 0x0102
 """Fingertip offset, signed [0.1 mm]."""
@@ -28,7 +27,6 @@ TIPS_WIDTH = 0x0113
 SET_OFFSET = 0x0407
 """Sets the fingertip offset [0.1 mm]."""
 
-_RESERVED = 0xFF80  # bits of the status without a meaning
 _TENTH_NEWTON = 0.1  # N in the force register's unit
 
 
@@ -100,7 +98,7 @@ stroke: its links would have to be longer. They are assumed to be measured betwe
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(Registers):
     """A command: registers 0 to 2, best written in one frame.
 
     Attributes:
@@ -109,25 +107,16 @@ class Command:
         control: The kind of command.
     """
 
-    force: int
-    width: int
-    control: Control = Control.NONE
+    COUNT: ClassVar[int] = 3
+    WHAT: ClassVar[str] = "command of an RG"
 
-    def to_registers(self) -> tuple[int, int, int]:
-        """Return the three registers."""
-        return self.force, self.width, self.control
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read a command from three registers; raises `FrameError` if the third is unknown."""
-        try:
-            return cls(registers[0], registers[1], Control(registers[2]))
-        except ValueError as error:
-            raise FrameError(bus, f"no command of an RG: {error}") from None
+    force: int = at(0)
+    width: int = at(1)
+    control: Control = at(2, kind=Control)
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class Status(Registers):
     """The gripper's state: registers 010B and 010C.
 
     Attributes:
@@ -139,36 +128,16 @@ class Status:
         safety_error: Whether one of them was pushed at power-up.
     """
 
-    width: int = 0
-    busy: bool = False
-    grip_detected: bool = False
-    pushed: tuple[bool, bool] = (False, False)
-    triggered: tuple[bool, bool] = (False, False)
-    safety_error: bool = False
+    COUNT: ClassVar[int] = 2
+    WHAT: ClassVar[str] = "status of an RG"
+    STRICT: ClassVar[bool] = True
 
-    def to_registers(self) -> tuple[int, int]:
-        """Return the two registers."""
-        # Bits 2 to 5: for each switch whether it is pushed, and whether it was during a motion.
-        bits = self.busy | self.grip_detected << 1 | self.safety_error << 6
-        for i in range(2):
-            bits |= self.pushed[i] << 2 + 2 * i | self.triggered[i] << 3 + 2 * i
-        return self.width & 0xFFFF, bits
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read a state from two registers; raises `FrameError` if reserved bits are set."""
-        width, bits = registers[:2]
-        # Set reserved bits mean that these are not the registers of an RG.
-        if bits & _RESERVED:
-            raise FrameError(bus, f"no status of an RG: {bits:#06x}", bits.to_bytes(2, "big"))
-        return cls(
-            width=signed(width),
-            busy=bool(bits & 1),
-            grip_detected=bool(bits & 2),
-            pushed=(bool(bits & 4), bool(bits & 16)),
-            triggered=(bool(bits & 8), bool(bits & 32)),
-            safety_error=bool(bits & 64),
-        )
+    width: int = at(0, signed=True)
+    busy: bool = flag(1, 0)
+    grip_detected: bool = flag(1, 1)
+    pushed: tuple[bool, bool] = each(None, *([Field(1, bit, 1, bool)] for bit in (2, 4)))
+    triggered: tuple[bool, bool] = each(None, *([Field(1, bit, 1, bool)] for bit in (3, 5)))
+    safety_error: bool = flag(1, 6)
 
 
 class Scale:

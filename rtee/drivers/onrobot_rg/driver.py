@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import BaseModel, Field
 
@@ -23,6 +23,7 @@ from rtee.drivers.onrobot_rg.codec import (
     Status,
 )
 from rtee.drivers.options import read_options
+from rtee.drivers.registers import Registers
 from rtee.drivers.step_follower import Order, StepFollower
 from rtee.errors import HandshakeError
 from rtee.sample import ActuatorState
@@ -71,10 +72,9 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     Options: ClassVar[type[BaseModel] | None] = OnRobotRGOptions
     MODEL: ClassVar[str] = "an OnRobot RG"
     EMULATOR: ClassVar[str] = "onrobot_rg"
-    STATUS_TYPE: ClassVar[type[Any]] = Status
+    STATUS: ClassVar[type[Registers]] = Status
+    COMMAND: ClassVar[type[Registers]] = Command
     SOURCE: ClassVar[int] = STATE
-    COUNT: ClassVar[int] = len(Status().to_registers())
-    SENT: ClassVar[int] = len(Command(0, 0).to_registers())
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(OnRobotRGOptions, spec)
@@ -148,21 +148,20 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
     def _holds(self) -> bool:
         return self._status.grip_detected and self._status.width > self._closed + _EMPTY
 
-    def _registers_for(self, reference: Reference) -> Sequence[int] | None:
+    async def move(self, reference: Reference) -> None:
+        """Follow a reference in steps."""
+        if not reference.mask[0]:
+            return
         status = self._status
         width = self.scale.width(float(reference.position[0]))
         force = self.scale.effort.to_count(float(reference.max_effort[0]))
         order = self._follower.next(
             width, force, status.width, busy=status.busy, held=status.grip_detected
         )
-        if order is Order.NOTHING:
-            return None
-        if order is Order.STOP:
-            return self._stopping()
-        return Command(force, width, Control.GRIP).to_registers()
-
-    def _accepted(self) -> None:
-        self._follower.sent()
+        if order is not Order.NOTHING:
+            go = Command(force, width, Control.GRIP).to_registers()
+            await self.connection.link.exchange(self._stopping() if order is Order.STOP else go)
+            self._follower.sent()
 
     def _forget(self) -> None:
         self._follower.forget()
@@ -180,14 +179,14 @@ class OnRobotRGDriver(OnRobotDriver[Status]):
         for i, pushed in enumerate(self._status.pushed):
             if pushed:
                 # The code is the number of the switch's bit in the status.
-                raise self._fault(2 + 2 * i, f"safety switch {i + 1} is pushed", "release it")
+                raise self.fault(2 + 2 * i, f"safety switch {i + 1} is pushed", "release it")
 
     def _refuse(self, status: Status) -> None:
         restart = "restart the tool, from the Compute Box's web page or by its power, then recover"
         for i, triggered in enumerate(status.triggered):
             if triggered:
                 name = f"safety switch {i + 1} was pushed during a motion"
-                raise self._fault(3 + 2 * i, name, f"free the switch, {restart}")
+                raise self.fault(3 + 2 * i, name, f"free the switch, {restart}")
         if status.safety_error:
             name = "a safety switch was pushed at power-up"
-            raise self._fault(6, name, f"free the switches, {restart}")
+            raise self.fault(6, name, f"free the switches, {restart}")

@@ -106,6 +106,7 @@ class OnRobotRGEmulator(OnRobotEmulator):
         )
         self.axis.rating = model.force
         self.axis.enabled = True
+        self.axes = [self.axis]
         self.axis.self_locking = True  # the worm gear keeps the fingers where they are
         self.begun = 0
         self.stopped = 0

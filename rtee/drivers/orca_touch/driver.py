@@ -19,7 +19,6 @@ from rtee.buses.timing import wire_time
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.orca_touch import codec
 from rtee.drivers.orca_touch.codec import (
@@ -35,7 +34,7 @@ from rtee.drivers.orca_touch.codec import (
     Request,
     Stream,
 )
-from rtee.errors import BusTimeout, ConfigError, FrameError, HandshakeError, NotConnected
+from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected
 from rtee.sample import ActuatorState, FloatArray
 from rtee.touch import TouchReading, TouchSensor
 from rtee.types import DeviceSpec, Reference
@@ -105,32 +104,26 @@ class OrcaTouchDriver(Driver):
     async def configure(self) -> None:
         """Open the line, read which fingertips are connected, and start the stream of frames."""
         options = self.options
-        bus = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                emulator=emulator_of(self.spec, "orca_touch"),
-            ),
+        bus = await self.open(
+            self.buses.serial,
+            options.port,
             lambda bus: bus,
+            emulator="orca_touch",
+            baudrate=options.baudrate,
         )
         self._newest, self._error = None, 0
         self._reading, self._extras = None, {}
-        try:
+        with self.identifying(
+            "a touch board",
+            f"no touch board answers at {options.port}",
+            "check supply, cable and `baudrate`",
+            OrcaFrameError,
+            check="check the port",
+        ):
             fingers = codec.connected(
                 await self._read(bus, Register.CONNECTED, codec.CONNECTED_SIZE)
             )
             counts = codec.tip_counts(await self._read(bus, Register.COUNTS, codec.COUNTS_SIZE))
-        except (BusTimeout, FrameError) as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no touch board answers at {options.port}",
-                hint="check supply, cable and `baudrate`",
-            ) from error
-        except OrcaFrameError as error:
-            raise HandshakeError(
-                self.spec.name, "a touch board", f"another device ({error})", hint="check the port"
-            ) from error
         if not fingers or any(not counts[finger] for finger in fingers):
             problem = "no fingertip is connected" if not fingers else "a fingertip without taxels"
             raise HandshakeError(

@@ -18,7 +18,6 @@ from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import DeviceOptions, Positive, read_options
 from rtee.drivers.qb_softhand import codec
@@ -128,14 +127,12 @@ class QbSoftHandDriver(Driver):
     async def configure(self) -> None:
         """Open the line and identify the hand; moves nothing."""
         options = self.options
-        link = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                emulator=emulator_of(self.spec, "qb_softhand"),
-            ),
+        link = await self.open(
+            self.buses.serial,
+            options.port,
             lambda bus: QbLink(bus, options.device, options.deadline, options.retries),
+            emulator="qb_softhand",
+            baudrate=options.baudrate,
         )
         if not await link.ping():
             # By broadcast, so that the message can name a hand with another number.

@@ -140,12 +140,7 @@ class QbSoftHandEmulator(Emulator, Grasps):
         """Block the motors while they are stuck; a low supply deactivates them."""
         if "low_supply" in self.faults:
             self._activate(0)
-        for axis in self.axes:
-            axis.stuck = "stuck" in self.faults
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return self.axes
+        super().on_faults()
 
     def closings(self) -> Sequence[Closing]:
         """Return how the motors close the fingers."""

@@ -7,17 +7,13 @@ half.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import ClassVar
 
-from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand, RobotiqStatus
+from rtee.drivers.registers import at, flag
+from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
 from rtee.drivers.scale import LinearScale
-from rtee.errors import FrameError
-
-COUNT = 3
-"""Registers in use of either block; the gripper leaves the rest 0."""
 
 _CURRENT = 0.01
 """Motor current per count of gCU [A]."""
@@ -91,29 +87,12 @@ class Command(RobotiqCommand):
         force: rFR, 0 weakest (not none) to 255.
     """
 
-    direction: bool = False
-    position: int = 0
-    speed: int = 0
-    force: int = 0
+    COUNT: ClassVar[int] = 3  # in use; the gripper leaves the rest 0
 
-    def to_registers(self) -> tuple[int, int, int]:
-        """Return the three registers."""
-        action = self.activate | self.go << 3 | self.release << 4 | self.direction << 5
-        return action << 8, self.position, self.speed << 8 | self.force
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int]) -> Self:
-        """Read it from three registers."""
-        action = registers[0] >> 8
-        return cls(
-            activate=bool(action & 0x01),
-            go=bool(action & 0x08),
-            release=bool(action & 0x10),
-            direction=bool(action & 0x20),
-            position=registers[1] & 0xFF,
-            speed=registers[2] >> 8,
-            force=registers[2] & 0xFF,
-        )
+    direction: bool = flag(0, 13)
+    position: int = at(1, 0, 8)
+    speed: int = at(2, 8, 8)
+    force: int = at(2, 0, 8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,41 +107,20 @@ class Status(RobotiqStatus):
         raw_current: gCU.
     """
 
-    grasp: Grasp = Grasp.MOVING
-    controller_fault: int = 0
-    requested: int = 0
-    position: int = 0
-    raw_current: int = 0
+    COUNT: ClassVar[int] = 3
+    WHAT: ClassVar[str] = "status of a 2-finger gripper"
+    STRICT: ClassVar[bool] = True
+
+    grasp: Grasp = at(0, 14, 2, Grasp)
+    controller_fault: int = at(1, 12, 4)
+    requested: int = at(1, 0, 8)
+    position: int = at(2, 8, 8)
+    raw_current: int = at(2, 0, 8)
 
     @property
     def current(self) -> float:
         """Motor current [A]."""
         return self.raw_current * _CURRENT
-
-    def to_registers(self) -> tuple[int, int, int]:
-        """Return the three registers."""
-        state = self.activated | self.going << 3 | self.progress << 4 | self.grasp << 6
-        faults = self.fault | self.controller_fault << 4
-        return state << 8, faults << 8 | self.requested, self.position << 8 | self.raw_current
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from three registers; raises `FrameError` for bits that are always clear."""
-        state = registers[0] >> 8
-        if registers[0] & 0xFF or state & 0x06:
-            raw = b"".join(r.to_bytes(2, "big") for r in registers)
-            raise FrameError(bus, f"no status of a 2-finger gripper: {raw.hex(' ')}", raw)
-        return cls(
-            activated=bool(state & 0x01),
-            going=bool(state & 0x08),
-            progress=Progress(state >> 4 & 3),
-            grasp=Grasp(state >> 6 & 3),
-            fault=registers[1] >> 8 & 0x0F,
-            controller_fault=registers[1] >> 12,
-            requested=registers[1] & 0xFF,
-            position=registers[2] >> 8,
-            raw_current=registers[2] & 0xFF,
-        )
 
 
 class Scale:

@@ -15,8 +15,17 @@ from rtee.drivers.deadlines import time_limit
 from rtee.drivers.json_files import read_calibration_file, write_json
 from rtee.drivers.options import read_options
 from rtee.drivers.register_blocks import PATIENT
-from rtee.drivers.robotiq_2f.codec import COUNT, FAULTS, MODELS, Command, Grasp, Scale, Status
-from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip, RobotiqOptions
+from rtee.drivers.robotiq_2f.codec import FAULTS, MODELS, Command, Grasp, Scale, Status
+from rtee.drivers.robotiq_common import (
+    INPUT,
+    OUTPUT,
+    SAME,
+    Fault,
+    Grip,
+    RobotiqCommand,
+    RobotiqOptions,
+    RobotiqStatus,
+)
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import BusError, CalibrationError, HandshakeError
@@ -80,14 +89,13 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
     Options: ClassVar[type[BaseModel] | None] = Robotiq2FOptions
     MODEL: ClassVar[str] = "Robotiq 2-finger gripper"
     EMULATOR: ClassVar[str] = "robotiq_2f"
+    STATUS: ClassVar[type[RobotiqStatus]] = Status
+    COMMAND: ClassVar[type[RobotiqCommand]] = Command
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: the fingers close and open once, so "
         "nothing may be between them"
     )
-    COUNT: ClassVar[int] = COUNT
-    RESET: ClassVar[Sequence[int]] = Command().to_registers()
-    ACTIVATE: ClassVar[Sequence[int]] = Command(activate=True).to_registers()
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         # Before the base class, whose constructor asks for the status and the identity.
@@ -142,9 +150,6 @@ class Robotiq2FDriver(RobotiqDriver[Status, Command]):
                 hint="for a 3-Finger gripper set 'driver: robotiq_3f'; if it has two fingers, "
                 "'check_fingers: false'",
             )
-
-    def _decoded(self, block: Sequence[int]) -> Status:
-        return Status.from_registers(block, self.options.port) if block else Status()
 
     def _places(self) -> tuple[int, int, int]:
         base = self.options.register_base

@@ -7,17 +7,13 @@ high half. The order of the status bits differs from that of the two-finger grip
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import ClassVar
 
-from rtee.drivers.robotiq_common import COUNTS, Fault, Progress, RobotiqCommand, RobotiqStatus
+from rtee.drivers.registers import Field, at, each, flag
+from rtee.drivers.robotiq_common import COUNTS, Fault, RobotiqCommand, RobotiqStatus
 from rtee.drivers.scale import LinearScale
-from rtee.errors import FrameError
-
-COUNT = 8
-"""Registers of either block."""
 
 AXES = ("a", "b", "c", "scissor")
 """The four motors, in the order of their bytes."""
@@ -64,6 +60,11 @@ FAULTS: dict[int, Fault] = {
 """The fault codes of gFLT."""
 
 
+def _bytes(first: int) -> list[Field]:
+    """Return the places of three bytes that follow each other in a block."""
+    return [Field(i // 2, 0 if i % 2 else 8, 8, int) for i in range(first, first + 3)]
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """The request to one motor.
@@ -90,34 +91,12 @@ class Command(RobotiqCommand):
         axes: Requests of the four motors, in the order of `AXES`.
     """
 
-    mode: Mode = Mode.BASIC
-    individual: bool = False
-    scissor: bool = False
-    axes: tuple[Request, Request, Request, Request] = (Request(),) * 4
+    COUNT: ClassVar[int] = 8
 
-    def to_registers(self) -> tuple[int, ...]:
-        """Return the eight registers."""
-        action = self.activate | self.mode << 1 | self.go << 3 | self.release << 4
-        options = self.individual << 2 | self.scissor << 3
-        data = [action, options, 0]
-        for axis in self.axes:
-            data += [axis.position, axis.speed, axis.force]
-        return _packed([*data, 0])
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int]) -> Self:
-        """Read it from eight registers."""
-        data = _unpacked(registers)
-        axes = tuple(Request(*data[at : at + 3]) for at in (3, 6, 9, 12))
-        return cls(
-            activate=bool(data[0] & 0x01),
-            mode=Mode(data[0] >> 1 & 3),
-            go=bool(data[0] & 0x08),
-            release=bool(data[0] & 0x10),
-            individual=bool(data[1] & 0x04),
-            scissor=bool(data[1] & 0x08),
-            axes=(axes[0], axes[1], axes[2], axes[3]),
-        )
+    mode: Mode = at(0, 9, 2, Mode)
+    individual: bool = flag(0, 2)
+    scissor: bool = flag(0, 3)
+    axes: tuple[Request, ...] = each(Request, *(_bytes(first) for first in (3, 6, 9, 12)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,40 +126,16 @@ class Status(RobotiqStatus):
         axes: The four motors, in the order of `AXES`.
     """
 
-    mode: Mode = Mode.BASIC
-    motion: Motion = Motion.MOVING
-    axes: tuple[AxisStatus, ...] = (AxisStatus(),) * 4
+    COUNT: ClassVar[int] = 8
+    WHAT: ClassVar[str] = "status of a 3-finger gripper"
+    STRICT: ClassVar[bool] = True
 
-    def to_registers(self) -> tuple[int, ...]:
-        """Return the eight registers."""
-        state = self.activated | self.mode << 1 | self.going << 3
-        state |= self.progress << 4 | self.motion << 6
-        contacts = sum(axis.contact << 2 * i for i, axis in enumerate(self.axes))
-        data = [state, contacts, self.fault]
-        for axis in self.axes:
-            data += [axis.requested, axis.position, axis.raw_current]
-        return _packed([*data, 0])
-
-    @classmethod
-    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
-        """Read it from eight registers; raises `FrameError` for bits that are always clear."""
-        data = _unpacked(registers)
-        if data[2] & 0xF0 or data[15]:
-            raw = bytes(data)
-            raise FrameError(bus, f"no status of a 3-finger gripper: {raw.hex(' ')}", raw)
-        axes = tuple(
-            AxisStatus(Contact(data[1] >> 2 * i & 3), *data[3 + 3 * i : 6 + 3 * i])
-            for i in range(4)
-        )
-        return cls(
-            activated=bool(data[0] & 0x01),
-            mode=Mode(data[0] >> 1 & 3),
-            going=bool(data[0] & 0x08),
-            progress=Progress(data[0] >> 4 & 3),
-            motion=Motion(data[0] >> 6),
-            fault=data[2],
-            axes=axes,
-        )
+    mode: Mode = at(0, 9, 2, Mode)
+    motion: Motion = at(0, 14, 2, Motion)
+    axes: tuple[AxisStatus, ...] = each(
+        AxisStatus,
+        *([Field(0, 2 * axis, 2, Contact), *_bytes(3 + 3 * axis)] for axis in range(4)),
+    )
 
 
 STROKE = 0.155
@@ -226,11 +181,3 @@ _SCISSOR = Scale(LinearScale((15.0, 240.0), (0.192, -0.192)))
 
 SCALES = {"fingers": _FINGER, "a": _FINGER, "b": _FINGER, "c": _FINGER, "scissor": _SCISSOR}
 """The scales of the motors, and of all fingers together."""
-
-
-def _packed(data: Sequence[int]) -> tuple[int, ...]:
-    return tuple(data[i] << 8 | data[i + 1] for i in range(0, 2 * COUNT, 2))
-
-
-def _unpacked(registers: Sequence[int]) -> list[int]:
-    return [byte for register in registers[:COUNT] for byte in (register >> 8, register & 0xFF)]

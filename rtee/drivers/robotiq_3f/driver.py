@@ -13,7 +13,6 @@ from rtee.capabilities import GripForce
 from rtee.drivers.options import read_options
 from rtee.drivers.robotiq_3f.codec import (
     AXES,
-    COUNT,
     FAULTS,
     FINGERS,
     FORCE,
@@ -26,7 +25,15 @@ from rtee.drivers.robotiq_3f.codec import (
     Status,
 )
 from rtee.drivers.robotiq_3f.options import Robotiq3FOptions, roles_of
-from rtee.drivers.robotiq_common import INPUT, OUTPUT, SAME, Fault, Grip
+from rtee.drivers.robotiq_common import (
+    INPUT,
+    OUTPUT,
+    SAME,
+    Fault,
+    Grip,
+    RobotiqCommand,
+    RobotiqStatus,
+)
 from rtee.drivers.robotiq_driver import RobotiqDriver
 from rtee.errors import DeviceFault, HandshakeError
 from rtee.sample import ActuatorState
@@ -35,8 +42,6 @@ from rtee.types import DeviceSpec, Reference
 _PRESSING = (Contact.OPENING, Contact.CLOSING)
 _OPEN, _CLOSED = 10, 250
 """A contact beyond these positions [count] is the end stop itself."""
-_SIMPLE = 3
-"""Registers that command all fingers together: the action, and the request of finger a."""
 
 
 class Robotiq3FDriver(RobotiqDriver[Status, Command]):
@@ -48,14 +53,13 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
     Options: ClassVar[type[BaseModel] | None] = Robotiq3FOptions
     MODEL: ClassVar[str] = "Robotiq 3-Finger"
     EMULATOR: ClassVar[str] = "robotiq_3f"
+    STATUS: ClassVar[type[RobotiqStatus]] = Status
+    COMMAND: ClassVar[type[RobotiqCommand]] = Command
     FAULTS: ClassVar[Mapping[int, Fault]] = FAULTS
     HINT: ClassVar[str] = (
         "`rtee recover`, or `rtee run --home`, activates it: all fingers and the scissor then "
         "move, so nothing may be between them"
     )
-    COUNT: ClassVar[int] = COUNT
-    RESET: ClassVar[Sequence[int]] = Command().to_registers()[:_SIMPLE]
-    ACTIVATE: ClassVar[Sequence[int]] = Command(activate=True).to_registers()[:_SIMPLE]
 
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         self.options = read_options(Robotiq3FOptions, spec)
@@ -90,9 +94,6 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         ]
         self.capabilities = replace(self.capabilities, grip=dict.fromkeys(fingers, grip))
 
-    def _decoded(self, block: Sequence[int]) -> Status:
-        return Status.from_registers(block, self.options.port) if block else Status()
-
     def _places(self) -> tuple[int, int, int]:
         network, base = self.options.port.startswith("tcp://"), self.options.register_base
         zero = network if base is None else base == 0
@@ -125,7 +126,7 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
         await self._within("changing its mode", self._change_mode)
 
     async def _change_mode(self) -> None:
-        await self._write(Command(activate=True, mode=self._mode).to_registers()[:_SIMPLE])
+        await self._write(Command(activate=True, mode=self._mode).to_registers()[: self.USED])
         await self._until(lambda status: status.ready and status.mode is self._mode)
 
     # --- every cycle -------------------------------------------------------------------------
@@ -203,12 +204,12 @@ class Robotiq3FDriver(RobotiqDriver[Status, Command]):
             go=go,
             individual=self._individual,
             scissor=self._scissor,
-            axes=(axes[0], axes[1], axes[2], axes[3]),
+            axes=tuple(axes),
         )
 
     def _registers(self, command: Command) -> Sequence[int]:
         registers = command.to_registers()
-        return registers if self._individual or self._scissor else registers[:_SIMPLE]
+        return registers if self._individual or self._scissor else registers[: self.USED]
 
     def _request(self, at: int, request: Request, stays: bool) -> Request:
         pressing = self._status.axes[at].contact in _PRESSING

@@ -14,10 +14,11 @@ from rtee import monotonic
 from rtee.buses.modbus import ModbusRefusal
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.base import Driver
+from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.options import DeviceOptions, read_options
-from rtee.drivers.register_blocks import Blocks, BlocksDriver
+from rtee.drivers.register_blocks import Blocks
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.schunk_egu.codec import (
     ERRORS,
@@ -39,12 +40,9 @@ from rtee.drivers.step_follower import Order, Settle, StepFollower
 from rtee.drivers.wiring import only_actuator
 from rtee.errors import (
     BusError,
-    BusTimeout,
     ConfigError,
     DeviceFault,
     FrameError,
-    HandshakeError,
-    NotConnected,
 )
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -97,7 +95,7 @@ class SchunkEguOptions(DeviceOptions):
     )
 
 
-class SchunkEguDriver(BlocksDriver):
+class SchunkEguDriver(Driver):
     """An EGU or EGK.
 
     A command is given by the rising edge of its bit; the gripper toggles a bit of the status when
@@ -111,6 +109,7 @@ class SchunkEguDriver(BlocksDriver):
     def __init__(self, spec: DeviceSpec, buses: BusPool) -> None:
         super().__init__(spec, buses)
         options = self.options = read_options(SchunkEguOptions, spec)
+        self.connection: Connection[Blocks[Input]] = Connection(spec)
         only_actuator(spec, "an EGU or EGK")
         self._follower = StepFollower(options.settle, options.step * _PER_FINGER, _SAME, _REACHED)
         self._input = Input()
@@ -158,17 +157,13 @@ class SchunkEguDriver(BlocksDriver):
     async def configure(self) -> None:
         """Open the line and identify the gripper; moves nothing."""
         options = self.options
-        blocks = await self.connection.open(
-            self.buses.modbus(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=options.baudrate,
-                parity="E",
-                emulator=emulator_of(self.spec, "schunk_egu"),
-            ),
+        blocks = await self.open(
+            self.buses.modbus,
+            options.port,
             lambda bus: Blocks(
                 bus,
                 options.unit,
+                lambda words: Input.from_registers(words, options.port),
                 output=Parameter.OUTPUT.register,
                 source=Parameter.INPUT.register,
                 count=IMAGE,
@@ -176,20 +171,21 @@ class SchunkEguDriver(BlocksDriver):
                 kind="separate",
                 refresh=0.0,
             ),
+            emulator="schunk_egu",
+            baudrate=options.baudrate,
+            parity="E",
         )
-        try:
+        with self.identifying(
+            "an EGU or EGK",
+            f"no answer from unit {options.unit} at {options.port}",
+            "check supply, wiring, `unit`, `baudrate` and even parity",
+            FrameError,
+            ModbusRefusal,
+        ):
             await self._identify(blocks)
-        except BusTimeout as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no answer from unit {options.unit} at {options.port}",
-                hint="check supply, wiring, `unit`, `baudrate` and even parity",
-            ) from error
-        except (FrameError, ModbusRefusal) as error:
-            raise HandshakeError(self.spec.name, "an EGU or EGK", error.message) from error
-        self._pace(self.capabilities.best_rate)
+        blocks.pace(self.spec, self.capabilities.best_rate)
 
-    async def _identify(self, blocks: Blocks) -> None:
+    async def _identify(self, blocks: Blocks[Input]) -> None:
         bus = blocks.bus
         found = await identify(bus, self.options.unit, self.spec.name)
         stroke = found.most - found.least
@@ -219,13 +215,13 @@ class SchunkEguDriver(BlocksDriver):
             },
             min(1.0 / wire, self.options.rate) if wire > 0.0 else self.options.rate,
         )
-        self._input = await self._read()
+        self._input = await self.connection.link.read()
 
     async def activate(self) -> None:
         """Attach to a ready gripper; acknowledge the errors that are normal after power-up."""
         link = self.connection.link
         with link.unhurried():
-            now = self._input = await self._read()
+            now = self._input = await self.connection.link.read()
             if now.error not in _EXPECTED:
                 self._refuse(now)
             if not self._ready(now):
@@ -233,7 +229,7 @@ class SchunkEguDriver(BlocksDriver):
             if self.options.brake_test:
                 await self._test_brake()
         self._forget()
-        self._active = True
+        self.active = True
 
     @staticmethod
     def _ready(now: Input) -> bool:
@@ -287,7 +283,7 @@ class SchunkEguDriver(BlocksDriver):
 
     async def examine(self) -> str:
         """Raise the error that it reports, unless activation acknowledges it."""
-        now = await self._read()
+        now = await self.connection.link.read()
         if now.error not in _EXPECTED:
             self._refuse(now)
         return ""
@@ -299,7 +295,7 @@ class SchunkEguDriver(BlocksDriver):
         self._cycle_began = monotonic.now()
         now = await self._read_on()
         stamp = monotonic.now()
-        if self._active:
+        if self.active:
             self._refuse(now)
         gripped = bool(now.status & Status.GRIPPED) and not now.status & Status.LOST
         return ActuatorState.measured(
@@ -450,9 +446,14 @@ class SchunkEguDriver(BlocksDriver):
             self._forget()
             return
         # Without the bit first: the command is its rising edge, and it may be set already.
-        await self._insist(Output(Control.RUN).to_registers())
-        if await self._insist(Output(Control.RUN | Control.STOP).to_registers()):
+        await self.connection.link.insist(Output(Control.RUN).to_registers())
+        if await self.connection.link.insist(Output(Control.RUN | Control.STOP).to_registers()):
             self._forget()
+
+    async def deactivate(self) -> None:
+        """Stop; a grip is kept."""
+        await self.stop()
+        self.active = False
 
     async def recover(self) -> None:
         """Acknowledge the error; the interrupted command is not continued."""
@@ -468,19 +469,15 @@ class SchunkEguDriver(BlocksDriver):
             raise self._error(now.error, ERRORS.get(now.error, "an error that no document names"))
 
     def _error(self, code: int, name: str) -> DeviceFault:
-        return self._fault(
-            code, name, "remove the cause, then `rtee recover`, which acknowledges it"
-        )
+        hint = "remove the cause, then `rtee recover`, which acknowledges it"
+        return self.fault(code, name, hint)
 
     # --- the wire ----------------------------------------------------------------------------
-
-    async def _read(self) -> Input:
-        return Input.from_registers(await self.connection.link.read(), self.options.port)
 
     async def _read_on(self) -> Input:
         """Read the image and update the progress of the last command."""
         asked = monotonic.now()
-        now = self._input = await self._read()
+        now = self._input = await self.connection.link.read()
         answered = monotonic.now()
         self._timer.read(answered - asked)
         if self._asked is not None and bool(now.status & Status.RECEIVED) != self._asked[0]:

@@ -131,6 +131,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
         )
         self.axis.rating = made.force
         self.axis.enabled = True
+        self.axes = [self.axis]
         self.axis.self_locking = True
         self.moves = 0
         self.begun = 0
@@ -171,10 +172,6 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     # --- objects and faults ------------------------------------------------------------------
 
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [self.axis]
-
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""
         return [Closing(self.axis, self.properties.stroke, 0.0, self.properties.force)]
@@ -185,7 +182,7 @@ class SchunkEguEmulator(ModbusEmulator, Grasps):
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck; an error stops it."""
-        self.axis.stuck = "stuck" in self.faults
+        super().on_faults()
         for fault, code in _ERRORS.items():
             if fault in self.faults and fault != "brake_test":
                 self._fail(code)

@@ -16,7 +16,6 @@ from rtee.buses.retry import patiently
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.schunk_svh import codec, homing, power
@@ -31,7 +30,7 @@ from rtee.drivers.schunk_svh.limits import Limits
 from rtee.drivers.schunk_svh.link import SvhLink
 from rtee.drivers.schunk_svh.options import SchunkSvhOptions
 from rtee.drivers.schunk_svh.scales import Scales
-from rtee.errors import BusTimeout, DeviceFault, FrameError, HandshakeError, NotConnected, RteeError
+from rtee.errors import DeviceFault, HandshakeError, RteeError
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import DeviceSpec, Reference
 
@@ -82,23 +81,19 @@ class SchunkSvhDriver(Driver):
     async def configure(self) -> None:
         """Open the line, identify the hand and read whether it is enabled; moves nothing."""
         options = self.options
-        link = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                baudrate=codec.BAUDRATE,
-                emulator=emulator_of(self.spec, "schunk_svh"),
-            ),
+        link = await self.open(
+            self.buses.serial,
+            options.port,
             lambda bus: SvhLink(bus, options.deadline, options.retries),
+            emulator="schunk_svh",
+            baudrate=codec.BAUDRATE,
         )
-        try:
+        with self.identifying(
+            "an SVH",
+            f"no SVH answers at {options.port}",
+            "is the 24 V supply on, and is it the right port?",
+        ):
             firmware = await link.firmware()
-        except (BusTimeout, FrameError) as error:
-            raise NotConnected(
-                self.spec.name,
-                f"no SVH answers at {options.port}",
-                hint="is the 24 V supply on, and is it the right port?",
-            ) from error
         if firmware.name != "SVH":
             raise HandshakeError(
                 self.spec.name, "an SVH", f"'{firmware.name}'", hint="check the port"

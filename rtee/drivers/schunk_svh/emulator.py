@@ -130,11 +130,6 @@ class SchunkSvhEmulator(Emulator, Grasps):
         elif fault == "over_temperature":
             self._hot = 0x01
 
-    def on_faults(self) -> None:
-        """Block the motors while they are stuck."""
-        for channel in self.channels:
-            channel.axis.stuck = "stuck" in self.faults
-
     def _channel(self, index: int, closure: float) -> _Channel:
         spec = self.table[index]
         span = spec.max_offset - spec.min_offset

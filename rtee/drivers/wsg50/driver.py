@@ -13,10 +13,9 @@ from pydantic import BaseModel, Field
 from rtee import monotonic
 from rtee.buses.pool import BusPool
 from rtee.capabilities import Capabilities, GripForce
+from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
 from rtee.drivers.deadlines import time_limit
-from rtee.drivers.emulators import emulator_of
-from rtee.drivers.gripper import GripperDriver
 from rtee.drivers.options import DeviceOptions, read_options
 from rtee.drivers.scale import LinearScale
 from rtee.drivers.step_follower import Order, Settle, StepFollower
@@ -40,12 +39,9 @@ from rtee.drivers.wsg50.codec import (
 from rtee.drivers.wsg50.link import Report, WsgLink, WsgRefusal
 from rtee.errors import (
     BusError,
-    BusTimeout,
     CommandRejected,
     DeviceFault,
     FrameError,
-    HandshakeError,
-    NotConnected,
 )
 from rtee.sample import ActuatorState
 from rtee.types import DeviceSpec, Reference
@@ -99,7 +95,7 @@ class Wsg50Options(DeviceOptions):
     rate: float = Field(20.0, gt=0.0, description="exchanges per second; faster may upset it")
 
 
-class Wsg50Driver(GripperDriver):
+class Wsg50Driver(Driver):
     """A WSG 50.
 
     A motion is one command, and another is refused until it has ended. So references are followed
@@ -146,29 +142,28 @@ class Wsg50Driver(GripperDriver):
     async def configure(self) -> None:
         """Connect and check that a WSG answers; moves nothing."""
         options = self.options
-        # An emulated gripper starts referenced, as after an earlier run, unless it is to be homed.
-        emulated = {"referenced": options.home == "on_demand", **options.emulator}
-        link = await self.connection.open(
-            self.buses.serial(
-                options.port,
-                owner=self.connection.owner,
-                emulator=emulator_of(self.spec, "wsg50", emulator=emulated),
-            ),
+        link = await self.open(
+            self.buses.serial,
+            options.port,
             lambda bus: WsgLink(bus, 0.5),
+            emulator="wsg50",
+            # An emulated gripper starts referenced, as after an earlier run, unless it is to home.
+            emulated={"emulator": {"referenced": options.home == "on_demand", **options.emulator}},
         )
-        try:
-            with link.unhurried():
-                info = Info.from_bytes((await link.ask(Frame(Command.INFO))).payload[2:])
-                limits = Limits.from_frame(await link.ask(Frame(Command.LIMITS)))
-                self._report = await link.report()
-        except BusTimeout as error:
-            raise NotConnected(
-                self.spec.name,
+        with (
+            link.unhurried(),
+            self.identifying(
+                "a WSG 50",
                 f"no answer at {options.port}",
-                hint="check supply, cable and address; only one program can be connected",
-            ) from error
-        except (WsgFrameError, WsgRefusal, FrameError) as error:
-            raise HandshakeError(self.spec.name, "a WSG 50", str(error)) from error
+                "check supply, cable and address; only one program can be connected",
+                WsgFrameError,
+                WsgRefusal,
+                FrameError,
+            ),
+        ):
+            info = Info.from_bytes((await link.ask(Frame(Command.INFO))).payload[2:])
+            limits = Limits.from_frame(await link.ask(Frame(Command.LIMITS)))
+            self._report = await link.report()
         self._adopt(
             limits,
             {
@@ -194,12 +189,12 @@ class Wsg50Driver(GripperDriver):
                 await self._homed(link)
         self._home_asked = False
         self._forget()
-        self._active = True
+        self.active = True
 
     async def _homed(self, link: WsgLink) -> None:
         def too_slow() -> DeviceFault:
             hint = "free the fingers, then `rtee recover`"
-            return self._fault(_NOT_REFERENCED, "homing not done in time", hint)
+            return self.fault(_NOT_REFERENCED, "homing not done in time", hint)
 
         self.doing = "homing"
         try:
@@ -226,7 +221,7 @@ class Wsg50Driver(GripperDriver):
         """Return width, speed, force and grasp."""
         report = self._report = await self.connection.link.report()
         stamp = monotonic.now()
-        if self._active:
+        if self.active:
             self._refuse(report)
             if not report.state & State.REFERENCED:
                 raise self._unreferenced()
@@ -323,6 +318,11 @@ class Wsg50Driver(GripperDriver):
                 self._forget()
                 return
 
+    async def deactivate(self) -> None:
+        """Stop; a grip is kept."""
+        await self.stop()
+        self.active = False
+
     async def recover(self) -> None:
         """Clear a fast stop; a gripper that lost its reference may then home."""
         link = self.connection.link
@@ -338,14 +338,14 @@ class Wsg50Driver(GripperDriver):
     def _refuse(self, report: Report) -> None:
         for bit, (name, hint) in _FAULTS.items():
             if report.state & bit:
-                raise self._fault(bit.bit_length() - 1, name, hint)
+                raise self.fault(bit.bit_length() - 1, name, hint)
 
     def _unreferenced(self) -> DeviceFault:
-        return self._fault(_NOT_REFERENCED, "not homed", _HOME)
+        return self.fault(_NOT_REFERENCED, "not homed", _HOME)
 
     async def close(self) -> None:
         """Announce the end of the connection, so that no fast stop follows, and detach."""
-        self._active = False  # even if the announcement is cancelled
+        self.active = False  # even if the announcement is cancelled
         if self.connection.is_open:
             with contextlib.suppress(BusError, DeviceFault):
                 # Sent once: a gripper that is gone must not delay closing.

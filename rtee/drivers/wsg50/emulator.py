@@ -107,6 +107,7 @@ class Wsg50Emulator(Emulator, Grasps):
         )
         self.axis.rating = self.limits.force[1]
         self.axis.enabled = True
+        self.axes = [self.axis]
         self.axis.self_locking = True
         self.moves = 0
         self.homings = 0
@@ -160,7 +161,7 @@ class Wsg50Emulator(Emulator, Grasps):
 
     def on_faults(self) -> None:
         """Block the motor while it is stuck; an error stops it."""
-        self.axis.stuck = "stuck" in self.faults
+        super().on_faults()
         if any(fault in self.faults for fault in _ERRORS):
             self._fast_stop(latch="fast_stop" in self.faults)
 
@@ -174,10 +175,6 @@ class Wsg50Emulator(Emulator, Grasps):
         self.axis.target = self.axis.position
 
     # --- objects -----------------------------------------------------------------------------
-
-    def motors(self) -> Sequence[Axis]:
-        """Return its motors."""
-        return [self.axis]
 
     def closings(self) -> Sequence[Closing]:
         """Return how the fingers close."""

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import ClassVar
 
@@ -18,7 +19,6 @@ from rtee.buses.zmq import ZmqBus
 from rtee.capabilities import Capabilities
 from rtee.drivers.base import Driver
 from rtee.drivers.connection import Connection
-from rtee.drivers.emulators import emulator_of
 from rtee.drivers.hold_on_attach import Attached
 from rtee.drivers.options import read_options
 from rtee.drivers.scale import LinearScale
@@ -26,7 +26,7 @@ from rtee.drivers.xbot2 import codec
 from rtee.drivers.xbot2.codec import Command, Control, State
 from rtee.drivers.xbot2.messages import XBot2FrameError
 from rtee.drivers.xbot2.options import JointOptions, XBot2Options
-from rtee.errors import BusTimeout, ConfigError, HandshakeError, NotConnected, RteeError, suggestion
+from rtee.errors import BusTimeout, ConfigError, HandshakeError, RteeError, suggestion
 from rtee.sample import ActuatorState, FloatArray
 from rtee.types import ActuatorSpec, DeviceSpec, Reference
 
@@ -98,28 +98,19 @@ class XBot2Driver(Driver):
         }
         # The emulated server has one range for all joints, so it gets the widest.
         ends = [end for scale in self._commanded for end in scale.raw]
-        bus = await self.connection.open(
-            self.buses.zmq(
-                options.address,
-                owner=self.connection.owner,
-                ports=(options.state_port, options.command_port, options.service_port),
-                emulator=emulator_of(
-                    self.spec, "xbot2", joints=joints, ends=(min(ends), max(ends))
-                ),
-            ),
+        bus = await self.open(
+            self.buses.zmq,
+            options.address,
             lambda bus: bus,
+            emulator="xbot2",
+            emulated={"joints": joints, "ends": (min(ends), max(ends))},
+            ports=(options.state_port, options.command_port, options.service_port),
         )
         # Before the request, since states arrive all the time and the wait below needs one.
         self._undo = bus.subscribe(self._take)
-        try:
+        with self._identifying():
             raw = await bus.request(codec.request("joint_names"), options.deadline)
             known = codec.joint_names(raw)
-        except BusTimeout as error:
-            raise self._silent() from error
-        except XBot2FrameError as error:
-            raise HandshakeError(
-                self.spec.name, "xbot2_zmq", f"something else ({error})", hint="check the ports"
-            ) from error
         missing = [name for name in self._names if name not in known]
         if missing:
             raise HandshakeError(
@@ -128,14 +119,15 @@ class XBot2Driver(Driver):
                 f"no {', '.join(missing)}",
                 hint=suggestion(missing[0], known),
             )
-        try:
-            async with asyncio.timeout(options.deadline):
-                while self._state is None:
-                    # Other messages arrive, too, so the state decides and not the event.
-                    self._arrived.clear()
-                    await self._arrived.wait()
-        except TimeoutError:
-            raise self._silent() from None
+        with self._identifying():
+            try:
+                async with asyncio.timeout(options.deadline):
+                    while self._state is None:
+                        # Other messages arrive, too, so the state decides and not the event.
+                        self._arrived.clear()
+                        await self._arrived.wait()
+            except TimeoutError:
+                raise BusTimeout(bus.name, "no state") from None
         self.capabilities = replace(
             self.capabilities,
             identity={
@@ -146,11 +138,13 @@ class XBot2Driver(Driver):
             },
         )
 
-    def _silent(self) -> NotConnected:
-        return NotConnected(
-            self.spec.name,
+    def _identifying(self) -> AbstractContextManager[None]:
+        return self.identifying(
+            "xbot2_zmq",
             f"xbot2_zmq does not answer at {self.options.address}",
-            hint="does XBot2 run there with its plugin zmq, and are the ports open?",
+            "does XBot2 run there with its plugin zmq, and are the ports open?",
+            XBot2FrameError,
+            check="check the ports",
         )
 
     def _take(self, message: bytes, stamp: float) -> None:

@@ -95,11 +95,6 @@ class XBot2Emulator(Emulator, Grasps):
             axis.target = axis.position
             axis.max_effort = self.properties.effort
 
-    def on_faults(self) -> None:
-        """Block the motors while they are stuck."""
-        for axis in self.axes.values():
-            axis.stuck = "stuck" in self.faults
-
     def motors(self) -> Sequence[Axis]:
         """Return its motors."""
         return list(self.axes.values())

@@ -1,0 +1,145 @@
+"""Declare what the bits of registers mean, once for a driver, its emulator and the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import field, fields
+from functools import cache
+from typing import Any, ClassVar, NamedTuple, Self, cast
+
+from rtee.errors import FrameError
+
+
+class Field(NamedTuple):
+    """The place of a value in a block of registers.
+
+    Attributes:
+        word: Its register, counted from the first of the block.
+        bit: Its lowest bit there.
+        width: Its bits.
+        kind: Makes the value from the number.
+        signed: Whether the number is in two's complement.
+    """
+
+    word: int
+    bit: int
+    width: int
+    kind: Callable[[int], Any]
+    signed: bool = False
+
+    @property
+    def mask(self) -> int:
+        """Its bits in its register."""
+        return ((1 << self.width) - 1) << self.bit
+
+    def get(self, words: Sequence[int]) -> Any:
+        """Return the value; raises `ValueError` for a number that is none."""
+        number = (words[self.word] & self.mask) >> self.bit
+        if self.signed and number >> self.width - 1:
+            number -= 1 << self.width
+        return self.kind(number)
+
+    def put(self, words: list[int], value: Any) -> None:
+        """Set the value."""
+        words[self.word] |= int(value) << self.bit & self.mask
+
+
+class Group(NamedTuple):
+    """A tuple of values, or of objects with a place for each of their values.
+
+    Attributes:
+        kind: Makes an object from its values; ``None``: each value stands for itself.
+        members: The places of the values of each.
+    """
+
+    kind: Callable[..., Any] | None
+    members: tuple[tuple[Field, ...], ...]
+
+    def get(self, words: Sequence[int]) -> tuple[Any, ...]:
+        """Return the tuple; raises `ValueError` for a number that is no value."""
+        found = ([place.get(words) for place in member] for member in self.members)
+        return tuple(each[0] if self.kind is None else self.kind(*each) for each in found)
+
+    def put(self, words: list[int], values: Sequence[Any]) -> None:
+        """Set the tuple."""
+        for member, value in zip(self.members, values, strict=True):
+            parts = (
+                [value] if self.kind is None else [getattr(value, f.name) for f in fields(value)]
+            )
+            for place, part in zip(member, parts, strict=True):
+                place.put(words, part)
+
+
+def at(
+    word: int,
+    bit: int = 0,
+    width: int = 16,
+    kind: Callable[[int], Any] = int,
+    *,
+    signed: bool = False,
+) -> Any:
+    """Declare a value of `Registers`; by default a whole register. Arguments as for `Field`."""
+    return field(default=kind(0), metadata={"at": Field(word, bit, width, kind, signed)})
+
+
+def flag(word: int, bit: int) -> Any:
+    """Declare a bit of `Registers`."""
+    return at(word, bit, 1, bool)
+
+
+def each(kind: Callable[..., Any] | None, *members: Sequence[Field]) -> Any:
+    """Declare a tuple of `Registers`; arguments as for `Group`."""
+    group = Group(kind, tuple(map(tuple, members)))
+    count = 1 + max(place.word for member in group.members for place in member)
+    return field(default=group.get([0] * count), metadata={"at": group})
+
+
+class Registers:
+    """A block of registers: a frozen dataclass whose fields are declared by `at`, `flag`, `each`.
+
+    Attributes:
+        COUNT: Registers of the block.
+        WHAT: Its name in messages, such as ``status of an RG``.
+        STRICT: Whether bits that no field has are always clear.
+    """
+
+    __slots__ = ()
+
+    COUNT: ClassVar[int]
+    WHAT: ClassVar[str] = ""
+    STRICT: ClassVar[bool] = False
+
+    def to_registers(self) -> tuple[int, ...]:
+        """Return the registers."""
+        words, kind = [0] * self.COUNT, cast("Any", type(self))
+        for name, place in _layout(kind):
+            place.put(words, getattr(self, name))
+        return tuple(words)
+
+    @classmethod
+    def from_registers(cls, registers: Sequence[int], bus: str = "") -> Self:
+        """Read it; raises `FrameError` for what it cannot hold, with the name of the bus."""
+        kind = cast("Any", cls)
+        try:
+            if cls.STRICT and any(w & ~k for w, k in zip(registers, _known(kind), strict=False)):
+                raise ValueError
+            return cls(**{name: place.get(registers) for name, place in _layout(kind)})
+        except ValueError:
+            raw = b"".join(register.to_bytes(2, "big") for register in registers)
+            raise FrameError(bus, f"no {cls.WHAT}: {raw.hex(' ')}", raw) from None
+
+
+@cache
+def _layout(block: Any) -> tuple[tuple[str, Field | Group], ...]:
+    return tuple((one.name, one.metadata["at"]) for one in fields(block))
+
+
+@cache
+def _known(block: Any) -> tuple[int, ...]:
+    """Return the bits of each register that a field has."""
+    known = [0] * block.COUNT
+    for _, place in _layout(block):
+        for member in place.members if isinstance(place, Group) else [[place]]:
+            for one in member:
+                known[one.word] |= one.mask
+    return tuple(known)
