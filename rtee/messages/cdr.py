@@ -9,7 +9,7 @@ length as ``uint32`` and its elements.
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,9 +36,10 @@ SCALARS: dict[str, struct.Struct] = {
     "float32": struct.Struct("<f"),
     "float64": struct.Struct("<d"),
 }
-DTYPES: dict[str, np.dtype[Any]] = {
-    name: np.dtype("bool" if name == "bool" else name).newbyteorder("<") for name in SCALARS
-}
+DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype(name).newbyteorder("<") for name in SCALARS}
+# ROS 2's other names of uint8 (REP 2016); those of NumPy are of other types.
+for _octet in ("byte", "char"):
+    SCALARS[_octet], DTYPES[_octet] = SCALARS["uint8"], DTYPES["uint8"]
 
 _LENGTH = SCALARS["uint32"]
 _DOUBLE = SCALARS["float64"]
@@ -81,15 +82,6 @@ class Writer:
         buffer = self._buffer
         # The header of four bytes does not change an alignment to four bytes.
         buffer += _PADDING[-len(buffer) % 4] + _LENGTH.pack(len(data) + 1) + data + b"\0"
-
-    def strings(self, values: Collection[str]) -> None:
-        """Append a sequence of strings."""
-        # A string is a collection of strings, too, and would be sent letter by letter.
-        if isinstance(values, str):
-            raise MessageError("a list of strings expected")
-        self.length(len(values))
-        for value in values:
-            self.string(value)
 
     def length(self, count: int) -> None:
         """Append the length of a sequence."""

@@ -1,12 +1,20 @@
-"""Types of messages: their fields, parsed from the definitions, and their encoding and decoding."""
+"""Types of messages: their fields, parsed from ROS 2's definitions, and their bytes.
+
+A definition has one line per field, ``TYPE NAME [DEFAULT]``, or constant, ``TYPE NAME = VALUE``,
+and a comment behind ``#``.
+"""
 
 from __future__ import annotations
 
+import ast
 import math
+import re
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from functools import cache
+from operator import getitem
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +22,9 @@ import numpy as np
 
 from rtee.errors import MessageError
 from rtee.messages.cdr import DTYPES, SCALARS, Reader, Writer
+
+EMPTY_FIELD: Final = "structure_needs_at_least_one_member"
+"""The only field, a ``uint8``, of a definition without fields: C has no empty structures."""
 
 _RULE = "=" * 80 + "\n"
 """Line before every definition except the first in a text of several, as in files of rosbag2."""
@@ -26,9 +37,27 @@ _MOST_FIELDS = 1000
 """Most fields of a recorded definition with all nested ones: ten times those of rtee's largest
 message; more would only make a damaged or malicious file slow to read."""
 
+_OCTETS = ("uint8", "byte", "char")
+"""Kinds whose sequences are `bytes`."""
 
-def _full(name: str) -> str:
-    return name if "/msg/" in name else "/msg/".join(name.split("/"))
+_FLOATS = ("float64", "float32")
+_BLANK = {"string": "", "bool": False}
+
+_LONGEST_VALUE = 200
+"""Most characters read of a constant or default: definitions in recordings are by anybody."""
+
+_WRONG = (TypeError, ValueError, AttributeError, struct.error)
+"""What values of a wrong type raise."""
+
+_FIELD = re.compile(
+    r"(?P<kind>[A-Za-z][\w/]*)(<=(?P<longest>\d+))?(?P<many>\[((?P<most><=)?(?P<count>\d+))?\])?"
+    r"\s+(?P<name>\w+)\s*(?P<constant>=)?\s*(?P<value>.*)"
+)
+
+
+def full_name(name: str, kind: str = "msg") -> str:
+    """Return ``std_msgs/msg/String`` for ``std_msgs/String`` and for itself."""
+    return name if name.count("/") != 1 else name.replace("/", f"/{kind}/")
 
 
 def _short(name: str) -> str:
@@ -36,22 +65,32 @@ def _short(name: str) -> str:
 
 
 def sections(text: str, first: str = "") -> dict[str, str]:
-    """Return the definitions in a text of several, by the full names of their messages.
+    """Return the definitions in a text of several, by their full names.
 
-    Each is after a rule and a line ``MSG: package/Name``; the text may begin with that of
+    Each is after a rule and a line such as ``MSG: package/Name``; the text may begin with that of
     ``first``.
     """
     head, *rest = text.split(_RULE)
     definitions = {first: head} if first else {}
     for part in rest:
-        name, _, definition = part.partition("\n")
-        # Definitions omit the folder `msg` of full names.
-        definitions[_full(name.removeprefix("MSG:").strip())] = definition
+        title, _, definition = part.partition("\n")
+        # Definitions omit the folder, such as `msg`, of full names.
+        kind, _, name = title.rpartition(":")
+        definitions[full_name(name.strip(), kind.lower() or "msg")] = definition
     return definitions
 
 
 DEFINITIONS: Final = sections(Path(__file__).with_name("definitions.msg").read_text("utf-8"))
 """Definitions by full name of the message."""
+
+
+class Many(Enum):
+    """Number of values of a field; each member is the offset of a type's number in a hash."""
+
+    ONE = 0
+    ARRAY = 48
+    BOUNDED = 96
+    SEQUENCE = 144
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +100,20 @@ class Field:
     Attributes:
         name: Name of the field.
         kind: A primitive kind, ``string``, or the full name of a message.
-        sequence: Whether the field is a sequence.
+        many: Single value, array or sequence.
+        capacity: Length of an array, largest length of a bounded sequence, otherwise 0.
+        longest: Largest length of its strings [characters]; 0: no bound.
+        default: Default value; ``None``: zero or empty.
         comment: Comment in the definition.
         inner: Type of the nested messages, if the field holds messages.
     """
 
     name: str
     kind: str
-    sequence: bool
+    many: Many = Many.ONE
+    capacity: int = 0
+    longest: int = 0
+    default: Any = None
     comment: str = ""
     inner: MessageType | None = field(default=None, repr=False)
 
@@ -78,21 +123,37 @@ class Field:
         return self.inner is not None
 
     @property
-    def notation(self) -> str:
-        """The type as written in the definition."""
-        return _short(self.kind) + ("[]" if self.sequence else "")
+    def sequence(self) -> bool:
+        """Whether the field holds several values."""
+        return self.many is not Many.ONE
 
     @property
-    def default(self) -> Any:
-        """The value in messages of versions that did not define the field."""
-        if self.sequence:
-            return np.empty(0, DTYPES[self.kind]) if self.kind in DTYPES else []
+    def notation(self) -> str:
+        """The type as written in the definition."""
+        bound = f"<={self.longest}" if self.longest else ""
+        many = {
+            Many.ONE: "",
+            Many.ARRAY: f"[{self.capacity}]",
+            Many.BOUNDED: f"[<={self.capacity}]",
+            Many.SEQUENCE: "[]",
+        }
+        return _short(self.kind) + bound + many[self.many]
+
+    def blank(self, number: float) -> Any:
+        """Return the default value, ``number`` [any unit] for one of floating point without any."""
+        if self.default is not None:
+            # A new list for each message, since fields may be changed.
+            return list(self.default) if isinstance(self.default, list) else self.default
+        if self.many is Many.ONE:
+            if self.inner is not None:
+                return self.inner.blank(number)
+            return number if self.kind in _FLOATS else _BLANK.get(self.kind, 0)
+        count = self.capacity if self.many is Many.ARRAY else 0
         if self.inner is not None:
-            return self.inner.completed({})
-        # NaN means "not measured"; integers have no such value.
-        return {"string": "", "bool": False, "float32": math.nan, "float64": math.nan}.get(
-            self.kind, 0
-        )
+            return [self.inner.blank(number) for _ in range(count)]
+        if self.kind in _OCTETS:
+            return bytes(count)
+        return [""] * count if self.kind == "string" else np.zeros(count, DTYPES[self.kind])
 
     def completed(self, value: Any) -> Any:
         """Return the value in a message of another version; see `MessageType.completed`."""
@@ -115,29 +176,36 @@ class MessageType:
 
     Attributes:
         name: Full name, such as ``sensor_msgs/msg/JointState``.
-        summary: Comment at the begin of the definition.
         fields: The fields, in order.
+        summary: Comment at the begin of the definition.
+        constants: The constants, by name.
+        makes: Makes the class of messages, whose ``filled`` makes one of its fields by name.
+        message: That class; ``None``: messages are dictionaries.
     """
 
     name: str
-    summary: str
     fields: tuple[Field, ...]
+    summary: str = ""
+    constants: tuple[tuple[str, Any], ...] = ()
+    makes: Callable[[MessageType], Any] | None = field(default=None, repr=False, compare=False)
+    message: Any = field(init=False, repr=False, compare=False)
     _writers: tuple[tuple[str, Write], ...] = field(init=False, repr=False, compare=False)
     _readers: tuple[tuple[str, Read], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Select the functions that write and read the fields."""
+        """Make the class, and select the functions that write and read the fields."""
         writers = tuple((field.name, writer_of(field)) for field in self.fields)
         readers = tuple((field.name, reader_of(field)) for field in self.fields)
         # The only way to set an attribute of a frozen dataclass.
+        object.__setattr__(self, "message", self.makes and self.makes(self))
         object.__setattr__(self, "_writers", writers)
         object.__setattr__(self, "_readers", readers)
 
-    def encode(self, values: Mapping[str, Any]) -> bytes:
+    def encode(self, values: Any) -> bytes:
         """Return the CDR bytes of a message.
 
         Args:
-            values: Every field by name; nested messages are mappings, too.
+            values: Every field by name, or the attributes; nested messages likewise.
 
         Raises:
             MessageError: if a field is missing, unknown, or has the wrong type.
@@ -146,11 +214,11 @@ class MessageType:
         self.write(writer, values)
         return writer.done()
 
-    def decode(self, data: bytes | bytearray | memoryview) -> dict[str, Any]:
-        """Return the fields of a message by name.
+    def decode(self, data: bytes | bytearray | memoryview) -> Any:
+        """Return a message: its fields by name, or as attributes.
 
-        Sequences of numbers are arrays, sequences of strings or messages are lists, nested
-        messages are dictionaries.
+        Sequences of numbers are arrays, those of bytes `bytes`, those of strings or messages lists,
+        nested messages dictionaries.
 
         Raises:
             MessageError: if the bytes are not such a message.
@@ -160,34 +228,43 @@ class MessageType:
         reader.finish()
         return values
 
+    def blank(self, number: float) -> Any:
+        """Return a message of default values; see `Field.blank`."""
+        values = {field.name: field.blank(number) for field in self.fields}
+        return values if self.message is None else self.message.filled(values)
+
     def completed(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of a message of another version, with defaults for missing fields."""
         return {
+            # NaN means "not measured"; integers have no such value.
             field.name: field.completed(values[field.name])
             if field.name in values
-            else field.default
+            else field.blank(math.nan)
             for field in self.fields
         }
 
-    def write(self, writer: Writer, values: Mapping[str, Any]) -> None:
+    def write(self, writer: Writer, values: Any) -> None:
         """Append a message to a writer; see `encode`."""
-        # With the right number of values, an unknown field implies a missing one, found below.
-        if len(values) != len(self.fields):
-            wrong = set(values).symmetric_difference(field.name for field in self.fields)
-            raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
+        get: Callable[[Any, str], Any] = getattr
+        if self.message is None:
+            get = getitem
+            # With the right number of values, an unknown field implies a missing one, found below.
+            if len(values) != len(self.fields):
+                wrong = set(values).symmetric_difference(field.name for field in self.fields)
+                raise MessageError(f"{self.name}: missing or unknown fields {sorted(wrong)}")
         name = ""
         try:
             for name, write in self._writers:
-                write(writer, values[name])
-        except (KeyError, TypeError, ValueError, AttributeError, struct.error) as error:
-            # A MessageError is a ValueError, too, and names the field of a nested message.
-            if isinstance(error, MessageError):
-                raise
+                write(writer, get(values, name))
+        except MessageError:  # which already names the field of a nested message
+            raise
+        except (*_WRONG, LookupError, OverflowError) as error:
             raise MessageError(f"{self.name}.{name}: {error}") from error
 
-    def read(self, reader: Reader) -> dict[str, Any]:
+    def read(self, reader: Reader) -> Any:
         """Read a message; see `decode`."""
-        return {name: read(reader) for name, read in self._readers}
+        values = {name: read(reader) for name, read in self._readers}
+        return values if self.message is None else self.message.filled(values)
 
     @property
     def parts(self) -> tuple[MessageType, ...]:
@@ -208,69 +285,176 @@ class MessageType:
 
 def writer_of(field: Field) -> Write:
     """Return a function that writes the values of a field."""
-    kind, inner = field.kind, field.inner
-    if inner is not None:
-
-        def write_all(writer: Writer, values: Any) -> None:
-            writer.length(len(values))
-            for value in values:
-                inner.write(writer, value)
-
-        return write_all if field.sequence else inner.write
-    if kind == "string":
-        return Writer.strings if field.sequence else Writer.string
-    if field.sequence:
+    kind, many = field.kind, field.many
+    write_one: Write
+    if field.inner is not None:
+        write_one = field.inner.write
+    elif kind == "string":
+        write_one = _bounded_writer(field.longest) if field.longest else Writer.string
+    elif many is Many.SEQUENCE and kind not in _OCTETS:
         return lambda writer, values: writer.array(kind, values)
+    elif field.sequence:
+        return _numbers_writer(field)
     # Most numbers are of this kind; its own method saves looking the kind up.
-    if kind == "float64":
+    elif kind == "float64":
         return Writer.double
-    return lambda writer, value: writer.scalar(kind, value)
+    else:
+        return lambda writer, value: writer.scalar(kind, value)
+    if many is Many.ONE:
+        return write_one
+
+    def write_all(writer: Writer, values: Any) -> None:
+        # These are sequences, too, whose elements would be written one by one.
+        if isinstance(values, (str, bytes)):
+            raise TypeError(f"a list of {kind}s expected")
+        _check_count(field, len(values))
+        if many is not Many.ARRAY:
+            writer.length(len(values))
+        for value in values:
+            write_one(writer, value)
+
+    return write_all
+
+
+def _bounded_writer(longest: int) -> Write:
+    def write(writer: Writer, value: str) -> None:
+        if len(value) > longest:
+            raise ValueError(f"at most {longest} characters expected")
+        writer.string(value)
+
+    return write
+
+
+def _numbers_writer(field: Field) -> Write:
+    def write(writer: Writer, values: Any) -> None:
+        # NumPy would take bytes for a single value instead of a sequence.
+        if isinstance(values, (bytes, bytearray)):
+            values = np.frombuffer(values, np.uint8)
+        _check_count(field, len(values))
+        if field.many is Many.ARRAY:
+            writer.fixed(field.kind, values)
+        else:
+            writer.array(field.kind, values)
+
+    return write
 
 
 def reader_of(field: Field) -> Read:
     """Return a function that reads the values of a field."""
-    kind, inner = field.kind, field.inner
-    if inner is not None:
-        if field.sequence:
-            # A message takes at least one byte; its real size is known only after reading it.
-            return lambda reader: [inner.read(reader) for _ in range(reader.length(1))]
-        return inner.read
-    if kind == "string":
-        return Reader.strings if field.sequence else Reader.string
-    if field.sequence:
-        return lambda reader: reader.array(kind)
-    if kind == "float64":
+    kind, many = field.kind, field.many
+    read_one: Read
+    if field.inner is not None:
+        read_one = field.inner.read
+    elif kind == "string":
+        if many is Many.SEQUENCE:
+            return Reader.strings
+        read_one = Reader.string
+    elif field.sequence:
+        return _numbers_reader(field)
+    elif kind == "float64":
         return Reader.double
-    return lambda reader: reader.scalar(kind)
+    else:
+        return lambda reader: reader.scalar(kind)
+    if many is Many.ONE:
+        return read_one
+    if many is Many.ARRAY:
+        return lambda reader: [read_one(reader) for _ in range(field.capacity)]
+
+    def read_all(reader: Reader) -> list[Any]:
+        # A message takes at least one byte; its real size is known only after reading it.
+        count = reader.length(1)
+        _check_count(field, count)
+        return [read_one(reader) for _ in range(count)]
+
+    return read_all
+
+
+def _numbers_reader(field: Field) -> Read:
+    kind, many = field.kind, field.many
+    octets = kind in _OCTETS
+    if many is Many.SEQUENCE and not octets:
+        return lambda reader: reader.array(kind)
+
+    def read(reader: Reader) -> Any:
+        array = many is Many.ARRAY
+        values = reader.fixed(kind, field.capacity) if array else reader.array(kind)
+        _check_count(field, len(values))
+        return values.tobytes() if octets else values
+
+    return read
+
+
+def _check_count(field: Field, count: int) -> None:
+    """Raise `MessageError` if a number of values does not fit a field."""
+    if field.many is Many.ARRAY and count != field.capacity:
+        raise MessageError(f"{field.name}: {field.capacity} values expected, not {count}")
+    if field.many is Many.BOUNDED and count > field.capacity:
+        raise MessageError(f"{field.name}: at most {field.capacity} values expected, not {count}")
+
+
+def _value(text: str, kind: str) -> Any:
+    """Return a constant or default as written in a definition."""
+    if kind == "bool":
+        return text.lower() in {"true", "1"}
+    # Strings may be written without quotes.
+    if kind == "string" and text[:1] not in {'"', "'"}:
+        return text
+    value = ast.literal_eval(text[:_LONGEST_VALUE])
+    # Floats may be written as whole numbers: `float64 w 1`.
+    return float(value) if kind.startswith("float") and isinstance(value, int) else value
 
 
 def parse(
-    name: str, definition: str, nested: Callable[[str], MessageType] | None = None
+    name: str,
+    definition: str,
+    nested: Callable[[str], MessageType] | None = None,
+    makes: Callable[[MessageType], Any] | None = None,
 ) -> MessageType:
-    """Return the type of a definition; ``nested`` returns other types, by default `message_type`.
+    """Return the type of a definition.
 
-    Raises `MessageError` if a line is outside the supported subset of the notation.
+    Args:
+        name: Full name, whose package is that of types named without one.
+        definition: The definition, without ``---``.
+        nested: Returns other types by their full names; by default `message_type`.
+        makes: See `MessageType`.
+
+    Raises:
+        MessageError: if a line defines neither a field nor a constant, or has an unknown type.
     """
     summary: list[str] = []
     fields: list[Field] = []
+    constants: list[tuple[str, Any]] = []
     for line in definition.splitlines():
-        code, _, comment = line.partition("#")
-        words = code.split()
-        if not words:
+        code, _, comment = map(str.strip, line.partition("#"))
+        if not code:
             # Comments before the first field describe the message.
-            if not fields and comment:
-                summary.append(comment.strip())
+            if comment and not fields:
+                summary.append(comment)
             continue
-        if len(words) != 2:
+        match = _FIELD.fullmatch(code)
+        if match is None:
             raise MessageError(f"{name}: no field definition: '{line}'")
-        kind, inner = words[0].removesuffix("[]"), None
-        if "/" in kind:
-            kind = _full(kind)
+        kind, value = match["kind"], match["value"]
+        try:
+            given = _value(value, kind) if value else None
+        except (ValueError, SyntaxError, RecursionError, MemoryError) as error:
+            raise MessageError(f"{name}: no value: '{line}'") from error
+        if match["constant"]:
+            constants.append((match["name"], given))
+            continue
+        inner = None
+        if kind != "string" and kind not in SCALARS:
+            kind = full_name(kind if "/" in kind else f"{name.partition('/')[0]}/{kind}")
             inner = (nested or message_type)(kind)
-        elif kind != "string" and kind not in SCALARS:
-            raise MessageError(f"{name}: unknown type '{kind}'")
-        fields.append(Field(words[1], kind, words[0].endswith("[]"), comment.strip(), inner))
-    return MessageType(name, " ".join(summary), tuple(fields))
+        many = Many.ONE
+        if match["many"]:
+            many = (
+                Many.BOUNDED if match["most"] else Many.ARRAY if match["count"] else Many.SEQUENCE
+            )
+        capacity, longest = int(match["count"] or 0), int(match["longest"] or 0)
+        fields.append(Field(match["name"], kind, many, capacity, longest, given, comment, inner))
+    fields = fields or [Field(EMPTY_FIELD, "uint8")]
+    return MessageType(name, tuple(fields), " ".join(summary), tuple(constants), makes)
 
 
 @cache
@@ -280,7 +464,7 @@ def message_type(name: str) -> MessageType:
     Raises:
         MessageError: if there is no such type.
     """
-    full = _full(name)
+    full = full_name(name)
     try:
         definition = DEFINITIONS[full]
     except KeyError:

@@ -6,8 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TypedDict, Unpack
 
-import numpy as np
-
 from rtee.actions.build import StepPlan
 from rtee.actions.types import (
     Action,
@@ -112,7 +110,6 @@ class ActionClient:
         question = question_about(thing, **options)
         fields = {name: getattr(question, name) for name in Question.__dataclass_fields__}
         # The file itself is sent: a path would name a file of the hand's computer.
-        fields["mesh"] = np.frombuffer(question.mesh, np.uint8)
         reply = await self._link.ask("grasp_plan", fields, within=_PLANNED_WITHIN)
         return from_document(json.loads(reply["data"]))
 

@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from rtee.errors import RequestRejected
 from rtee.planning.apart import Question, ReachQuestion, ask
 from rtee.remote.call_queue import CallQueue
@@ -73,7 +71,7 @@ class GraspPlanning:
 def _question(fields: Mapping[str, Any]) -> Question:
     return Question(
         object=fields["object"],
-        mesh=np.asarray(fields["mesh"], np.uint8).tobytes(),
+        mesh=fields["mesh"],
         format=fields["format"],
         mass=float(fields["mass"]),
         friction=float(fields["friction"]),

@@ -183,7 +183,9 @@ class Link:
         until = self._loop.time() + within
         while True:
             try:
-                return request.answer.decode(await self.send(name, question, within=within))
+                data = await self.send(name, question, within=within)
+                answer: dict[str, Any] = request.answer.decode(data)
+                return answer
             except TooManyRequests:
                 if self._loop.time() > until:
                     raise

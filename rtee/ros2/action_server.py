@@ -100,7 +100,7 @@ class ServerGoal:
         """Publish feedback if anybody subscribes, in each version without the fields it lacks."""
         for publisher, kind in self.offered.feedback:
             if publisher.heard:
-                known = [member.name for member in kind.STRUCTURE.members]
+                known = [field.name for field in kind.STRUCTURE.fields]
                 made = kind(**{name: fields[name] for name in known if name in fields})
                 publisher.publish(
                     publisher.type.message(goal_id=self.offered.uuid(uuid=self.id), feedback=made)

@@ -32,7 +32,7 @@ class Grasp(ActionPart):
 
     def _result(self, result: Result) -> Message:
         kind = self._type.result
-        names = {member.name for member in kind.STRUCTURE.members}
+        names = {field.name for field in kind.STRUCTURE.fields}
         fields = {name: getattr(result, name) for name in names if hasattr(result, name)}
         # ROS 2 has no optional fields; a sequence of at most one value takes their place.
         for name in ("opening", "force", "force_error"):

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-from rtee.ros2.notation import PRIMITIVES, Structure
+from rtee.messages.schema import Field, MessageType
 
 PREFIX: Final = "RIHS01_"
 """Prefix of every hash: the version of the algorithm."""
@@ -19,62 +18,67 @@ PREFIX: Final = "RIHS01_"
 NO_HASH: Final = "TypeHashNotSupported"
 """Text that Humble, which has no hashes, writes instead of one."""
 
-# Numbers of ``type_description_interfaces/msg/FieldType``.
-_NESTED = 1
-_BOUNDED_STRING = 21
+_PRIMITIVES: Final = {
+    "int8": 2,
+    "uint8": 3,
+    "int16": 4,
+    "uint16": 5,
+    "int32": 6,
+    "uint32": 7,
+    "int64": 8,
+    "uint64": 9,
+    "float32": 10,
+    "float64": 11,
+    "char": 3,
+    "bool": 15,
+    "byte": 16,
+    "string": 17,
+}
+"""Numbers of primitive types in ``type_description_interfaces/msg/FieldType``; a ``char`` counts as
+``uint8`` (REP 2016). Wide strings are missing, since no message for hands has one."""
+
+_NESTED: Final = 1
+_BOUNDED_STRING: Final = 21
 
 Description = dict[str, Any]
 """Description of a type: a tree of mappings, lists, texts and integers."""
 
 
-def describe(structure: Structure) -> Description:
-    """Return a structure as an ``IndividualTypeDescription``."""
-    fields = []
-    for member in structure.members:
-        number = PRIMITIVES.get(member.base, _NESTED)
-        # PRIMITIVES is indexed by the base's name, of which the bound is not a part.
-        if member.longest:
-            number = _BOUNDED_STRING
-        # rosidl leaves default values out of the hash.
-        fields.append(
-            {
-                "name": member.name,
-                "type": {
-                    "type_id": number + member.many.value,
-                    "capacity": member.capacity,
-                    "string_capacity": member.longest,
-                    "nested_type_name": member.base if member.nested else "",
-                },
-            }
-        )
-    return {"type_name": structure.name, "fields": fields}
+def _describe(kind: MessageType) -> Description:
+    """Return a type as an ``IndividualTypeDescription``."""
+    # rosidl leaves default values out of the hash.
+    fields = [
+        {
+            "name": field.name,
+            "type": {
+                "type_id": _number(field) + field.many.value,
+                "capacity": field.capacity,
+                "string_capacity": field.longest,
+                "nested_type_name": field.kind if field.nested else "",
+            },
+        }
+        for field in kind.fields
+    ]
+    return {"type_name": kind.name, "fields": fields}
 
 
-def referred(structure: Structure, find: Callable[[str], Structure]) -> list[Structure]:
-    """Return all structures that one refers to, directly or not, sorted by name."""
-    structures: dict[str, Structure] = {}
-
-    def visit(names: Iterable[str]) -> None:
-        for name in names:
-            if name not in structures:
-                structures[name] = find(name)
-                visit(member.base for member in structures[name].members if member.nested)
-
-    visit(member.base for member in structure.members if member.nested)
-    return [structures[name] for name in sorted(structures)]
+def _number(field: Field) -> int:
+    return _BOUNDED_STRING if field.longest else _PRIMITIVES.get(field.kind, _NESTED)
 
 
-def description(structure: Structure, find: Callable[[str], Structure]) -> Description:
-    """Return the ``TypeDescription`` of a structure, with all structures that it refers to.
-
-    ``find`` returns a structure by its full name.
-    """
-    others = [describe(other) for other in referred(structure, find)]
-    return {"type_description": describe(structure), "referenced_type_descriptions": others}
+def referred(kind: MessageType) -> list[MessageType]:
+    """Return all types that one refers to, directly or not, sorted by name."""
+    return sorted(kind.parts, key=lambda part: part.name)
 
 
-def type_hash(structure: Structure, find: Callable[[str], Structure]) -> str:
-    """Return the hash of a structure: ``RIHS01_`` and 64 hexadecimal digits."""
+def description(kind: MessageType) -> Description:
+    """Return the ``TypeDescription`` of a type, with all types that it refers to."""
+    others = [_describe(other) for other in referred(kind)]
+    return {"type_description": _describe(kind), "referenced_type_descriptions": others}
+
+
+def type_hash(kind: MessageType) -> str:
+    """Return the hash of a type: ``RIHS01_`` and 64 hexadecimal digits."""
     # Separators and order are hashed, too, and must be those of rosidl.
-    text = json.dumps(description(structure, find), separators=(", ", ": "))
+    text = json.dumps(description(kind), separators=(", ", ": "))
     return PREFIX + hashlib.sha256(text.encode()).hexdigest()

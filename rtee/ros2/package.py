@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rtee.hand.files import new_tree
-from rtee.ros2.notation import definitions
+from rtee.ros2.types import definitions
 
 NAME = "rtee_msgs"
 """Name of the package."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from rtee.errors import MessageError
+from rtee.messages.schema import full_name
 from rtee.ros2.hashes import referred
 from rtee.ros2.message import Message
 from rtee.ros2.node import Node
-from rtee.ros2.notation import full_name
 
 _SERVICE = "type_description_interfaces/srv/GetTypeDescription"
 _MESSAGES = "type_description_interfaces/msg"
@@ -49,7 +49,7 @@ class TypeDescriptions:
         structure = self._interfaces.structure(name)
         source = self._interfaces.message(f"{_MESSAGES}/TypeSource")
         sources = []
-        for each in (structure, *referred(structure, self._interfaces.structure)):
+        for each in (structure, *referred(structure)):
             text = self._interfaces.texts.get(each.name)
             # Parts derived from a service or action have no definition of their own.
             kind = each.name.split("/")[1] if text is not None else "implicit"

@@ -7,18 +7,58 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from rtee.errors import MessageError, suggestion
+from rtee.messages.cdr import SCALARS
+from rtee.messages.schema import DEFINITIONS, Field, Many, MessageType, full_name, parse, sections
 from rtee.ros2.hashes import NO_HASH, Description, description, type_hash
 from rtee.ros2.message import Message, message_class
-from rtee.ros2.notation import Many, Member, Structure, definitions, full_name, parse, split
 
 _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 _UUID = "unique_identifier_msgs/msg/UUID"
 _TIME = "builtin_interfaces/msg/Time"
+
+
+_PARTS = {"msg": 1, "srv": 2, "action": 3}
+"""Number of parts of a definition: request and response; goal, result and feedback."""
+
+_NEWER = {"kilted": "control_msgs_6", "rolling": "control_msgs_6"}
+"""Files of definitions that differ from those of Jazzy, by distribution: control_msgs 6.3 added the
+index of the current point to FollowJointTrajectory's feedback."""
+
+
+def split(name: str, text: str) -> list[str]:
+    """Return the parts of a definition, separated by ``---``.
+
+    Raises `MessageError` if their number is wrong.
+    """
+    parts = re.split(r"^\s*---\s*$", text, flags=re.M)
+    if len(parts) != _PARTS[name.split("/")[1]]:
+        raise MessageError(f"{name}: {len(parts)} parts separated by ---")
+    return parts
+
+
+@cache
+def definitions(distro: str = "jazzy") -> dict[str, str]:
+    """Return the definitions of all interfaces of a distribution, by full name.
+
+    They are in ``rtee/ros2/interfaces``, with one file per package, except those of recordings,
+    which include rtee's own package ``rtee_msgs``.
+    """
+    texts = dict(DEFINITIONS)
+    folder = files("rtee.ros2").joinpath("interfaces")
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
+        # A file of newer distributions would replace definitions of Jazzy.
+        if file.name.endswith(".txt") and file.name.removesuffix(".txt") not in _NEWER.values():
+            texts |= sections(file.read_text("utf-8"))
+    if distro in _NEWER:
+        texts |= sections(folder.joinpath(f"{_NEWER[distro]}.txt").read_text("utf-8"))
+    return texts
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +133,13 @@ class Interfaces:
         self.distro = distro
         self.texts = definitions(distro)
         self._hashed = distro != "humble"
-        self._structures: dict[str, Structure] = {}
-        self._classes: dict[str, type[Message]] = {}
+        self._structures: dict[str, MessageType] = {}
         self._topics: dict[str, TopicType] = {}
         self._services: dict[str, ServiceType] = {}
         self._actions: dict[str, ActionType] = {}
 
-    def structure(self, name: str) -> Structure:
-        """Return a structure by its full name; derive those of services and actions.
+    def structure(self, name: str) -> MessageType:
+        """Return a message, service or action, or a part of these, as a type, by its full name.
 
         Raises:
             MessageError: if there is no such type.
@@ -108,7 +147,7 @@ class Interfaces:
         name = full_name(name)
         if name not in self._structures:
             if name in self.texts and "/msg/" in name:
-                self._structures[name] = parse(name, self.texts[name])
+                self._parse(name, self.texts[name])
             else:
                 self._derive(name)
         if name not in self._structures:
@@ -119,87 +158,81 @@ class Interfaces:
         """Add all structures of the service or action to which a name belongs."""
         package, _, rest = name.partition("/")
         kind, _, last = rest.partition("/")
-        if kind == "action":
-            # Names of actions have no underscore.
-            base = f"{package}/action/{last.partition('_')[0]}"
-            if base in self.texts:
-                self._add_action(base)
-        elif kind == "srv":
-            base = f"{package}/srv/{last.partition('_')[0]}"
-            if base in self.texts:
-                request, response = split(base, self.texts[base])
-                self._add_service(
-                    base, parse(f"{base}_Request", request), parse(f"{base}_Response", response)
-                )
+        # Names of services and actions have no underscore.
+        base = f"{package}/{kind}/{last.partition('_')[0]}"
+        if base in self.texts and kind == "action":
+            self._add_action(base)
+        elif base in self.texts and kind == "srv":
+            for part, text in zip(
+                ("Request", "Response"), split(base, self.texts[base]), strict=True
+            ):
+                self._parse(f"{base}_{part}", text)
+            self._add_service(base)
 
-    def _add(self, name: str, *members: Member) -> Structure:
-        structure = self._structures[name] = Structure(name, members)
-        return structure
+    def _parse(self, name: str, text: str) -> None:
+        self._structures[name] = parse(name, text, self.structure, message_class)
 
-    def _add_service(self, name: str, request: Structure, response: Structure) -> None:
-        self._structures |= {request.name: request, response.name: response}
+    def _add(self, name: str, *fields: Field) -> None:
+        """Add a structure, with the types of its nested messages."""
+        nested = tuple(
+            field if field.kind in SCALARS else replace(field, inner=self.structure(field.kind))
+            for field in fields
+        )
+        self._structures[name] = MessageType(name, nested, makes=message_class)
+
+    def _add_service(self, name: str) -> None:
+        """Add a service, whose request and response are there already."""
         # Service events are never sent here, but are part of the service's hash, without which no
         # client would find the service.
         self._add(
             f"{name}_Event",
-            Member("info", _EVENT_INFO),
-            Member("request", request.name, Many.BOUNDED, 1),
-            Member("response", response.name, Many.BOUNDED, 1),
+            Field("info", _EVENT_INFO),
+            Field("request", f"{name}_Request", Many.BOUNDED, 1),
+            Field("response", f"{name}_Response", Many.BOUNDED, 1),
         )
         self._add(
             name,
-            Member("request_message", request.name),
-            Member("response_message", response.name),
-            Member("event_message", f"{name}_Event"),
+            Field("request_message", f"{name}_Request"),
+            Field("response_message", f"{name}_Response"),
+            Field("event_message", f"{name}_Event"),
         )
 
     def _add_action(self, name: str) -> None:
         parts = zip(("Goal", "Result", "Feedback"), split(name, self.texts[name]), strict=True)
         for part, text in parts:
-            self._structures[f"{name}_{part}"] = parse(f"{name}_{part}", text)
-        goal_id = Member("goal_id", _UUID)
-        self._add_service(
-            f"{name}_SendGoal",
-            Structure(f"{name}_SendGoal_Request", (goal_id, Member("goal", f"{name}_Goal"))),
-            Structure(
-                f"{name}_SendGoal_Response", (Member("accepted", "bool"), Member("stamp", _TIME))
-            ),
-        )
-        self._add_service(
-            f"{name}_GetResult",
-            Structure(f"{name}_GetResult_Request", (goal_id,)),
-            Structure(
-                f"{name}_GetResult_Response",
-                (Member("status", "int8"), Member("result", f"{name}_Result")),
-            ),
-        )
-        self._add(f"{name}_FeedbackMessage", goal_id, Member("feedback", f"{name}_Feedback"))
+            self._parse(f"{name}_{part}", text)
+        goal_id = Field("goal_id", _UUID)
+        send, get = f"{name}_SendGoal", f"{name}_GetResult"
+        self._add(f"{send}_Request", goal_id, Field("goal", f"{name}_Goal"))
+        self._add(f"{send}_Response", Field("accepted", "bool"), Field("stamp", _TIME))
+        self._add(f"{get}_Request", goal_id)
+        self._add(f"{get}_Response", Field("status", "int8"), Field("result", f"{name}_Result"))
+        self._add_service(send)
+        self._add_service(get)
+        self._add(f"{name}_FeedbackMessage", goal_id, Field("feedback", f"{name}_Feedback"))
         # rosidl leaves the service that cancels and the topic of states out of an action's type,
         # since they are the same for all actions.
         self._add(
             name,
-            Member("goal", f"{name}_Goal"),
-            Member("result", f"{name}_Result"),
-            Member("feedback", f"{name}_Feedback"),
-            Member("send_goal_service", f"{name}_SendGoal"),
-            Member("get_result_service", f"{name}_GetResult"),
-            Member("feedback_message", f"{name}_FeedbackMessage"),
+            Field("goal", f"{name}_Goal"),
+            Field("result", f"{name}_Result"),
+            Field("feedback", f"{name}_Feedback"),
+            Field("send_goal_service", send),
+            Field("get_result_service", get),
+            Field("feedback_message", f"{name}_FeedbackMessage"),
         )
 
     def hash(self, name: str) -> str:
         """Return the hash of a type, `NO_HASH` in Humble; raise `MessageError` if there is none."""
-        return type_hash(self.structure(name), self.structure) if self._hashed else NO_HASH
+        return type_hash(self.structure(name)) if self._hashed else NO_HASH
 
     def description(self, name: str) -> Description:
         """Return the description of a type; raise `MessageError` if there is none."""
-        return description(self.structure(name), self.structure)
+        return description(self.structure(name))
 
     def message(self, name: str) -> Any:
         """Return the class of a message; raise `MessageError` if there is no such type."""
-        name = full_name(name)
-        if name not in self._classes:
-            self._classes[name] = message_class(self.structure(name), self.message)
-        return self._classes[name]
+        return self.structure(name).message
 
     def topic(self, name: str) -> TopicType:
         """Return the type of a topic; raise `MessageError` if there is none."""

@@ -59,8 +59,8 @@ def plain(values: Any) -> Any:
     """Return fields with arrays as lists, and names as they are read, to compare them."""
     if isinstance(values, dict):
         return {name: plain(value) for name, value in values.items()}
-    if isinstance(values, np.ndarray):
-        return values.tolist()
+    if isinstance(values, (np.ndarray, bytes)):
+        return list(values)
     if isinstance(values, list):
         # Strings in sequences are names, whose control characters are escaped.
         return [foreign(value) if isinstance(value, str) else plain(value) for value in values]
@@ -206,10 +206,12 @@ def test_unknown_type() -> None:
 
 
 def test_definitions_outside_the_notation_are_refused() -> None:
-    with pytest.raises(MessageError, match="unknown type 'float65'"):
+    with pytest.raises(MessageError, match="no message type 'a/msg/float65'"):
         parse("a/msg/B", "float65 x\n")
     with pytest.raises(MessageError, match="no field definition"):
-        parse("a/msg/B", "int32 x = 3\n")
+        parse("a/msg/B", "int32\n")
+    with pytest.raises(MessageError, match="no value"):
+        parse("a/msg/B", f"int32 x = {'-' * 5000}3\n")
 
 
 def test_the_type_store_says_which_extra_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,8 +29,7 @@ from rtee.ros2 import ActionType, Context, Node
 from rtee.ros2.action_client import ActionClient
 from rtee.ros2.action_server import ActionServer, Offer, ServerGoal
 from rtee.ros2.actions import GoalState, Outcome, Refusal
-from rtee.ros2.notation import definitions
-from rtee.ros2.types import interfaces
+from rtee.ros2.types import definitions, interfaces
 
 from .facing import a_hand_in_ros
 

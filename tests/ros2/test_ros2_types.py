@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from rtee.errors import MessageError
+from rtee.messages.schema import Field, Many, MessageType, parse
 from rtee.ros2.hashes import type_hash
 from rtee.ros2.message import Message, message_class
-from rtee.ros2.notation import Many, Member, parse, split
-from rtee.ros2.types import Interfaces, interfaces
+from rtee.ros2.types import Interfaces, interfaces, split
 
 HASHES = [line.split() for line in Path(__file__).with_name("hashes.txt").read_text().splitlines()]
 """Names and hashes of types, as rosidl's generated headers and public documents have them."""
@@ -74,26 +74,26 @@ def test_hashes_of_messages_are_those_of_rosbags() -> None:
 
 
 def _random(kind: type[Message], rng: random.Random) -> Any:
-    return kind(**{one.name: _value(one, kind, rng) for one in kind.STRUCTURE.members})
+    return kind(**{one.name: _value(one, rng) for one in kind.STRUCTURE.fields})
 
 
-def _value(member: Member, kind: type[Message], rng: random.Random) -> Any:
+def _value(field: Field, rng: random.Random) -> Any:
     def one() -> Any:
-        if member.nested:
-            return _random(kind._INNER[member.name], rng)
-        if member.base == "string":
+        if field.inner is not None:
+            return _random(field.inner.message, rng)
+        if field.kind == "string":
             return "".join(rng.choices("aä€/ ", k=rng.randrange(6)))
-        if member.base == "bool":
+        if field.kind == "bool":
             return rng.random() < 0.5
-        if member.base.startswith("float"):
+        if field.kind.startswith("float"):
             return float(np.float32(rng.uniform(-1e3, 1e3)))
         return rng.randrange(100)
 
-    if member.many is Many.ONE:
+    if field.many is Many.ONE:
         return one()
-    count = member.capacity if member.many is Many.ARRAY else rng.randrange(member.capacity or 4)
+    count = field.capacity if field.many is Many.ARRAY else rng.randrange(field.capacity or 4)
     values = [one() for _ in range(count)]
-    return bytes(values) if member.base in {"uint8", "char", "byte"} else values
+    return bytes(values) if field.kind in {"uint8", "char", "byte"} else values
 
 
 def test_every_message_comes_back_from_its_bytes() -> None:
@@ -203,15 +203,22 @@ def test_definitions_with_everything_are_read() -> None:
     Other[] others
     wide/Thing thing
     """
-    structure = parse("some_msgs/msg/Odd", text)
+    nested: list[str] = []
+
+    def empty(name: str) -> MessageType:
+        nested.append(name)
+        return MessageType(name, ())
+
+    structure = parse("some_msgs/msg/Odd", text, empty)
+    assert nested == ["some_msgs/msg/Other", "wide/msg/Thing"]
     assert dict(structure.constants) == {"LOW": -3, "WORD": "plain"}
-    assert [one.notation for one in structure.members] == [
+    assert [one.notation for one in structure.fields] == [
         "string<=5[<=2]",
         "float64[3]",
         "some_msgs/Other[]",
         "wide/Thing",
     ]
-    assert structure.members[1].default == [1.0, 2.0, 3.0]
+    assert structure.fields[1].default == [1.0, 2.0, 3.0]
     for wrong in ("wstring text", "float64", "float64[x] a", "int8 A = b"):
         with pytest.raises(MessageError):
             parse("some_msgs/msg/Odd", wrong)
@@ -237,5 +244,5 @@ def test_a_description_is_what_its_hash_is_made_of() -> None:
         "std_msgs/msg/Header",
     ]
     structure = known.structure("std_msgs/msg/String")
-    assert type_hash(structure, known.structure).startswith("RIHS01_df668c")
-    assert message_class(structure, known.message)(data="a").encode()[-2:] == b"a\0"
+    assert type_hash(structure).startswith("RIHS01_df668c")
+    assert message_class(structure)(data="a").encode()[-2:] == b"a\0"
