@@ -23,7 +23,7 @@ from rtee.hand.model import Hand
 from rtee.messages.requests import Role
 from rtee.remote import connections, credentials, door
 from rtee.remote.client import stop_hand
-from rtee.remote.session import host_of, open_client, open_server
+from rtee.remote.session import host_of, most_sessions, open_client, open_server
 
 from .serving import Config, Remote, serving, until
 from .test_remote_tls import People, as_user, people, tls  # noqa: F401
@@ -203,6 +203,13 @@ def test_each_user_has_so_many_connections(tmp_path: Path, monkeypatch: pytest.M
             stack.callback(open_client([endpoint]).close)
         # Those that are closed come again, and are closed again.
         wait(lambda: len(list(session.info.links())) == 3)
+
+
+def test_connections_leave_files_for_devices_and_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("resource.getrlimit", lambda _: (100, 100))
+    assert most_sessions() == 36
+    monkeypatch.setattr("resource.getrlimit", lambda _: (10, 10))
+    assert most_sessions() == 1
 
 
 async def test_tokens_cost_no_look_at_the_files(

@@ -82,9 +82,12 @@ async def test_a_killed_client_that_holds_the_hand_is_noticed(
 
 async def test_a_frozen_client_is_noticed(hand: Hand, library: ActionLibrary) -> None:
     async with serving(hand, library) as served:
-        process = await started(HOLDER, "goal")
+        # It holds without moving: what ends a goal, too, is tested with clients that are killed.
+        process = await started(HOLDER, "acquire")
         os.kill(process.pid, signal.SIGSTOP)
         await served.event("client_lost")
+        async with rtee.connect("small") as remote:
+            assert (await remote.status()).holder == ""
         process.kill()
         await process.aclose()
 

@@ -255,6 +255,9 @@ async def test_namespaces_and_names() -> None:
     two = Shown("two", Ros2Settings())
     assert any("share" in line for line in warnings([one, two]))
     assert all("no identities" in line for line in warnings([one]))
+    assert "every user of this computer" in warnings([one])[0]
+    elsewhere = Shown("one", Ros2Settings(router="tls/robot:7447"))
+    assert "every user" not in warnings([elsewhere])[0]
     parted = Shown("two", Ros2Settings(namespace="right"))
     assert len(warnings([one, parted])) == 1
     with pytest.raises(ConfigError, match="both be the node /a_b"):
