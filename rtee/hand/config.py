@@ -13,6 +13,7 @@ from annotated_types import Gt, Interval
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
+    AgentSettings,
     ActuatorDynamics,
     ActuatorLimits,
     DefaultLimits,
@@ -129,6 +130,8 @@ class HandConfig(Section):
     """The hand on the network."""
     ros2: Ros2Settings = Ros2Settings()
     """The hand as a node of ROS 2."""
+    agent: AgentSettings = AgentSettings()
+    """What a language model may do with the hand."""
     driver: Literal["kinematic", "devices"] = "kinematic"
     """What ``rtee run`` drives by default: a kinematic stand-in, or the ``devices``."""
     devices: Annotated[dict[str, DeviceSection], Check(partial(_check_names, "device"))] = field(

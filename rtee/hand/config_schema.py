@@ -381,6 +381,42 @@ class RemoteSettings(Section):
     """Rate at which states are published [Hz]."""
 
 
+class Gate(Word):
+    """What stands between an agent and the hand."""
+
+    WATCH = "watch"
+    """It reads, and may stop the hand."""
+    APPROVE = "approve"
+    """Each motion is played in simulation, where it can be, and a person says yes to it."""
+    SIMULATE = "simulate"
+    """Each motion is played in simulation first, and refused if it fails there."""
+    ACT = "act"
+    """It moves the hand within the limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentSettings(Section):
+    """What a language model may do with the hand by ``rtee mcp``. Its command line may allow less
+    than is given here, never more; what is not given here, the command line decides."""
+
+    gate: Gate | None = None
+    """``watch``, unless given anywhere: it only reads; ``approve``: each motion is played in
+    simulation, and a person says yes to it; ``simulate``: each motion is played in simulation, and
+    refused if it loses the object, collides or exceeds ``force``; ``act``: it moves the hand within
+    the limits below, which always hold."""
+    force: Annotated[float, Interval(gt=0, le=1000)] | None = None
+    """Largest force that it may ask for, and that a simulation may come to [N]; 10 N unless
+    given."""
+    effort: Annotated[float, Interval(gt=0, le=1)] | None = None
+    """Largest effort of actions that are done without a force, as a share of the effort limits; 0.4
+    unless given."""
+    speed: Annotated[float, Interval(gt=0, le=1)] | None = None
+    """Largest speed, as a share of the velocity limits; 0.5 unless given."""
+    actions: Names = ()
+    """Names of the actions that it may do; ``grasp`` stands for grasping by width and force, and
+    ``open`` for opening. Empty: all."""
+
+
 class Distro(Word):
     """A distribution of ROS 2: it determines the interfaces and their hashes."""
 

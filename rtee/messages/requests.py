@@ -140,6 +140,9 @@ _ALL = (
         "Acquire the lease: nobody else may move the hand.",
     ),
     _request(CONTROL, "release", "ClientRequest", "Reply", "Release the lease."),
+    _request(
+        CONTROL, "admit", "ClientRequest", "Reply", "Let agents move the hand again after a stop."
+    ),
     _request(ASK, "stream", "StreamRequest", "Reply", "Have states published at a rate."),
     _request(ASK, "state", "Empty", "State", "The newest state."),
     _request(ASK, "goal", "GoalReference", "GoalStatus", "Whether a goal runs, and its result."),

@@ -248,6 +248,7 @@ class BlockingHand:
     jog = _waiting(RemoteHand.jog)
     stop = _waiting(RemoteHand.stop)
     recover = _waiting(RemoteHand.recover)
+    admit_agents = _waiting(RemoteHand.admit_agents)
     set_gains = _waiting(RemoteHand.set_gains)
     record = _waiting(RemoteHand.record)
     acquire = _waiting(RemoteHand.acquire)

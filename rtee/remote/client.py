@@ -236,6 +236,14 @@ class RemoteHand:
                 return await anyio.to_thread.run_sync(stop_at, self._stops, self.name, self.client)
         return await _stop(self._link)
 
+    async def admit_agents(self) -> None:
+        """Let agents move the hand again, which any stop shuts out; see `rtee mcp`.
+
+        Raises:
+            RequestRejected: if this client is an agent itself.
+        """
+        await self._link.request("admit")
+
     async def recover(self, device: str | None = None) -> None:
         """Recover one device, or all, from a fault; moves only devices that must be homed."""
         await self._link.request("recover", device or "", within=_RECOVER_WITHIN)

@@ -20,26 +20,30 @@ from rtee.loop.handloop import HandLoop
 from rtee.messages import decode_goal
 from rtee.messages.codec import paired
 from rtee.messages.convert import STREAM_TARGETS
+from rtee.remote.agents import Agents
 from rtee.remote.incoming_request import REPLY, IncomingRequest, accepted
 from rtee.remote.lease import Lease
 from rtee.remote.loop_thread import LoopThread
 from rtee.remote.stopping import Stopped
-from rtee.types import Goal
+from rtee.types import Event, Goal
 
 Fields = Mapping[str, Any]
 
 _STOPPED_FOR = 0.1
 """Time for which a confirmed stop answers the next one, too [s]: people press no faster."""
 
-_WITHOUT_LEASE = ("release",)
+_WITHOUT_LEASE = ("release", "admit")
 """Requests that are accepted while another client holds the lease."""
 
 
 class CommandHandlers:
     """Handles the requests of the groups ``control`` and ``stop``."""
 
-    def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread) -> None:
+    def __init__(
+        self, loop: HandLoop, lease: Lease, thread: LoopThread, agents: Agents
+    ) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
+        self._agents = agents
         self._lock = threading.Lock()
         self._stop_lock = threading.Lock()
         self._stopping: list[tuple[str, Stopped]] = []
@@ -58,6 +62,7 @@ class CommandHandlers:
             "recover": self._recover,
             "acquire": self._acquire,
             "release": self._release,
+            "admit": self._admit,
         }
 
     def handle(self, request: IncomingRequest) -> bytes | None:
@@ -77,6 +82,7 @@ class CommandHandlers:
         with self._lock:
             # Under the lock, so that no other client gets the lease between check and command.
             if name not in _WITHOUT_LEASE:
+                self._agents.check(request.client)
                 self._lease.check(request.client)
             self._moves += 1
             text = self._handlers[name](request) if goal is None else self._do(goal)
@@ -112,8 +118,14 @@ class CommandHandlers:
 
         Stops that arrive while the devices are being stopped are carried out together afterwards. A
         stop shortly after a confirmed one, without a request in between that could move the hand,
-        gets the same answer.
+        gets the same answer. Each shuts agents out.
         """
+        # First, so that no agent's goal comes after the stop; on disk afterwards, which takes time.
+        self._agents.shut_out(f"stopped by {client or 'a client'}")
+        self._begin_stop(client, answer)
+        self._agents.keep()
+
+    def _begin_stop(self, client: str, answer: Stopped) -> None:
         with self._stop_lock:
             if self._is_stopped():
                 answer(self._stopped)
@@ -228,6 +240,13 @@ class CommandHandlers:
 
     def _release(self, request: IncomingRequest) -> str:
         self._lease.release(request.client)
+        return ""
+
+    def _admit(self, request: IncomingRequest) -> str:
+        self._agents.admit(request.client)
+        text = f"{request.client} has let agents in"
+        event = Event("agents_admitted", request.client, text, monotonic.now())
+        self._thread.call_soon(self._loop.announce, event)
         return ""
 
     def _answer_after(self, request: IncomingRequest, work: Callable[[], Awaitable[None]]) -> None:

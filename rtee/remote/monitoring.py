@@ -53,6 +53,7 @@ class HandStatus:
         devices: Status of each device.
         profile: Profile of the references, with the reason if it is not the one in hand.yaml.
         stream: Status of the stream of set-points.
+        agents_out: Why agents may not move the hand, in words, or an empty string.
     """
 
     hand: str
@@ -66,6 +67,7 @@ class HandStatus:
     devices: tuple[DeviceStatus, ...]
     profile: str = ""
     stream: StreamStatus = field(default_factory=StreamStatus)
+    agents_out: str = ""
 
 
 class CollectedStates:
@@ -248,6 +250,7 @@ class Monitoring:
             devices=tuple(DEVICE_STATUS.of(device) for device in reply["devices"]),
             profile=reply["profile"],
             stream=StreamStatus(**reply["stream"]),
+            agents_out=reply["agents_out"],
         )
 
     async def ready(

@@ -26,6 +26,7 @@ from rtee.messages.convert import DEVICE_STATUS, LOOP_STATISTICS, OBJECT
 from rtee.messages.touch import reply_fields
 from rtee.object_description import NO_OBJECT
 from rtee.remote.actions import action_fields, build_action, group_fields
+from rtee.remote.agents import Agents
 from rtee.remote.goal_records import GoalRecords
 from rtee.remote.grasp_planning import GraspPlanning
 from rtee.remote.incoming_request import IncomingRequest, accepted
@@ -100,6 +101,7 @@ class QueryHandlers:
         self,
         loop: HandLoop,
         lease: Lease,
+        agents: Agents,
         goals: GoalRecords,
         thread: LoopThread,
         streams: Streams,
@@ -107,6 +109,7 @@ class QueryHandlers:
         profile: str,
     ) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
+        self._agents = agents
         self._streams, self._recording, self._profile = streams, recording, profile
         self._hand, self._library = loop.hand, loop.library
         self._folder = self._library.folder
@@ -197,6 +200,7 @@ class QueryHandlers:
             "devices": [DEVICE_STATUS.fields(status) for status in statuses],
             "profile": self._profile,
             "stream": asdict(stream),
+            "agents_out": self._agents.out,
         }
 
     def _object_description(self, _: Fields) -> Fields:

@@ -34,6 +34,7 @@ from rtee.messages.requests import (
     Request,
     topic_for,
 )
+from rtee.remote.agents import Agents
 from rtee.remote.call_queue import CallQueue, DelayQueue
 from rtee.remote.command_handlers import CommandHandlers
 from rtee.remote.connections import Connections
@@ -162,9 +163,12 @@ class Server:
             streams = Streams(outlets, hand, loop.settings.rate, settings.state_rate)
             stack.push_async_callback(in_thread, streams.close)
             lease, thread = Lease(), LoopThread()
-            commands = CommandHandlers(loop, lease, thread)
+            agents = await in_thread(Agents, place.path)
+            commands = CommandHandlers(loop, lease, thread, agents)
             goals = GoalRecords(lease)
-            queries = QueryHandlers(loop, lease, goals, thread, streams, recording, profile)
+            queries = QueryHandlers(
+                loop, lease, agents, goals, thread, streams, recording, profile
+            )
             identities = Identities(protection.admit)
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)

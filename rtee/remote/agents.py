@@ -1,0 +1,102 @@
+"""Agents: clients that a language model steers. A stop shuts them out until a person lets them in."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Final
+
+from rtee.errors import RequestRejected, foreign
+from rtee.hand.files import reason
+
+log = logging.getLogger(__name__)
+
+AGENT: Final = "rtee-mcp"
+"""Name of the client of `rtee mcp`, by which the hand knows that an agent is behind it."""
+
+_SUFFIX: Final = ".agents-out"
+"""Ending of the file that shuts agents out; the rest is that of the hand's file."""
+
+_LONGEST: Final = 200
+"""Longest reason that is kept [characters]: names of clients are shorter than 100."""
+
+_FLAGS: Final = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+
+
+def is_agent(client: str) -> bool:
+    """Return whether a client is an agent, by its name."""
+    # The person of a certificate stands before a dot, which clients' own names do not have.
+    return client.rpartition(".")[2].startswith(f"{AGENT}-")
+
+
+class Agents:
+    """Whether agents may move a hand; any thread may use it.
+
+    What shuts them out is kept in a file beside the hand's own, so that it outlives the hand.
+
+    Args:
+        place: The hand's file in the runtime folder; its folder can be trusted.
+    """
+
+    def __init__(self, place: Path) -> None:
+        self._file = place.with_suffix(_SUFFIX)
+        self._out = self._read()
+        self._kept = self._out
+
+    @property
+    def out(self) -> str:
+        """Why agents may not move the hand, in words; empty if they may."""
+        return self._out
+
+    def shut_out(self, why: str) -> None:
+        """Shut agents out, at once and without waiting for a disk; then call `keep`."""
+        self._out = foreign(why)[:_LONGEST] or "stopped"
+
+    def keep(self) -> None:
+        """Write what shuts agents out to the file, unless it is there."""
+        out = self._out
+        if not out or self._kept:
+            return
+        try:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _FLAGS
+            descriptor = os.open(self._file, flags, 0o600)
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(out)
+        except OSError as error:
+            log.warning("%s: agents are out, but only while this hand runs: %s", self._file, error)
+        else:
+            self._kept = out
+
+    def admit(self, client: str) -> None:
+        """Let agents move the hand again.
+
+        Raises:
+            RequestRejected: if the client is an agent, or the file cannot be removed.
+        """
+        if is_agent(client):
+            raise RequestRejected("an agent cannot let itself in; a person types 'rtee agent admit'")
+        try:
+            self._file.unlink(missing_ok=True)
+        except OSError as error:
+            raise RequestRejected(f"{self._file} cannot be removed: {reason(error)}") from None
+        self._out = self._kept = ""
+
+    def check(self, client: str) -> None:
+        """Raise `RequestRejected` if the client is an agent, and agents are out."""
+        if self._out and is_agent(client):
+            raise RequestRejected(
+                f"agents are out since the hand was {self._out}; a person lets them in with "
+                "'rtee agent admit'"
+            )
+
+    def _read(self) -> str:
+        try:
+            descriptor = os.open(self._file, os.O_RDONLY | _FLAGS)
+        except FileNotFoundError:
+            return ""
+        except OSError:  # whatever is there means that they are out
+            return "stopped"
+        with os.fdopen(descriptor, "rb") as file:
+            text = file.read(_LONGEST).decode("utf-8", "replace")
+        return foreign(text) or "stopped"
