@@ -43,6 +43,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "teleop": ("rtee.cli.teleop:teleop", "Move a hand from a gamepad or the keyboard."),
     "stream": ("rtee.cli.teleop:app", "Play recorded streams of set-points."),
     "gui": ("rtee.cli.gui:gui", "Open the hand in the browser."),
+    "mcp": ("rtee.cli.mcp:mcp", "Offer hands to a language model, behind a gate."),
+    "agent": ("rtee.cli.mcp:app", "Approve what a language model asks for, or let it in again."),
     "ros2": ("rtee.cli.ros2:app", "Look at a ROS 2 graph that hands are part of."),
     "log": ("rtee.cli.log:app", "Inspect, replay and repair recordings."),
     # devices

@@ -13,9 +13,9 @@ from annotated_types import Gt, Interval
 from rtee.errors import ConfigError, suggestion
 from rtee.hand.catalog import FILE_NAME
 from rtee.hand.config_schema import (
-    AgentSettings,
     ActuatorDynamics,
     ActuatorLimits,
+    AgentSettings,
     DefaultLimits,
     DeviceSection,
     LogSection,

@@ -396,8 +396,11 @@ class Gate(Word):
 
 @dataclass(frozen=True, slots=True)
 class AgentSettings(Section):
-    """What a language model may do with the hand by ``rtee mcp``. Its command line may allow less
-    than is given here, never more; what is not given here, the command line decides."""
+    """What a language model may do with the hand by ``rtee mcp``.
+
+    Its command line may allow less than is given here, never more; what is not given here, the
+    command line decides.
+    """
 
     gate: Gate | None = None
     """``watch``, unless given anywhere: it only reads; ``approve``: each motion is played in

@@ -1,4 +1,4 @@
-"""Agents: clients that a language model steers. A stop shuts them out until a person lets them in."""
+"""Agents: clients that a language model steers. A stop shuts them out; a person lets them in."""
 
 from __future__ import annotations
 
@@ -75,7 +75,9 @@ class Agents:
             RequestRejected: if the client is an agent, or the file cannot be removed.
         """
         if is_agent(client):
-            raise RequestRejected("an agent cannot let itself in; a person types 'rtee agent admit'")
+            raise RequestRejected(
+                "an agent cannot let itself in; a person types 'rtee agent admit'"
+            )
         try:
             self._file.unlink(missing_ok=True)
         except OSError as error:

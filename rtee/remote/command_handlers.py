@@ -39,9 +39,7 @@ _WITHOUT_LEASE = ("release", "admit")
 class CommandHandlers:
     """Handles the requests of the groups ``control`` and ``stop``."""
 
-    def __init__(
-        self, loop: HandLoop, lease: Lease, thread: LoopThread, agents: Agents
-    ) -> None:
+    def __init__(self, loop: HandLoop, lease: Lease, thread: LoopThread, agents: Agents) -> None:
         self._loop, self._lease, self._thread = loop, lease, thread
         self._agents = agents
         self._lock = threading.Lock()

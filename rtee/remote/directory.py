@@ -110,6 +110,16 @@ def _own_folder(*, make: bool) -> int | None:
     )
 
 
+def own_folder() -> Path:
+    """Return this user's folder, which is made if it does not exist.
+
+    Raises `ConfigError` if others can write to it.
+    """
+    if (folder := _own_folder(make=True)) is not None:
+        os.close(folder)
+    return runtime_folder()
+
+
 def _services() -> int | None:
     """Return a descriptor of the services' folder; ``None`` if there is none, or all can change it.
 
@@ -178,8 +188,7 @@ class Place:
 
     def _replace(self) -> None:
         """Write the file again after it was removed."""
-        if (folder := _own_folder(make=True)) is not None:
-            os.close(folder)
+        own_folder()
         descriptor = _locked(self.path, self._hand)
         with self._changing:
             self._descriptor, old = descriptor, self._descriptor

@@ -166,9 +166,7 @@ class Server:
             agents = await in_thread(Agents, place.path)
             commands = CommandHandlers(loop, lease, thread, agents)
             goals = GoalRecords(lease)
-            queries = QueryHandlers(
-                loop, lease, agents, goals, thread, streams, recording, profile
-            )
+            queries = QueryHandlers(loop, lease, agents, goals, thread, streams, recording, profile)
             identities = Identities(protection.admit)
             server = cls(hand.name, endpoint, session, identities, commands, queries)
             stack.push_async_callback(in_thread, server.close)

@@ -1,0 +1,151 @@
+"""One hand as an agent has it: what it watches, and the gate that its motions pass."""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from typing import Any, Final
+
+import anyio
+import anyio.to_thread
+
+from rtee.agent import texts
+from rtee.agent.approval import approve
+from rtee.agent.limits import Limits
+from rtee.errors import GoalRejected, NoHand, RteeError, needing_extra
+from rtee.hand.config_schema import Gate
+from rtee.remote.agents import AGENT
+from rtee.remote.client import RemoteHand, connect
+from rtee.types import Goal, Result
+
+_MOST: Final = 200
+"""Events and results that are kept: hours of quiet work."""
+
+_AGAIN: Final = 1.0
+"""Time between two looks for a hand that has gone [s]."""
+
+_FOUND_WITHIN: Final = 3.0
+"""Time to wait for the hand at a call [s]: connecting takes a tenth of it."""
+
+
+class Agent:
+    """An agent's hand.
+
+    Args:
+        name: The hand's name.
+        limits: What a person lets the agent do with it.
+        endpoint: Its address; ``None``: on this computer.
+
+    Attributes:
+        name: The hand's name.
+        limits: What a person lets the agent do with it.
+        endpoint: Its address; ``None``: on this computer.
+        notes: Numbered events and results, oldest first.
+    """
+
+    def __init__(self, name: str, limits: Limits, endpoint: str | None = None) -> None:
+        self.name, self.limits, self.endpoint = name, limits, endpoint
+        self.notes: deque[dict[str, Any]] = deque(maxlen=_MOST)
+        self._count = 0
+        self._remote: RemoteHand | None = None
+        self._there = anyio.Event()
+        self._lost = f"no hand '{name}' has answered yet"
+        self._moving = False
+
+    async def run(self) -> None:
+        """Stay connected and note what happens, until cancelled."""
+        while True:
+            try:
+                async with connect(self.name, endpoint=self.endpoint, client=AGENT) as remote:
+                    self._remote = remote
+                    self._there.set()
+                    async for event in remote.events():
+                        self._note(texts.event(event))
+            except RteeError as error:
+                self._lost = str(error)
+            self._remote, self._there = None, anyio.Event()
+            await anyio.sleep(_AGAIN)
+
+    def _note(self, what: dict[str, Any]) -> None:
+        self._count += 1
+        self.notes.append({"number": self._count, **what})
+
+    async def remote(self) -> RemoteHand:
+        """Return the connection to the hand; raises `NoHand` if there is none."""
+        with anyio.move_on_after(_FOUND_WITHIN):
+            await self._there.wait()
+        if self._remote is None:
+            raise NoHand(self._lost)
+        return self._remote
+
+    async def move(self, goal: Goal, words: str, thing: str = "") -> dict[str, Any]:
+        """Bring a goal through the gate, do it, and return how it ended.
+
+        Args:
+            goal: The goal.
+            words: What the agent wants, for the person who approves it.
+            thing: What the hand closes on in simulation; empty: nothing.
+
+        Raises:
+            GoalRejected: if the gate does not let it through, with the reason.
+            RteeError: if the hand refuses it.
+        """
+        self.limits.check(goal)
+        if self._moving:
+            raise GoalRejected("a motion of this agent is under way; wait for its end, or stop")
+        self._moving = True
+        try:
+            remote = await self.remote()
+            if out := (await remote.status()).agents_out:
+                raise GoalRejected(
+                    f"agents are out since the hand was {out}; only a person lets in"
+                )
+            played = await self._pass(remote, goal, words, thing)
+            result = texts.result(await _done(remote, goal))
+        finally:
+            self._moving = False
+        self._note({"result": result})
+        return {**result, "in_simulation": texts.outside(played)} if played else result
+
+    async def _pass(self, remote: RemoteHand, goal: Goal, words: str, thing: str) -> str:
+        """Return how the goal went in simulation, if the gate asks for one; raises `GoalRejected`.
+
+        With a person to decide, a goal that cannot be simulated is shown as such.
+        """
+        gate = self.limits.gate
+        if gate is Gate.ACT:
+            return ""
+        try:
+            played, against = await self._rehearsed(remote, goal, thing)
+        except RteeError as error:
+            if gate is not Gate.APPROVE:
+                raise GoalRejected(f"it cannot be played in simulation first: {error}") from None
+            played, against = "", f"it was not simulated: {error}"
+        if gate is Gate.SIMULATE and against:
+            raise GoalRejected(f"in simulation, {against} ({played})")
+        if gate is Gate.APPROVE:
+            against = f" BUT {against}." if against else ""
+            await approve(
+                f"{self.name}: an agent asks to {words}. In simulation: {played}.{against}"
+            )
+        return played
+
+    async def _rehearsed(self, remote: RemoteHand, goal: Goal, thing: str) -> tuple[str, str]:
+        """Return what happens in simulation, and why the goal should not be done, in words."""
+        with needing_extra("playing a motion in simulation", "sim"):
+            from rtee.trials.rehearsal import rehearse
+        position = (await remote.state()).positions
+        urdf = await remote.robot_description()
+        play = partial(rehearse, self.name, urdf, goal, thing, position)
+        rehearsal = await anyio.to_thread.run_sync(play, abandon_on_cancel=True)
+        return rehearsal.words, rehearsal.refusal(self.limits.force)
+
+
+async def _done(remote: RemoteHand, goal: Goal) -> Result:
+    """Do a goal to its end; however this is left, the goal is cancelled."""
+    running = await remote.start_goal(goal)
+    try:
+        return await running.result()
+    finally:
+        with anyio.CancelScope(shield=not running.done):
+            await running.cancel()

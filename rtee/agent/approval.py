@@ -1,0 +1,88 @@
+"""A person's yes to a motion, given in a terminal: a Unix socket that the protocol does not reach.
+
+The terminal listens, and each server of an agent connects to it with one question at a time. The
+socket is in the user's runtime folder; nothing that an agent can ask of its server opens it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Final
+
+import anyio
+import anyio.to_thread
+from anyio.abc import SocketListener, SocketStream
+
+from rtee.errors import ConfigError, GoalRejected, foreign
+from rtee.remote.directory import own_folder
+
+WITHIN: Final = 120.0
+"""Time in which a person answers [s]: long enough to go and look at the hand."""
+
+_LONGEST: Final = 4096
+"""Longest question or answer [bytes]: a few sentences."""
+
+
+def _path() -> Path:
+    return own_folder() / "agent-approval.sock"
+
+
+async def approve(question: str) -> None:
+    """Wait for a person's yes.
+
+    Raises:
+        GoalRejected: if the person says no, or nobody is there to ask.
+        ConfigError: if the runtime folder cannot be trusted.
+    """
+    try:
+        with anyio.fail_after(WITHIN):
+            async with await anyio.connect_unix(_path()) as stream:
+                await stream.send(json.dumps(question[:_LONGEST]).encode() + b"\n")
+                answer = await stream.receive(_LONGEST)
+    except (OSError, anyio.EndOfStream, anyio.BrokenResourceError):
+        raise GoalRejected(
+            "the gate is 'approve', and nobody is there to approve; a person types "
+            "'rtee agent approve' in a terminal"
+        ) from None
+    except TimeoutError:
+        raise GoalRejected(f"nobody has approved it within {WITHIN:g} s") from None
+    if answer != b"yes\n":
+        raise GoalRejected("a person has said no")
+
+
+@contextlib.asynccontextmanager
+async def listening() -> AsyncIterator[SocketListener]:
+    """Listen for questions, in this terminal alone.
+
+    Raises:
+        ConfigError: if another terminal listens, or the runtime folder cannot be trusted.
+    """
+    path = _path()
+    with contextlib.suppress(OSError):
+        await (await anyio.connect_unix(path)).aclose()
+        raise ConfigError("another terminal approves already", path=path)
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(path)
+    async with await anyio.create_unix_listener(path, mode=0o600) as listener:
+        try:
+            yield listener
+        finally:
+            path.unlink(missing_ok=True)
+
+
+async def answer_all(listener: SocketListener, ask: Callable[[str], bool]) -> None:
+    """Answer questions, one after the other, until cancelled; ``ask`` is called in a thread."""
+    one = anyio.Lock()
+
+    async def answer(stream: SocketStream) -> None:
+        async with stream, one:
+            with contextlib.suppress(anyio.EndOfStream, anyio.BrokenResourceError, ValueError):
+                question = foreign(str(json.loads(await stream.receive(2 * _LONGEST))))
+                said = await anyio.to_thread.run_sync(ask, question, abandon_on_cancel=True)
+                await stream.send(b"yes\n" if said else b"no\n")
+
+    await listener.serve(answer)

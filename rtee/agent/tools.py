@@ -1,0 +1,218 @@
+"""The tools and resources of an agent, in the hand's own words."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import anyio.to_thread
+from mcp.server.mcpserver import Image
+from pydantic import Field
+
+from rtee.actions.naming import label
+from rtee.agent import texts
+from rtee.agent.agent import Agent
+from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
+from rtee.planning.result import GraspPlan
+from rtee.types import Goal
+
+_SHAPE: Final = r"^(box:[\d.]+x[\d.]+x[\d.]+|(cylinder|capsule):[\d.]+x[\d.]+|sphere:[\d.]+)$"
+"""Objects by shape and size alone: a mesh would be a file."""
+
+_SHAPES: Final = "box:WxDxH, cylinder:RADIUSxHEIGHT, sphere:RADIUS or capsule:RADIUSxLENGTH [m]"
+_MOST: Final = "; the most that is allowed unless given"
+
+_PLANS: Final = 5
+"""Grasps that are listed."""
+
+_RECORDINGS: Final = 20
+"""Recordings that are listed, the newest ones."""
+
+# Strict: a text is no number, and neither is true.
+_text = partial(Field, strict=True, max_length=100)
+_number = partial(Field, strict=True, allow_inf_nan=False)
+_share = partial(_number, gt=0, le=1)
+
+Name = Annotated[str, _text(min_length=1, description="A name that 'describe' lists.")]
+Names = Annotated[list[Name], Field(max_length=20, description="Fingers, or the actuator.")]
+HandName = Annotated[str, _text(description="The hand; empty if there is only one.")]
+Thing = Annotated[str, _text(pattern=_SHAPE, description=f"The object, as {_SHAPES}.")]
+Force = Annotated[float, _number(gt=0, description="Force to hold it with [N].")]
+Width = Annotated[float, _number(ge=0, description="Its width [m]: 0.03 is 30 mm.")]
+Intensity = Annotated[float, _number(ge=0, le=1, description="0: rest; 1: as far as it goes.")]
+Effort = Annotated[float, _share(description=f"Share of the effort limits{_MOST}.")]
+Speed = Annotated[float, _share(description=f"Share of the velocity limits{_MOST}.")]
+Mass = Annotated[float, _number(gt=0, le=100, description="Its mass [kg].")]
+Friction = Annotated[float, _number(gt=0, le=10, description="Coefficient of friction.")]
+Number = Annotated[int, Field(strict=True, ge=0, description="Only later numbers.")]
+
+
+class Tools:
+    """What an agent can call; each takes the name of a hand where there are several."""
+
+    def __init__(self, agents: Sequence[Agent]) -> None:
+        self.agents: Mapping[str, Agent] = {agent.name: agent for agent in agents}
+
+    def _agent(self, hand: str) -> Agent:
+        name = hand or (next(iter(self.agents)) if len(self.agents) == 1 else "")
+        if name not in self.agents:
+            raise GoalRejected(f"which hand? {suggestion(hand, self.agents)}")
+        return self.agents[name]
+
+    async def describe(self, hand: HandName = "") -> dict[str, Any]:
+        """Tell what the hand can do: its actions, openings [m] and forces [N], and your limits."""
+        agent = self._agent(hand)
+        limits = {name: getattr(agent.limits, name) for name in ("force", "effort", "speed")}
+        gate = {"hand": agent.name, "gate": agent.limits.gate, "limits": limits}
+        return gate | await self.library(agent)
+
+    async def library(self, agent: Agent) -> dict[str, Any]:
+        """Return the actions that an agent may do, and the openings of all."""
+        remote = await agent.remote()
+        actions = [each for each in await remote.actions() if agent.limits.allows(each.name)]
+        return {
+            "actions": list(map(texts.action, actions)),
+            "openings": list(map(texts.opening, await remote.openings())),
+        }
+
+    async def model(self, agent: Agent) -> dict[str, Any]:
+        """Return the hand's URDF, without the names of files."""
+        urdf = await (await agent.remote()).robot_description()
+        return {texts.UNTRUSTED: re.sub(r"""filename\s*=\s*("[^"]*"|'[^']*')""", "", urdf)}
+
+    async def state(self, hand: HandName = "") -> dict[str, Any]:
+        """Tell what the hand does, who holds it, opening [m] and force [N] of the fingertips."""
+        remote = await self._agent(hand).remote()
+        state, measured = await remote.state(), ("opening", "force", "force_error")
+        tips = {name: texts.number(getattr(state, name)) for name in measured}
+        return texts.status(await remote.status()) | tips
+
+    async def events(self, hand: HandName = "", after: Number = 0) -> dict[str, Any]:
+        """Tell what has happened since this server started: events, and results of your motions."""
+        return {"happened": [n for n in tuple(self._agent(hand).notes) if n["number"] > after]}
+
+    async def grasp_plan(
+        self,
+        object: Thing,  # noqa: A002 - as everywhere in rtee
+        hand: HandName = "",
+        mass: Mass = 0.1,
+        friction: Friction = 0.5,
+    ) -> list[str | Image]:
+        """Rank the actions for an object, with reasons and a picture of the best; nothing moves."""
+        agent = self._agent(hand)
+        ranking = await (await agent.remote()).grasp_plan(object, mass=mass, friction=friction)
+        plans = [plan for plan in ranking.plans if plan.action and agent.limits.allows(plan.action)]
+        cannot = {name: texts.outside(why) for name, why in ranking.rejected}
+        found = {"grasps": list(map(_planned, plans[:_PLANS])), "cannot": cannot}
+        return [json.dumps(found, indent=2), *(await _picture(agent.name, plans))]
+
+    async def do(
+        self,
+        action: Name,
+        elements: Names = [],  # noqa: B006 - pydantic copies it, and nothing changes it
+        hand: HandName = "",
+        intensity: Intensity = 1.0,
+        effort: Effort | None = None,
+        speed: Speed | None = None,
+        object: Thing | None = None,  # noqa: A002
+    ) -> dict[str, Any]:
+        """Do an action that 'describe' lists; name the object if it closes on one."""
+        agent = self._agent(hand)
+        limits, remote = agent.limits, await agent.remote()
+        if not (found := await remote.actions("", action, elements)):
+            known = {each.name for each in await remote.actions()}
+            what = label(action, tuple(elements))
+            raise GoalRejected(f"no action {what}; {suggestion(action, known)}")
+        share = limits.effort if effort is None else effort
+        if share > limits.effort:
+            raise GoalRejected(
+                f"an effort of {share:g} is more than the {limits.effort:g} that a person allows"
+            )
+        # All of the effort is no limit, for devices that take none.
+        efforts = {} if share == 1.0 else await remote.effort_limits(share)
+        fast = limits.speed if speed is None else speed
+        goal = Goal(found[0].name, tuple(elements), intensity=intensity, effort=efforts, speed=fast)
+        words = f"do {label(goal.action, goal.elements)} to {intensity:.0%}, effort {share:.0%}"
+        return await agent.move(goal, words, object or "")
+
+    async def grasp(
+        self,
+        width: Width,
+        force: Force,
+        fingers: Names = [],  # noqa: B006
+        hand: HandName = "",
+        speed: Speed | None = None,
+        object: Thing | None = None,  # noqa: A002
+    ) -> dict[str, Any]:
+        """Open wider than an object, close on it, and hold it with a force."""
+        agent = self._agent(hand)
+        fast = agent.limits.speed if speed is None else speed
+        goal = Goal("", tuple(fingers), opening=width, force=force, grasp=True, speed=fast)
+        known = {name for each in await (await agent.remote()).openings() for name in each.elements}
+        for name in fingers:
+            if name not in known:
+                raise GoalRejected(f"no finger '{name}' has an opening; {suggestion(name, known)}")
+        words = f"grasp {width * 1e3:g} mm with {force:g} N"
+        return await agent.move(goal, words, object or f"box:{width:g}x{width:g}x{width:g}")
+
+    async def open(self, hand: HandName = "") -> dict[str, Any]:
+        """Open the hand; what it holds falls."""
+        agent = self._agent(hand)
+        return await agent.move(Goal("open", speed=agent.limits.speed), "open the hand")
+
+    async def stop(self, hand: HandName = "") -> dict[str, Any]:
+        """Stop the hand at once; afterwards only a person lets you move it again."""
+        return {"confirmed": await (await self._agent(hand).remote()).stop()}
+
+    async def recordings(self, hand: HandName = "") -> dict[str, Any]:
+        """List the newest recordings of the hand; 'recording' tells what happened in one."""
+        return {"recordings": list(await _recorded(self._agent(hand)))}
+
+    async def recording(self, name: Name, hand: HandName = "") -> dict[str, Any]:
+        """Tell what happened in a recording that 'recordings' lists; times in seconds."""
+        from rtee.log.info import info
+
+        files = await _recorded(self._agent(hand))
+        if name not in files:
+            raise GoalRejected(f"no recording '{name}'; {suggestion(name, files)}")
+        recording = (await anyio.to_thread.run_sync(info, [files[name]])).recording
+        return {
+            "duration": recording.duration,
+            "goals": [
+                {"goal": texts.outside(s.name), "from": s.start, "to": s.end, "ended": s.outcome}
+                for s in recording.spans
+            ],
+            "events": [{"at": e.t, **texts.event(e.value)} for e in recording.events],
+        }
+
+
+async def _recorded(agent: Agent) -> dict[str, Path]:
+    """Return the newest recordings beside the one that the hand writes, the newest first."""
+    path = (await (await agent.remote()).status()).recording
+    if agent.endpoint is not None or not path:
+        raise GoalRejected("the hand writes no recording on this computer")
+    files = {p.name: p for p in Path(path).parent.glob(f"{agent.name}_*.mcap") if p.is_file()}
+    return {name: files[name] for name in sorted(files, reverse=True)[:_RECORDINGS]}
+
+
+def _planned(plan: GraspPlan) -> dict[str, Any]:
+    numbers = {n: texts.number(getattr(plan, n)) for n in ("score", "intensity", "effort", "width")}
+    words = {"action": plan.action, "elements": plan.elements}
+    return words | numbers | {"reasons": list(map(texts.outside, plan.reasons))}
+
+
+async def _picture(name: str, plans: Sequence[GraspPlan]) -> list[str | Image]:
+    """Return a picture of the best grasp, or why there is none."""
+    if not plans:
+        return []
+    try:
+        with needing_extra("a picture", "plot"):
+            from rtee.agent.picture import draw
+        drawn = await anyio.to_thread.run_sync(partial(draw, name, plans[0]))
+    except RteeError as error:
+        return [json.dumps({"no_picture": texts.outside(str(error))})]
+    return [Image(data=drawn, format="png")]

@@ -1,0 +1,121 @@
+"""`rtee mcp`: a hand for language models; `rtee agent`: what a person answers them."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rtee.cli._common import ConnectOption, RunningOption, complete_running
+from rtee.cli._online import with_hand
+from rtee.errors import ConfigError, needing_extra
+from rtee.hand.config_schema import AgentSettings, Gate
+
+if TYPE_CHECKING:
+    from rtee.remote.client import RemoteHand
+
+app = typer.Typer(no_args_is_help=True)
+
+_ABOVE_0 = 1e-6
+"""Least value of a limit: typer knows no bound that is excluded."""
+
+
+def mcp(
+    hands: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[HAND…]",
+            help="Names of hands; all that run here unless given.",
+            autocompletion=complete_running,
+        ),
+    ] = None,
+    gate: Annotated[
+        Gate | None, typer.Option(help="What stands between the model and the hand.")
+    ] = None,
+    force: Annotated[
+        float | None, typer.Option(min=_ABOVE_0, max=1000.0, help="Largest force [N]; 10.")
+    ] = None,
+    effort: Annotated[
+        float | None,
+        typer.Option(min=_ABOVE_0, max=1.0, help="Largest share of the effort limits; 0.4."),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(min=_ABOVE_0, max=1.0, help="Largest share of the velocity limits; 0.5."),
+    ] = None,
+    action: Annotated[
+        list[str] | None,
+        typer.Option(help="An action that it may do, grasp or open; may be repeated; all."),
+    ] = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Offer hands to a language model by the Model Context Protocol, on stdin and stdout.
+
+    The gate is "watch" unless given here or in hand.yaml, which the options only narrow: it only
+    reads. Its client starts this command; what it may do is yours to say.
+
+    Example: rtee mcp robotiq_2f_85 --gate simulate --force 20
+    """
+    import anyio
+
+    with needing_extra("'rtee mcp'", "mcp"):
+        from rtee.agent.server import serve
+    from rtee.agent.agent import Agent
+    from rtee.agent.limits import Limits
+    from rtee.remote.find import hands_running
+
+    asked = AgentSettings(gate, force, effort, speed, tuple(action or ()))
+    if not (names := hands or list(hands_running())):
+        raise ConfigError("no hand runs here; name those that will: rtee mcp HAND")
+    agents = [Agent(name, Limits.of(_settings(name), asked), connect) for name in names]
+    anyio.run(serve, agents)
+
+
+def _settings(name: str) -> AgentSettings:
+    """Return what hand.yaml allows agents; nothing is said of a hand without files here."""
+    from rtee.hand.catalog import hand_names
+    from rtee.hand.load import hand_folder, load_configured
+
+    if name not in hand_names():
+        return AgentSettings()
+    return load_configured(hand_folder(name)[0])[1].agent
+
+
+@app.command()
+def approve() -> None:
+    """Answer in this terminal what language models ask for, until Ctrl-C.
+
+    For hands whose gate is "approve"; nothing else answers for you.
+    """
+    import anyio
+
+    from rtee.agent.approval import answer_all, listening
+
+    _check_terminal("approve")
+
+    async def main() -> None:
+        async with listening() as listener:
+            print("waiting for questions; Ctrl-C ends", flush=True)
+            await answer_all(listener, lambda question: typer.confirm(question))
+
+    anyio.run(main)
+
+
+@app.command()
+def admit(hand: RunningOption = None, connect: ConnectOption = None) -> None:
+    """Let language models move a hand again, after a stop."""
+    _check_terminal("admit")
+    name = with_hand(hand, connect, "admit", _admit)
+    print(f"agents may move {name} again, as far as their gate lets them")
+
+
+async def _admit(remote: RemoteHand) -> str:
+    await remote.admit_agents()
+    return remote.name
+
+
+def _check_terminal(what: str) -> None:
+    """Refuse to answer for a person: programs, and so agents, have no terminal."""
+    if not sys.stdin.isatty():
+        raise ConfigError(f"'rtee agent {what}' wants a person at a terminal, not a script")
