@@ -124,9 +124,9 @@ class Agent:
         if gate is Gate.SIMULATE and against:
             raise GoalRejected(f"in simulation, {against} ({played})")
         if gate is Gate.APPROVE:
-            against = f" BUT {against}." if against else ""
+            told = (f"In simulation: {played}." if played else "", against and f"BUT {against}.")
             await approve(
-                f"{self.name}: an agent asks to {words}. In simulation: {played}.{against}"
+                " ".join((f"{self.name}: an agent asks to {words}.", *filter(None, told)))
             )
         return played
 

@@ -38,7 +38,9 @@ _number = partial(Field, strict=True, allow_inf_nan=False)
 _share = partial(_number, gt=0, le=1)
 
 Name = Annotated[str, _text(min_length=1, description="A name that 'describe' lists.")]
-Names = Annotated[list[Name], Field(max_length=20, description="Fingers, or the actuator.")]
+Names = Annotated[
+    list[Name], Field(strict=True, max_length=20, description="Fingers, or the actuator.")
+]
 HandName = Annotated[str, _text(description="The hand; empty if there is only one.")]
 Thing = Annotated[str, _text(pattern=_SHAPE, description=f"The object, as {_SHAPES}.")]
 Force = Annotated[float, _number(gt=0, description="Force to hold it with [N].")]
