@@ -97,6 +97,7 @@ OFFLINE = (
     Case("deploy install robotiq_2f_85 --dry-run --root . --program /opt/rtee/bin/rtee", "new: "),
     needs("secure init robotiq_2f_85", "secure"),
     needs("ros2 list", "ros2"),
+    needs("mcp claw", "mcp"),
     Case("doctor claw", "no stored pinch of two fingertips lies there"),
     Case("doctor robotiq_2f_85", "/dev/ttyUSB0", 1),
     Case("set-id 3 --port /nowhere", "there is no such port", 1),
