@@ -13,10 +13,12 @@ import anyio.to_thread
 from mcp.server.mcpserver import Image
 from pydantic import Field
 
+from rtee.actions.library import ActionLibrary
 from rtee.actions.naming import label
 from rtee.agent import texts
 from rtee.agent.agent import Agent
 from rtee.errors import GoalRejected, RteeError, needing_extra, suggestion
+from rtee.hand.load import hand_folder, load_configured
 from rtee.planning.result import GraspPlan
 from rtee.types import Goal
 
@@ -212,9 +214,20 @@ async def _picture(name: str, plans: Sequence[GraspPlan]) -> list[str | Image]:
     if not plans:
         return []
     try:
-        with needing_extra("a picture", "plot"):
-            from rtee.agent.picture import draw
-        drawn = await anyio.to_thread.run_sync(partial(draw, name, plans[0]))
+        drawn = await anyio.to_thread.run_sync(_draw, name, plans[0])
     except RteeError as error:
         return [json.dumps({"no_picture": texts.outside(str(error))})]
     return [Image(data=drawn, format="png")]
+
+
+def _draw(name: str, plan: GraspPlan) -> bytes:
+    """Return a PNG file of a hand, whose files are read here, as it closes on the object."""
+    with needing_extra("a picture of a grasp", "plot"):
+        from rtee.planning.closing import ActionWay
+        from rtee.render.hand import HandRenderer
+
+    hand, _ = load_configured(name)
+    library = ActionLibrary.load(hand, hand_folder(name)[0] / "actions")
+    posture = ActionWay.of(hand, library.find(plan.action, plan.elements)).at(plan.touch)
+    contacts = [(each.point, each.normal) for each in plan.contacts]
+    return HandRenderer(hand, postures=[posture]).picture(posture, contacts=contacts, ghost=True)
